@@ -145,7 +145,8 @@ class Simulation:
             plan.T_world_base_start if T_world_base is None else T_world_base,
         )
         if self.reality is not None:
-            self.reality.place(self.scene, self.data, plan)
+            self.reality.place(self.scene, self.data)
+            self.reality.feel(self.scene, self.data, plan)
         self.carrier: Carrier = carrier or carrier_of(plan, self.scene, timeline or Timeline())
         self.phase: Phase = PHASES[0]
         self.steps = 0

@@ -166,7 +166,8 @@ def test_alone_keeps_one_error() -> None:
     only = REALITIES["rough"].seeded(7).alone("object_mass")
     assert [name for name in ERRORS if only.numbers[name]] == ["object_mass"]
     assert only.seed == 7
-    assert {f.name for f in fields(Reality)} - set(ERRORS) == {"name", "seed", "drift_time"}
+    no_error = {"name", "touch", "seed", "drift_time"}
+    assert {f.name for f in fields(Reality)} - set(ERRORS) == no_error
 
 
 # --- sensors -----------------------------------------------------------------------------------

@@ -171,7 +171,7 @@ EstimateOption = Annotated[
 PadsOption = Annotated[
     str,
     typer.Option(
-        help="What fingers feel with: exact, taxels, effort, binary.",
+        help="Touch: exact, taxels, effort, binary.",
         metavar="SENSE",
         rich_help_panel=TRIAL_PANEL,
     ),

@@ -55,7 +55,7 @@ def test(
     protocol: Annotated[
         str,
         typer.Option(
-            help="dexgraspbench, forces, shake, robust, reality, pushes, drake, or all.",
+            help="dexgraspbench, forces, shake, robust, reality, pushes, drake, all.",
             metavar="NAME",
         ),
     ] = "all",
@@ -74,7 +74,7 @@ def test(
     ] = Path("runs/test"),
     pages: Annotated[
         str,
-        typer.Option(help="HTML pages of which trials: none, failures, all."),
+        typer.Option(help="Pages: none, failures, all."),
     ] = "none",
     seed: SeedOption = 0,
     video: Annotated[

@@ -55,10 +55,8 @@ class RealityOfTrial:
         """Changes a scene's specification to what there really is; for ``build_scene``."""
         return change_world(self.reality, self.drawn, self.task)
 
-    def place(self, scene: Scene, data: Any, plan: GraspPlan) -> None:
-        """Let the object, larger or smaller than believed, stand on what carries it.
-
-        From now on touch is felt in this scene.
+    def feel(self, scene: Scene, data: Any, plan: GraspPlan) -> None:
+        """Feel touch in a scene from now on.
 
         Args:
             scene: The scene.
@@ -67,6 +65,9 @@ class RealityOfTrial:
         """
         context = TouchContext(scene=scene, data=data, plan=plan, seed=self.reality.seed)
         self._touch = make_sense(self.reality.touch, context)
+
+    def place(self, scene: Scene, data: Any) -> None:
+        """Let the object, larger or smaller than believed, stand on what carries it."""
         up = lifted_by(self.drawn, self.task)
         if up:
             data.qpos[scene.object_qpos[2]] += up

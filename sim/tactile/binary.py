@@ -1,8 +1,8 @@
 """The sense ``binary``: which pads touch, and nothing else; the cheapest there is.
 
 A pad touches from ``ON`` on and until its force falls below ``OFF``. Force, place and normal are
-those of the plan: the planned grip along the planned direction, as the fingertip is turned now. A
-finger that rolls on the object carries its contact with it.
+those of the plan: the planned grip along the planned normal, turned as the fingertips have turned
+about each other (``PlannedNormals``).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.controllers import Observation
-from sim.tactile.bodies import PadBodies, pad_reading, planned_directions
+from sim.tactile.bodies import PadBodies, PlannedNormals, pad_reading
 from sim.tactile.exact import layouts_of
 from sim.tactile.senses import TouchContext, register_touch
 
@@ -30,7 +30,7 @@ class BinarySense:
         plan = context.plan
         layouts = layouts_of(context.scene, plan.task.finger_names)
         self._bodies = PadBodies.of(context.scene, context.data, layouts)
-        self._directions = planned_directions(plan, layouts)
+        self._planned = PlannedNormals(plan)
         self._centers = np.array([one.center for one in layouts])
         self._radii = np.array([[one.radius] for one in layouts])
         self._grip = plan.task.grip_force
@@ -41,8 +41,8 @@ class BinarySense:
         felt = truth.normal_forces
         self._touching = np.where(self._touching, felt >= OFF, felt >= ON)
         touching, turns = self._touching, self._bodies.turns()
-        normal = (turns @ self._directions[:, :, None])[:, :, 0]
         middle = (turns @ self._centers[:, :, None])[:, :, 0] + self._bodies.places()
+        normal = self._planned.at(middle, truth.T_world_base)
         position = middle + self._radii * normal
 
         reading = pad_reading(

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray, skew
+from planner.spatial import SE3, FloatArray, skew
 from sim.controllers import PadReading
 from sim.pads import body_twist
 from sim.scene import HAND_PREFIX, Scene
 from sim.tactile.layout import TaxelLayout
 
-__all__ = ["PadBodies", "pad_reading", "planned_directions"]
+__all__ = ["PadBodies", "PlannedNormals", "pad_reading"]
 
 RANK = 1e-8
 """Added to the normal equations (m2): two contacts leave a turn about their line open."""
@@ -97,18 +97,35 @@ class PadBodies:
         return out
 
 
-def planned_directions(plan: GraspPlan, layouts: Sequence[TaxelLayout]) -> FloatArray:
-    """Directions (n, 3), unit, from the pads' centres to the planned contacts, bodies' frames."""
-    hand = plan.task.hand
-    state = HandState(hand, plan.q)
-    points = plan.contacts.transformed(plan.T_world_base.inverse()).positions
-    body_of = {g.name: g.body for g in hand.geometries}
-    out = []
-    for layout, point in zip(layouts, points, strict=True):
-        T_base_body = state.pin_data.oMf[hand.pin_model.getBodyId(body_of[layout.geom])]
-        away = T_base_body.actInv(point) - layout.center
-        out.append(away / np.linalg.norm(away))
-    return np.array(out)
+class PlannedNormals:
+    """Where contacts are expected on pads that do not feel it: the plan, turned with the fingers.
+
+    What the fingers hold turns about as the polygon of their pads' centres does: the turn that fits
+    the centres best turns the planned normals.
+    """
+
+    def __init__(self, plan: GraspPlan) -> None:
+        """Take over centres and normals of a plan."""
+        state = HandState(plan.task.hand, plan.q)
+        points = plan.contacts.transformed(plan.T_world_base.inverse()).positions
+        self._centers = np.array([state.pad_center(finger) for finger in plan.task.fingers])
+        away = points - self._centers
+        self._normals = away / np.linalg.norm(away, axis=1, keepdims=True)
+
+    def at(self, centers: FloatArray, T_world_base: SE3) -> FloatArray:
+        """Expected normals (n, 3), unit, outward, world.
+
+        Args:
+            centers: Of the pads now, (n, 3), m, world.
+            T_world_base: Pose of the hand's base.
+        """
+        turn = T_world_base.rotation
+        before, now = self._centers - self._centers.mean(axis=0), centers - centers.mean(axis=0)
+        if len(centers) > 2:
+            left, _, right = np.linalg.svd((before @ turn.T).T @ now)
+            proper = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])
+            turn = (left @ proper @ right).T @ turn
+        return np.asarray(self._normals @ turn.T)
 
 
 def pad_reading(

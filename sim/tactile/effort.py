@@ -3,13 +3,13 @@
 At every step, per finger, the force f at the pad's centre that explains best what the motors do
 beyond holding and moving the finger itself:
 
-    N^T J^T f = N^T (R^T F + springs - b v - g - M a)
+    N^T J^T f = N^T (R^T F + springs - b v - c sign(v) - g - M a)
 
-with F the forces of the actuators, g the torque of the finger's weight, b and M damping and inertia
-of its joints, a their low-passed acceleration. N spans the motions that couplings, stops and joints
-at their limits leave: what these carry no motor feels. Dry friction is not known, and is read as
-force. The normal lies half-way between the planned direction and that of the force, and the contact
-where it leaves the pad.
+with F the forces of the actuators, g the torque of the finger's weight, b, c and M damping, dry
+friction and inertia of its joints as the model has them, a their low-passed acceleration. N spans
+the motions that couplings, stops and joints at their limits leave: what these carry no motor feels.
+The friction of a joint at rest, which may act either way, counts as that of its last motion. The
+normal is the planned one (``PlannedNormals``), and the contact where it leaves the pad.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from planner.spatial import FloatArray, skew
 from sim.controllers import Observation
 from sim.controllers.loads import HandLoads
 from sim.controllers.motors import joint_drag
-from sim.tactile.bodies import PadBodies, pad_reading, planned_directions
+from sim.tactile.bodies import PadBodies, PlannedNormals, pad_reading
 from sim.tactile.exact import layouts_of
 from sim.tactile.senses import TouchContext, register_touch
 
 __all__ = ["EffortSense"]
 
-LEAST_FORCE = 0.15
+LEAST_FORCE = 0.25
 """Force (N) from which on a finger touches: a finger that closes in the air reads less."""
 
 SMOOTHING = 0.01
@@ -37,6 +37,9 @@ SMOOTHING = 0.01
 
 AT_LIMIT = 0.01
 """A joint this near (rad) to its limit may be carried by it."""
+
+SLOWEST = 0.005
+"""Rate (rad/s) from which on a joint moves."""
 
 FLAT = 1e-6
 """Added to the normal equations (m2): a stretched finger has a direction that no motor feels."""
@@ -52,14 +55,15 @@ class EffortSense:
         hand = plan.task.hand
         layouts = layouts_of(context.scene, plan.task.finger_names)
         self._bodies = PadBodies.of(context.scene, context.data, layouts)
-        self._directions = planned_directions(plan, layouts)
+        self._planned = PlannedNormals(plan)
         self._centers = np.array([one.center for one in layouts])
         self._radii = np.array([[one.radius] for one in layouts])
         self._loads = HandLoads(hand, plan.task.fingers)
         self._pin = hand.pin_model.createData()
-        self._drag, _ = joint_drag(hand)
+        self._drag, self._stiction = joint_drag(hand)
         self._rows = np.array([c.row for c in hand.couplings]).reshape(-1, hand.nq)
         self._force = np.zeros((len(layouts), 3))
+        self._sign = np.zeros(hand.nq)
         self._v, self._rate, self._time = np.zeros(hand.nq), np.zeros(hand.nq), -1.0
 
     def read(self, truth: Observation) -> Observation:
@@ -75,11 +79,9 @@ class EffortSense:
         size = np.sqrt((self._force**2).sum(axis=1))
         touching = size >= LEAST_FORCE
         turns = self._bodies.turns()
-        planned = (turns @ self._directions[:, :, None])[:, :, 0]
-        normal = planned + self._force / np.maximum(size, LEAST_FORCE)[:, None]
-        normal /= np.maximum(np.sqrt((normal**2).sum(axis=1)), 1e-6)[:, None]
-        touching &= (self._force * normal).sum(axis=1) > 0
         middle = (turns @ self._centers[:, :, None])[:, :, 0] + self._bodies.places()
+        normal = self._planned.at(middle, truth.T_world_base)
+        touching &= (self._force * normal).sum(axis=1) > 0
         position = middle + self._radii * normal
         reading = pad_reading(
             touching=touching,
@@ -100,7 +102,9 @@ class EffortSense:
         torque = hand.actuation.moment.T @ effort + hand.actuation.passive_torque(q)
         inertia = pin.crba(hand.pin_model, self._pin, q)
         inertia = np.triu(inertia) + np.triu(inertia, 1).T
-        torque = torque - self._drag * v - own - inertia @ self._rate
+        self._sign = np.where(np.abs(v) > SLOWEST, np.sign(v), self._sign)
+        resists = self._drag * v + self._stiction * self._sign
+        torque = torque - resists - own - inertia @ self._rate
         at_limit = (q < hand.q_lower + AT_LIMIT) | (q > hand.q_upper - AT_LIMIT)
         out = np.zeros((len(self._task.fingers), 3))
         for k, finger in enumerate(self._task.fingers):

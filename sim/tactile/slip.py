@@ -5,8 +5,8 @@ would give (``sim.tactile.pressure``) stays the same, taxel by taxel, up to nois
 each of them (``sim.tactile.texture``). Its logarithm, less what a wrong place or force explains
 (constant and linear parts), is averaged over ``FAST`` and over ``SLOW``. The pad slips when the
 mean square of their difference over the loaded taxels, less that of noise, exceeds ``ALARM``
-squared and is larger than noise alone would make it once in millions (``SIGMAS``); it has stopped when it falls
-below ``CALM`` squared.
+squared and is larger than noise alone would make it once in millions (``SIGMAS``); it has stopped
+when it falls below ``CALM`` squared.
 """
 
 from __future__ import annotations
@@ -44,6 +44,10 @@ LEAST_FORCE = 0.1
 
 LEAST_NOISE = 0.01
 """Noise (-) that is expected of the best array."""
+
+STEADY = 0.4
+"""How far (-) the logarithm of the force may be from that of its slow average: where a patch grows
+or shrinks faster, squeezing or letting go, nothing is judged."""
 
 YOUNG = 10
 """Images that a taxel must have been loaded for before it counts."""
@@ -100,11 +104,17 @@ class _Pad:
         self._axes = layout.frames.reshape(-1, 3, 3).transpose(0, 2, 1)
         self._fast, self._slow = np.zeros((2, rows * columns))
         self._age = np.zeros(rows * columns)
+        self._force = 0.0
 
     def look(self, elapsed: float, image: FloatArray, seen: ContactEstimate) -> tuple[float, float]:
         """Mean square of the difference beyond noise, and the most that noise explains (-)."""
         if seen.normal_force < LEAST_FORCE:
-            self._age[:] = 0.0
+            self._age[:] = self._force = 0.0
+            return 0.0, 0.0
+        if self._force == 0.0:
+            self._force = seen.normal_force
+        self._force += elapsed / (SLOW + elapsed) * (seen.normal_force - self._force)
+        if abs(math.log(seen.normal_force / self._force)) > STEADY:
             return 0.0, 0.0
         taxels = image.reshape(-1, 3)
         # along the contact's normal, not along each taxel's: of that the shear has no part

@@ -2,9 +2,9 @@
 
 Every step: perfect images from MuJoCo's contacts (``exact``), through noise, threshold, dead
 taxels, rate and latency (``array``), to a contact per pad (``estimate``); from their shiver,
-whether it slips (``slip``); from the spread of their shear, the friction (``friction``). How fast it slides
-is seen in the joints (``bodies``). A pad feels whatever presses on it, the table too, and only what
-presses on its array.
+whether it slips (``slip``); from the spread of their shear, the friction (``friction``). How fast
+it slides is seen in the joints (``bodies``). A pad feels whatever presses on it, the table too, and
+only what presses on its array.
 """
 
 from __future__ import annotations

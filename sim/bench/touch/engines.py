@@ -2,7 +2,7 @@
 
 A round pad is pressed on a flat and on a round object with the contacts of our scenes. Looked at by
 
-    tactile     MuJoCo's ``mjSENS_TACTILE``: how deep each vertex of a mesh is in the other geom; with
+    tactile     MuJoCo's ``mjSENS_TACTILE``: how deep vertices of a mesh are in the other geom; with
                 taxels on the pad's surface, and on a skin 0.5 mm above
     touch_grid  MuJoCo's plugin: contact forces in angular bins
     contacts    ``sim.tactile``, without noise
