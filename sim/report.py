@@ -141,7 +141,7 @@ class TrialReport(OnScreen):
 
         They are merged per finger, with the plan's friction and contact model, so that the two can
         be compared; the closure in ``samples`` has the simulation's own friction. Computed when it
-        is first read: it takes as long as a tenth of a trial.
+        is first read.
         """
         if self.contacts_measured is None:
             return None
