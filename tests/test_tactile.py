@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,10 @@ from planner.description import FingerDescription, PadDescription, TaxelDescript
 from planner.errors import NotFoundError, TaskError
 from planner.hand_loading import load_hand
 from planner.hands.description_toml import _mirrored_array
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray
 from sim import simulate
+from sim.controllers import PHASES, Observation
 from sim.reality import Reality
 from sim.simulation import Simulation
 from sim.tactile import (
@@ -38,7 +43,7 @@ from sim.tactile.pressure import CONTACT_MODULUS, contact_deviation, spread
 RADIUS = 0.012
 
 
-def layout_of(**changes) -> TaxelLayout:
+def layout_of(**changes: Any) -> TaxelLayout:
     array = TaxelDescription(
         **({"rows": 11, "columns": 9, "spacing": 0.002, "noise": 0.0} | changes)
     )
@@ -53,7 +58,14 @@ def layout_of(**changes) -> TaxelLayout:
     return TaxelLayout.of(FingerDescription(name="f", joints=("a",), tip_site="tip", pad=pad))
 
 
-def press(layout, place=(0.0, 0.0), force=1.0, shear=(0.0, 0.0), torsion=0.0, used=0.5):
+def press(
+    layout: TaxelLayout,
+    place: Sequence[float] = (0.0, 0.0),
+    force: float = 1.0,
+    shear: Sequence[float] | FloatArray = (0.0, 0.0),
+    torsion: float = 0.0,
+    used: float = 0.5,
+) -> PadContact:
     frame = layout.frame_at(np.array(place))
     return PadContact(
         point=layout.point(np.array(place)),
@@ -68,7 +80,7 @@ def press(layout, place=(0.0, 0.0), force=1.0, shear=(0.0, 0.0), torsion=0.0, us
 # ---- geometry
 
 
-def test_neighbours_are_one_spacing_apart_along_the_pad():
+def test_neighbours_are_one_spacing_apart_along_the_pad() -> None:
     layout = layout_of()
     middle, beside = layout.positions[5, 4], layout.positions[5, 5]
     chord = 2 * RADIUS * math.sin(0.002 / RADIUS / 2)
@@ -79,7 +91,7 @@ def test_neighbours_are_one_spacing_apart_along_the_pad():
 
 
 @given(u=st.floats(-0.015, 0.015), v=st.floats(-0.015, 0.015))
-def test_chart_and_point_are_inverse_and_frames_are_rotations(u, v):
+def test_chart_and_point_are_inverse_and_frames_are_rotations(u: float, v: float) -> None:
     layout, place = layout_of(), np.array([u, v])
     assert layout.chart(layout.point(place)) == pytest.approx(place, abs=1e-9)
     frame = layout.frame_at(place)
@@ -92,7 +104,7 @@ def test_chart_and_point_are_inverse_and_frames_are_rotations(u, v):
 # ---- images
 
 
-def test_a_light_touch_on_the_middle_of_a_taxel_is_felt_by_it_alone():
+def test_a_light_touch_on_the_middle_of_a_taxel_is_felt_by_it_alone() -> None:
     layout = layout_of()
     image = contact_image(layout, press(layout, (0.002, -0.004), force=0.001))
     row, column = 5 - 2, 4 + 1
@@ -101,7 +113,7 @@ def test_a_light_touch_on_the_middle_of_a_taxel_is_felt_by_it_alone():
     assert np.abs(image).max() < 1e-9
 
 
-def test_radius_and_spread_of_the_patch_are_hertz():
+def test_radius_and_spread_of_the_patch_are_hertz() -> None:
     force = 2.0
     patch = (3 * force * RADIUS / (4 * CONTACT_MODULUS)) ** (1 / 3)
     assert contact_deviation(force, RADIUS) == pytest.approx(patch / math.sqrt(5))
@@ -112,7 +124,7 @@ def test_radius_and_spread_of_the_patch_are_hertz():
     assert contact_deviation(force, RADIUS) ** 2 == pytest.approx(moment, rel=1e-3)
 
 
-def test_a_gaussian_lies_within_its_cells():
+def test_a_gaussian_lies_within_its_cells() -> None:
     shares = spread(np.array([-1.0, 0.0, 1.0]), 0.0, 1.0)
     assert shares == pytest.approx([0.34134475, 0.34134475], abs=1e-7)
 
@@ -127,8 +139,8 @@ def test_a_gaussian_lies_within_its_cells():
     twist=st.floats(-1e-3, 1e-3),
 )
 def test_force_and_torsion_of_a_perfect_array_are_those_of_the_contact(
-    u, v, force, share, angle, twist
-):
+    u: float, v: float, force: float, share: float, angle: float, twist: float
+) -> None:
     layout = layout_of(threshold=0.0)
     shear = 0.6 * share * force * np.array([math.cos(angle), math.sin(angle)])
     contact = press(layout, (u, v), force, shear, twist * force, used=share)
@@ -144,14 +156,14 @@ def test_force_and_torsion_of_a_perfect_array_are_those_of_the_contact(
     assert seen.torsion == pytest.approx(twist * force, abs=2e-4 * force)
 
 
-def test_the_centroid_of_a_symmetric_patch_is_its_middle():
+def test_the_centroid_of_a_symmetric_patch_is_its_middle() -> None:
     layout = layout_of()
     seen = ContactEstimator(layout).estimate(contact_image(layout, press(layout)))
     assert seen.place == pytest.approx([0, 0], abs=1e-12)
     assert seen.normal == pytest.approx(layout.axes[:, 2])
 
 
-def test_torsion_has_the_sign_of_a_turn_about_the_outward_normal():
+def test_torsion_has_the_sign_of_a_turn_about_the_outward_normal() -> None:
     layout = layout_of()
     image = contact_image(layout, press(layout, torsion=1e-3))
     # at the taxel on the u side, a turn from u to v is a force along v
@@ -159,14 +171,14 @@ def test_torsion_has_the_sign_of_a_turn_about_the_outward_normal():
     assert image[7, 4, 1] < 0 < image[3, 4, 1]
 
 
-def test_what_lies_beside_the_array_is_not_felt():
+def test_what_lies_beside_the_array_is_not_felt() -> None:
     layout = layout_of()
     edge = contact_image(layout, press(layout, (0.009, 0.0)))
     assert edge[..., 0].sum() == pytest.approx(0.5, abs=0.02)  # its border is at 9 mm
     assert contact_image(layout, press(layout, (0.016, 0.0)))[..., 0].sum() < 1e-6
 
 
-def test_shear_at_full_use_is_spread_like_pressure_and_wider_below():
+def test_shear_at_full_use_is_spread_like_pressure_and_wider_below() -> None:
     layout = layout_of(spacing=0.0005, rows=41, columns=41)
     spreads = {}
     for used in (0.1, 0.5, 1.0):
@@ -181,7 +193,7 @@ def test_shear_at_full_use_is_spread_like_pressure_and_wider_below():
 # ---- imperfections
 
 
-def test_threshold_noise_and_dead_taxels_act_as_described():
+def test_threshold_noise_and_dead_taxels_act_as_described() -> None:
     layout = layout_of(noise=0.05, threshold=0.02, dead=((5, 4),))
     exact = np.zeros((11, 9, 3))
     exact[..., 0], exact[5, 5, 0], exact[0, 0, 0] = 1.0, 0.01, 0.0
@@ -193,7 +205,7 @@ def test_threshold_noise_and_dead_taxels_act_as_described():
     assert images[:, 3, 3, 0].mean() == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_dead_taxel_under_the_contact_moves_the_place_by_little():
+def test_a_dead_taxel_under_the_contact_moves_the_place_by_little() -> None:
     alive, broken = layout_of(), layout_of(dead=((5, 4),))
     contact = press(alive, (0.0007, 0.0003), force=2.0)
     exact = contact_image(alive, contact)
@@ -204,7 +216,7 @@ def test_a_dead_taxel_under_the_contact_moves_the_place_by_little():
     assert known.normal_force > blind.normal_force
 
 
-def test_images_come_late_and_at_their_rate():
+def test_images_come_late_and_at_their_rate() -> None:
     array = TaxelArray(layout_of(latency=0.01, rate=100.0), np.random.default_rng(0))
     seen = []
     for k in range(21):
@@ -217,7 +229,7 @@ def test_images_come_late_and_at_their_rate():
     assert seen[10] == pytest.approx(0.01) and seen[20] == pytest.approx(0.03)
 
 
-def test_a_wrong_array_is_refused_with_what_is_allowed():
+def test_a_wrong_array_is_refused_with_what_is_allowed() -> None:
     with pytest.raises(ValidationError, match=r"dead taxel \[11, 0\].*rows from 0 to 10"):
         layout_of(dead=((11, 0),))
     with pytest.raises(ValidationError, match="at most 120 are possible; give fewer or closer"):
@@ -229,7 +241,7 @@ def test_a_wrong_array_is_refused_with_what_is_allowed():
             layout_of(**{field: value})
 
 
-def test_a_description_without_taxels_is_written_as_it_was():
+def test_a_description_without_taxels_is_written_as_it_was() -> None:
     hand = load_hand("allegro_hand")
     text = hand.description.to_json()
     assert "taxels" not in text
@@ -243,7 +255,7 @@ def test_a_description_without_taxels_is_written_as_it_was():
     assert type(changed).from_json(changed.to_json()) == changed
 
 
-def test_a_mirrored_hand_has_its_dead_taxels_on_the_other_side_of_the_bone():
+def test_a_mirrored_hand_has_its_dead_taxels_on_the_other_side_of_the_bone() -> None:
     array = TaxelDescription(rows=5, columns=7, spacing=0.002, dead=((1, 0), (2, 3)))
     assert _mirrored_array(array).dead == ((1, 6), (2, 3))
 
@@ -251,7 +263,7 @@ def test_a_mirrored_hand_has_its_dead_taxels_on_the_other_side_of_the_bone():
 # ---- friction and slip
 
 
-def test_texture_changes_with_the_slid_distance_only():
+def test_texture_changes_with_the_slid_distance_only() -> None:
     texture = Texture((5, 5), np.random.default_rng(0), 0.1)
     before = texture.gains.copy()
     texture.slide(0.0)
@@ -260,7 +272,14 @@ def test_texture_changes_with_the_slid_distance_only():
     assert np.corrcoef(texture.gains.ravel(), before.ravel())[0, 1] < 0.5
 
 
-def watched(speed, seconds=1.0, noise=0.05, share=0.1, seed=0, roll=0.0):
+def watched(
+    speed: float,
+    seconds: float = 1.0,
+    noise: float = 0.05,
+    share: float = 0.1,
+    seed: int = 0,
+    roll: float = 0.0,
+) -> float:
     """When a pad that slides from half-time on raises the alarm, and the shiver."""
     rng = np.random.default_rng(seed)
     layout = layout_of(noise=noise, rows=13, columns=13)
@@ -280,23 +299,25 @@ def watched(speed, seconds=1.0, noise=0.05, share=0.1, seed=0, roll=0.0):
 
 
 @pytest.mark.parametrize("speed", [0.005, 0.02])
-def test_half_of_all_slips_are_noticed_within_10_ms_of_a_tenth_of_a_millimetre(speed):
+def test_half_of_all_slips_are_noticed_within_10_ms_of_a_tenth_of_a_millimetre(
+    speed: float,
+) -> None:
     delays = [watched(speed, seconds=0.4, seed=seed) - 1e-4 / speed for seed in range(7)]
     assert np.median(delays) <= 0.015 if speed > 0.01 else np.median(delays) <= 0.01
     assert max(delays) < 0.1
 
 
-def test_a_pad_that_sticks_or_rolls_raises_no_alarm():
+def test_a_pad_that_sticks_or_rolls_raises_no_alarm() -> None:
     assert watched(0.0, seconds=4.0) == math.inf
     assert watched(0.0, seconds=1.0, roll=0.004) == math.inf
 
 
-def test_a_polished_object_is_not_felt_to_slip():
+def test_a_polished_object_is_not_felt_to_slip() -> None:
     assert watched(0.02, share=0.0) == math.inf
 
 
 @pytest.mark.parametrize("mu", [0.3, 0.6, 1.0])
-def test_friction_is_found_from_the_spread_of_shear_before_anything_slips(mu):
+def test_friction_is_found_from_the_spread_of_shear_before_anything_slips(mu: float) -> None:
     layout = layout_of(noise=0.05, rows=13, columns=13)
     rng = np.random.default_rng(1)
     array, estimator = TaxelArray(layout, rng), ContactEstimator(layout)
@@ -309,7 +330,7 @@ def test_friction_is_found_from_the_spread_of_shear_before_anything_slips(mu):
     assert watch.used[0] == pytest.approx(0.7, abs=0.15)
 
 
-def test_what_slips_has_all_of_its_friction_in_use():
+def test_what_slips_has_all_of_its_friction_in_use() -> None:
     layout = layout_of()
     watch, estimator = FrictionWatch([0.002]), ContactEstimator(layout)
     contact = press(layout, (0.0, 0.0), 2.0, (0.8, 0.0), used=1.0)
@@ -323,26 +344,26 @@ def test_what_slips_has_all_of_its_friction_in_use():
 
 
 @pytest.fixture(scope="module")
-def plan():
+def plan() -> GraspPlan:
     return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=1)
 
 
-def held(plan, touch, seconds=0.3):
+def run(simulation: Simulation, **seconds: float) -> None:
+    for phase in PHASES:
+        if phase in seconds:
+            for _ in simulation.run(phase, seconds[phase]):
+                pass
+
+
+def held(plan: GraspPlan, touch: str, seconds: float = 0.3) -> tuple[Observation, Observation]:
     """What a sense says while the object is held, and the truth, at the end."""
     simulation = Simulation(plan, reality=Reality(name="touch", touch=touch, seed=3))
-    for phase, duration in (
-        ("approach", 0.8),
-        ("close", 1.0),
-        ("squeeze", 0.4),
-        ("settle", seconds),
-    ):
-        for _ in simulation.run(phase, duration):
-            pass
+    run(simulation, approach=0.8, close=1.0, squeeze=0.4, settle=seconds)
     truth = simulation.observe("settle", 1.0)
     return simulation.sensed(truth), truth
 
 
-def test_taxels_feel_what_mujoco_computes(plan):
+def test_taxels_feel_what_mujoco_computes(plan: GraspPlan) -> None:
     seen, truth = held(plan, "taxels")
     pads, exact = seen.pads, truth.pads
     assert (exact.normal_force > 0.3).all()
@@ -355,40 +376,42 @@ def test_taxels_feel_what_mujoco_computes(plan):
     assert truth.touch.images[0][..., 0].sum() == pytest.approx(exact.normal_force[0], rel=0.02)
 
 
-def test_effort_and_binary_say_that_all_fingers_touch_and_roughly_where(plan):
+def test_effort_and_binary_say_that_all_fingers_touch_and_roughly_where(plan: GraspPlan) -> None:
     for touch, off_mm in (("effort", 8.0), ("binary", 5.0)):
         seen, truth = held(plan, touch)
         pads, exact = seen.pads, truth.pads
         assert (pads.normal_force > 0).all(), touch
         off = 1e3 * np.linalg.norm(pads.position - exact.position, axis=1)
         assert off.max() < off_mm, touch
-        assert not seen.touch.images or touch == "exact" or len(seen.touch.images) == 4
+        assert not seen.touch.images, touch
     seen, truth = held(plan, "effort")
     assert seen.pads.normal_force == pytest.approx(truth.pads.normal_force, rel=0.5)
 
 
 @pytest.mark.parametrize("touch", ["taxels", "effort", "binary"])
 @pytest.mark.parametrize("controller", ["feedforward", "impedance"])
-def test_every_controller_holds_with_every_sense(plan, touch, controller):
+def test_every_controller_holds_with_every_sense(
+    plan: GraspPlan, touch: str, controller: str
+) -> None:
     report = simulate(plan, controller=controller, reality=Reality(name="t", touch=touch))
     assert report.success, report.verdict
     assert report.reality is not None and report.reality["touch"] == touch
 
 
-def test_the_exact_sense_changes_nothing(plan):
+def test_the_exact_sense_changes_nothing(plan: GraspPlan) -> None:
     assert Reality(name="t", touch="exact").ideal
     ideal = simulate(plan)
     same = simulate(plan, reality=Reality(name="t", touch="exact"))
     assert (ideal.samples.normal_force == same.samples.normal_force).all()
 
 
-def test_the_same_seed_gives_the_same_images(plan):
+def test_the_same_seed_gives_the_same_images(plan: GraspPlan) -> None:
     first, second = (held(plan, "taxels")[0].touch.images for _ in range(2))
     for a, b in zip(first, second, strict=True):
         assert (a == b).all()
 
 
-def test_an_unknown_sense_is_refused_with_those_there_are():
+def test_an_unknown_sense_is_refused_with_those_there_are() -> None:
     with pytest.raises(NotFoundError, match="binary"):
         Reality(touch="vision")
     with pytest.raises(TaskError, match="already"):
@@ -396,12 +419,12 @@ def test_an_unknown_sense_is_refused_with_those_there_are():
     assert set(TOUCH_SENSES) == {"exact", "taxels", "effort", "binary"}
 
 
-def test_a_reading_of_four_pads_takes_less_than_two_milliseconds(plan):
+def test_a_reading_of_four_pads_takes_less_than_two_milliseconds(plan: GraspPlan) -> None:
     simulation = Simulation(plan, reality=Reality(name="t", touch="taxels"))
-    for phase, duration in (("approach", 0.8), ("close", 1.0), ("squeeze", 0.2)):
-        for _ in simulation.run(phase, duration):
-            pass
+    run(simulation, approach=0.8, close=1.0, squeeze=0.2)
+    assert simulation.reality is not None
     sense, truth = simulation.reality.touch, simulation.observe("squeeze", 1.0)
+    assert sense is not None
     best = math.inf
     for k in range(20):
         later = replace(truth, time=truth.time + 0.002 * (k + 1))

@@ -38,6 +38,7 @@ from sim.bench.reality import reality_tables
 from sim.bench.refine import refine_tables
 from sim.bench.scaling import scaling_tables
 from sim.bench.synthesis_tables import synthesis_tables
+from sim.bench.touch.tables import touch_tables
 from sim.bench.trial_cost import trial_cost_table
 from sim.bench.turn_table import manipulate_table
 from sim.bench.walls import walls_tables
@@ -64,6 +65,7 @@ TABLES: dict[str, Tables] = {
     "opposable-bench-refine": refine_tables,
     "opposable-bench-scaling": scaling_tables,
     "opposable-bench-synthesis": synthesis_tables,
+    "opposable-bench-touch": touch_tables,
     "opposable-bench-trials": trial_cost_table,
     "opposable-bench-walls": walls_tables,
     "opposable-bench-witness": witness_tables,

@@ -14,7 +14,7 @@ from typing import Any
 
 __all__ = ["interrupts_wait"]
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM)
 """What ends a command: Ctrl-C, and what a system sends to whatever runs too long."""
 
 
