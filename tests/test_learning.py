@@ -89,6 +89,8 @@ def test_all_ranges_of_an_object_are_drawn_together() -> None:
 def test_a_range_that_ends_below_its_beginning_is_told_the_other_way_round() -> None:
     with pytest.raises(ObjectError, match=r"0\.07\.\.0\.05 .* give 0\.05\.\.0\.07"):
         ObjectRange("box:0.07..0.05x0.05x0.08")
+    with pytest.raises(ObjectError, match=r"radius is -0.03; give metres > 0"):
+        ObjectRange("cylinder:-0.03..0.02x0.08")
 
 
 def test_conditions_are_those_of_the_bench() -> None:
@@ -315,8 +317,13 @@ def test_a_missing_a_cut_and_a_foreign_file_are_refused(policy: Policy, tmp_path
     with pytest.raises(FileFormatError, match="no policy, or damaged"):
         Policy.load(file)
     file.write_text("{}")
-    with pytest.raises(FileFormatError, match="no policy, or damaged"):
+    with pytest.raises(FileFormatError, match="no policy, or damaged") as told:
         Policy.load(file)
+    assert "pickle" not in str(told.value)
+    with pytest.raises(FileFormatError, match=r"is a folder; give the file policy\.npz in it"):
+        Policy.load(tmp_path)
+    with pytest.raises(FileFormatError, match="no file of a policy is named"):
+        Policy.load("")
 
 
 def test_weights_that_are_not_finite_are_refused(policy: Policy) -> None:

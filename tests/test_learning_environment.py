@@ -165,9 +165,11 @@ def test_it_is_registered_and_makes_vectors(folder: Path) -> None:
     [
         ({"action": "torque"}, "no meaning of an action is called 'torque'"),
         ({"senses": ["sound"]}, "no sense of the environment is called 'sound'"),
-        ({"plans": 0}, "give both above 0"),
-        ({"rate_hz": 0.0}, "give both above 0"),
-        ({"angle_deg": 0.0}, "give one that is not 0"),
+        ({"plans": 0}, "plans is 0; give an integer >= 1"),
+        ({"plans": 1.5}, "plans is 1.5; give an integer >= 1"),
+        ({"senses": "object_pose"}, r"give a list of names: \['object_pose'\]"),
+        ({"rate_hz": 0.0}, "rate_hz is 0.0; give"),
+        ({"angle_deg": 0.0}, "give a finite one that is not 0"),
         ({"reality": "moon"}, "no reality is called 'moon'"),
         ({"objects": "cylinder:0.04..0.03x0.1"}, "ends below its beginning"),
     ],
@@ -183,9 +185,12 @@ def test_steps_that_cannot_be_are_refused(env: TurnEnv) -> None:
     with pytest.raises(TaskError, match="call reset first"):
         env.step(np.zeros(16))
     env.reset(seed=1)
-    with pytest.raises(TaskError, match=r"shape \(3,\); give \(16,\)"):
+    with pytest.raises(TaskError, match=r"shape \(3,\); give one of shape \(16,\)"):
         env.step(np.zeros(3))
-    with pytest.raises(TaskError, match="finite"):
+    with pytest.raises(TaskError, match="not finite"):
         env.step(np.full(16, np.nan))
+    for options in ({"plan": -1}, {"plan": 1.5}, {"plan": "first"}, {"plans": 3}):
+        with pytest.raises(TaskError, match="option"):
+            env.reset(seed=1, options=options)
     with pytest.raises((TaskError, NotFoundError)):
         TurnEnv(hand="foot")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -28,6 +28,7 @@ from sim.controllers import GraspController, Observation, PadReading, Phase
 from sim.manipulation.regrasping import margin_without
 from sim.manipulation.run import ManipulationRun
 from sim.physics import PhysicsOptions
+from sim.protocols.reality import with_errors
 from sim.reality import REALITIES, Drawn, Reality, RealityOfTrial, named_reality, register_reality
 from sim.reality.drawn import stream
 from sim.reality.drive import RealDrive
@@ -154,6 +155,13 @@ def test_other_bad_values_are_refused() -> None:
         Reality(drift_time=0.0)
     with pytest.raises(TaskError, match="an integer >= 0"):
         Reality(seed=-1)
+    with pytest.raises(TaskError, match="an integer >= 0"):
+        Reality(seed=True)
+    for wrong in ("1 mm", None, True):
+        with pytest.raises(TaskError, match=r"pose_noise is .*; give a finite number >= 0"):
+            changed(Reality(), "pose_noise", cast(Any, wrong))
+    with pytest.raises(TaskError, match="name is ''; give a text"):
+        Reality(name="")
     with pytest.raises(NotFoundError, match="lab"):
         named_reality("labs")
     with pytest.raises(NotFoundError, match="encoder_offset"):
@@ -719,3 +727,11 @@ def test_errors_of_physics_and_reality_go_together(plan: GraspPlan) -> None:
     geom = min(simulation.scene.object_geoms)
     expected = 0.8 * simulation.reality.drawn.friction
     assert simulation.scene.model.geom_friction[geom, 0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("asked", [Reality(), Reality(name="pads", touch="binary", seed=4)])
+def test_the_protocol_draws_from_a_laboratory_unless_told_otherwise(asked: Reality) -> None:
+    used = with_errors(asked)
+    assert used == replace(REALITIES["lab"], touch=asked.touch, seed=asked.seed)
+    rough = named_reality("rough", 2)
+    assert with_errors(rough) is rough

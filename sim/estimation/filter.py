@@ -4,7 +4,8 @@ Prediction by contacts that stick (``rolling``), correction by contacts that lie
 (``surface``) and by what a camera saw. Errors that last, as a pad's or a camera's drift do, count
 as white noise with the same information per correlation time T: variance (1 + 2 T / dt) s^2.
 
-A contact far from where it is expected is trusted less (Huber's weight), a pose beyond
+A contact far from where it is expected is trusted less: its variance grows until it is ``FAR``
+standard deviations off, so that its pull falls with its distance. A pose beyond
 ``FARTHEST`` is not believed at all; after ``TOO_MANY`` of these in a row it is the filter that is
 wrong, and it starts anew from the last one.
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from planner.spatial import FloatArray, skew
 from planner.task import GraspTask
@@ -34,7 +36,7 @@ distribution with 6 degrees of freedom lie below."""
 TOO_MANY = 5
 """Poses in a row that are not believed before the filter gives up its own."""
 
-HUBER = 3.0
+FAR = 3.0
 """Standard deviations beyond which a contact counts less."""
 
 STANDING = (5e-5, 1e-3)
@@ -51,6 +53,9 @@ CARRIED = (0.1, 2.0)
 
 OFF_PAD = 0.004
 """Distance (m) of a contact from a pad's sphere beyond which it is one of another link."""
+
+LESS = 25.0
+"""Factor on the variance of a contact off the pads: a fifth of the trust."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,12 +257,12 @@ class PoseFilter:
         both = a.touching & b.touching
         local = np.where(both[:, None], 0.5 * (a.points + b.points), self._centers)
         normals = tips.turned(0.5 * (a.normals + b.normals))
-        return tips.out(local), normals, self._less(local)
+        return tips.out(local), normals, self._less(local, slice(None))
 
-    def _less(self, local: FloatArray) -> FloatArray:
-        """(n,), factor on the variance of contacts in the pads' frames: many off the pads."""
-        away = np.sqrt(((local - self._centers) ** 2).sum(axis=1)) - self._radii
-        return np.where(np.abs(away) > OFF_PAD, 25.0, 1.0)
+    def _less(self, local: FloatArray, on: NDArray[np.intp] | slice) -> FloatArray:
+        """(k,), factor on the variance of contacts in the frames of the pads ``on``."""
+        away = np.sqrt(((local - self._centers[on]) ** 2).sum(axis=1)) - self._radii[on]
+        return np.where(np.abs(away) > OFF_PAD, LESS, 1.0)
 
     def _prior(self, belief: Belief, a: Moment, b: Moment) -> tuple[FloatArray, FloatArray]:
         """Displacement (6,) of an object that no finger moves, and the information on it (6, 6)."""
@@ -293,8 +298,7 @@ class PoseFilter:
             equations = touch_equations(
                 self._shape, belief, tips, tips.out(local), np.zeros(len(on)), outward
             )
-            away = np.sqrt(((local - self._centers[on]) ** 2).sum(axis=1)) - self._radii[on]
-            less = np.where(np.abs(away) > OFF_PAD, 25.0, 1.0)
+            less = self._less(local, on)
         else:
             points, less = tips.out(self._centers[on]), np.ones(len(on))
             equations = touch_equations(self._shape, belief, tips, points, self._radii[on], None)
@@ -303,6 +307,6 @@ class PoseFilter:
         noise[len(on) :] = trust.normal**2 * lasting * np.repeat(less, 2)[: len(noise) - len(on)]
         jacobian, residual = equations.jacobian, equations.residual
         spread = ((jacobian @ belief.covariance) * jacobian).sum(axis=1) + noise
-        far = np.abs(residual) / (HUBER * np.sqrt(spread))
+        far = np.abs(residual) / (FAR * np.sqrt(spread))
         noise = noise + spread * (np.maximum(far, 1.0) ** 2 - 1.0)
         return Felt(belief, residual, jacobian, noise)

@@ -114,15 +114,19 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
 
         Raises:
             NotFoundError: No such hand, reality, sense or meaning of an action.
-            TaskError: A number that is not positive.
+            TaskError: A number that is not positive, or senses that are no list.
         """
         if action not in ACTIONS:
             raise NotFoundError("meaning of an action", action, ACTIONS)
+        if isinstance(senses, str):
+            raise TaskError(f"senses is {senses!r}; give a list of names: [{senses!r}]")
         for name in senses:
             if name not in (*ALWAYS, *ASKED):
                 raise NotFoundError("sense of the environment", name, (*ALWAYS, *ASKED))
-        if plans < 1 or not (math.isfinite(rate_hz) and rate_hz > 0):
-            raise TaskError(f"{plans} plans and {rate_hz} actions a second; give both above 0")
+        if not (isinstance(plans, int) and plans >= 1):
+            raise TaskError(f"plans is {plans!r}; give an integer >= 1")
+        if not (math.isfinite(rate_hz) and rate_hz > 0):
+            raise TaskError(f"rate_hz is {rate_hz}; give actions per second, above 0")
         self.render_mode = render_mode
         self.task = TurnTask(
             hand=hand,
@@ -172,19 +176,22 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
 
         Args:
             seed: Of plan and conditions; goes on with the last one's numbers if None.
-            options: ``{"plan": k}`` takes the plan of that number.
+            options: ``{"plan": k}`` takes the plan of that number, an integer >= 0; one beyond
+                ``plans`` is made.
 
         Returns:
             The observation, and what was drawn: ``plan`` and ``object``; and ``redrawn``, how many
             trials ended before the first action, as where a finger pushed the object over.
 
         Raises:
-            TaskError: No trial came to the first action.
+            TaskError: No trial came to the first action, or another option than that.
         """
+        asked = _asked_plan(options or {})
         super().reset(seed=seed)
         self.close()
         for redrawn in range(REDRAWS):
-            number = (options or {}).get("plan", int(self.np_random.integers(self._count)))
+            drawn = int(self.np_random.integers(self._count))
+            number = drawn if asked is None else asked
             conditions = Conditions.draw(self.np_random)
             plan = self._plans(number)
             self._puppet = _Puppet(plan.grasp, self._rate, self._meaning)
@@ -206,14 +213,16 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
             (with closure), ``is_success`` (the same), ``reason`` and ``turned_deg``.
 
         Raises:
-            TaskError: An action of another shape, or no episode under way.
+            TaskError: An action of another shape or not finite, or no episode under way.
         """
         if self._course is None or self._course.dead:
             raise TaskError("no episode is under way; call reset first")
         given = np.asarray(action, dtype=np.float64)
         shape = self.action_space.shape
-        if given.shape != shape or not np.isfinite(given).all():
-            raise TaskError(f"the action has shape {given.shape}; give {shape} finite numbers")
+        if given.shape != shape:
+            raise TaskError(f"the action has shape {given.shape}; give one of shape {shape}")
+        if not np.isfinite(given).all():
+            raise TaskError("the action has numbers that are not finite; give numbers in [-1, 1]")
         report = self._course.switch(np.clip(given, -1.0, 1.0))
         reward = self._reward()
         if report is None:
@@ -304,6 +313,18 @@ class _Puppet(PolicyController):
 def _shared_plans(task: TurnTask, folder: Path | None) -> Plans:
     """The environments of one process share their plans."""
     return Plans(task, folder)
+
+
+def _asked_plan(options: dict[str, Any]) -> int | None:
+    """Number of the plan that options ask for; None if they do not."""
+    if unknown := sorted(set(options) - {"plan"}):
+        raise TaskError(f"no option of reset is called {', '.join(unknown)}; there is: plan")
+    number = options.get("plan")
+    if number is None:
+        return None
+    if not (isinstance(number, int | np.integer) and number >= 0):
+        raise TaskError(f"the option plan is {number!r}; give an integer >= 0")
+    return int(number)
 
 
 def _bonus(report: ManipulationReport) -> float:

@@ -10,8 +10,8 @@ from planner.objects import parse_object
 
 __all__ = ["ObjectRange"]
 
-_RANGE = re.compile(r"(\d*\.?\d+)\.\.(\d*\.?\d+)")
-"""Two numbers with two dots between them."""
+_RANGE = re.compile(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)")
+"""Two numbers with two dots between them; a sign is read so that the object can refuse it."""
 
 STEP = 5e-5
 """Sizes are rounded to this, m: a tenth of a millimetre in diameter."""

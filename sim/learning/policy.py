@@ -197,6 +197,10 @@ class Policy:
             HandError: It is for another hand.
         """
         file = Path(path)
+        if not str(path):
+            raise FileFormatError("no file of a policy is named; give policy:FILE")
+        if file.is_dir():
+            raise FileFormatError(f"{path} is a folder; give the file policy.npz in it")
         try:
             if file.stat().st_size > MOST_BYTES:
                 raise FileFormatError(
@@ -214,8 +218,8 @@ class Policy:
             ) from error
         except _DAMAGED as error:
             raise FileFormatError(
-                f"{path} is no policy, or damaged ({error}); give a file that 'opposable learn' "
-                "wrote"
+                f"{path} is no policy, or damaged ({_why(error)}); give a file that "
+                "'opposable learn' wrote"
             ) from error
         if kind != POLICY_FORMAT or version != POLICY_VERSION:
             raise FileFormatError(
@@ -267,3 +271,9 @@ def normalised(
 
 def _listed(names: str | tuple[str, ...]) -> str:
     return names if isinstance(names, str) else ", ".join(names)
+
+
+def _why(error: Exception) -> str:
+    """What is wrong with a file, without NumPy's advice to unpickle it."""
+    text = str(error)
+    return "it is no NumPy archive" if "pickle" in text else text

@@ -81,7 +81,7 @@ class TurnTask:
         """
         ObjectRange(self.objects)
         if not (math.isfinite(self.angle) and self.angle != 0.0):
-            raise TaskError(f"the turn is {self.angle} rad; give one that is not 0")
+            raise TaskError(f"the turn is {self.angle} rad; give a finite one that is not 0")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ The verdict is that of every trial (``sim.verdict``), on the truth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,11 +14,12 @@ from planner.plan import GraspPlan
 from sim.protocols.cases import Conditions
 from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
-from sim.reality import lab
+from sim.reality import Reality, lab
+from sim.tactile import EXACT
 from sim.timeline import Timeline
 from sim.trial import Trial
 
-__all__ = ["RealityCase", "reality_cases"]
+__all__ = ["RealityCase", "reality_cases", "with_errors"]
 
 RECORD_EVERY = 0.05
 """Time between samples, s."""
@@ -40,9 +41,9 @@ class RealityCase:
         return f"draw {self.index}"
 
     def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
-        """Execute it all; in a laboratory if no reality was asked for."""
-        asked = lab.PRESET if conditions.reality.ideal else conditions.reality
-        reality = asked.seeded(conditions.reality.seed + self.index)
+        """Execute it all."""
+        asked = with_errors(conditions.reality)
+        reality = asked.seeded(asked.seed + self.index)
         trial = Trial(
             plan,
             physics=conditions.physics,
@@ -73,6 +74,16 @@ class RealityCase:
                 "largest_encoder_offset_deg": float(np.rad2deg(np.abs(offsets).max())),
             },
         )
+
+
+def with_errors(reality: Reality) -> Reality:
+    """What the protocol draws from: a laboratory where no errors were asked for.
+
+    Pads are no error: a sense of touch that was chosen is kept.
+    """
+    if replace(reality, touch=EXACT).ideal:
+        return replace(lab.PRESET, touch=reality.touch, seed=reality.seed)
+    return reality
 
 
 def reality_cases(settings: Settings, seed: int) -> tuple[RealityCase, ...]:

@@ -33,7 +33,7 @@ from sim.protocols.drake import drake_cases, drake_physics, unsuitable_for_drake
 from sim.protocols.forces import forces_cases
 from sim.protocols.outcome import Outcome
 from sim.protocols.pushes import pushes_cases
-from sim.protocols.reality import reality_cases
+from sim.protocols.reality import reality_cases, with_errors
 from sim.protocols.report import ProtocolReport
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
@@ -196,6 +196,8 @@ def run_protocol(
     label = "replay" if protocol in REPLAYED else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
     reality = reality or Reality()
+    if protocol == "reality":
+        reality = with_errors(reality)  # the report then names what was drawn from
     conditions = Conditions(physics=physics, controller=make, reality=reality, estimator=estimator)
     jobs = [
         _Job(plan=text, case=case, conditions=conditions, video=_film(video, case))

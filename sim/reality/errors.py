@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from numbers import Real
 from typing import Any
 
 from planner.errors import NotFoundError, TaskError
@@ -104,12 +105,16 @@ class Reality:
 
     def __post_init__(self) -> None:
         """Check every number."""
-        if not (isinstance(self.seed, int) and self.seed >= 0):
+        if not (isinstance(self.seed, int) and self.seed >= 0) or isinstance(self.seed, bool):
             raise TaskError(f"reality: seed is {self.seed!r}; give an integer >= 0")
+        if not (isinstance(self.name, str) and self.name):
+            raise TaskError(f"reality: name is {self.name!r}; give a text")
         check_touch(self.touch)
-        for name, value in self.numbers.items():
-            if not (math.isfinite(value) and value >= 0):
-                raise TaskError(f"reality: {name} is {value}; give a finite number >= 0")
+        given: dict[str, Any] = dict(self.numbers)  # dataclasses check no types
+        for name, value in given.items():
+            number = isinstance(value, Real) and not isinstance(value, bool)
+            if not (number and math.isfinite(value) and value >= 0):
+                raise TaskError(f"reality: {name} is {value!r}; give a finite number >= 0")
             if name in BELOW_ONE and value >= 1:
                 raise TaskError(f"reality: {name} is {value}; give a share in [0, 1)")
         if self.drift_time == 0:

@@ -151,7 +151,7 @@ def run_reality(
     trials = compared_trials(hands, tasks, realities, columns, n, seed)
     if not trials:
         raise TaskError(
-            f"none of the loops {', '.join(loops)} does {', '.join(tasks)}; name another loop"
+            f"no trial to run: {', '.join(loops)} cannot do {', '.join(tasks)}; name another loop"
         )
     once = {trial.index: trial for trial in reversed(trials)}
     jobs = [trial for trial in trials if once[trial.index] is trial]

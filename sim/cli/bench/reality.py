@@ -32,12 +32,12 @@ def reality(
         str, typer.Option(help="Comma separated: ideal, lab, rough.")
     ] = "ideal,lab,rough",
     loops: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="Comma separated: truth, readings, estimates, touch, contact, open, blind, "
             "policy:FILE; the first six if not given."
         ),
-    ] = "",
+    ] = None,
     seed: SeedOption = 0,
     samples: SamplesOption = Path("reality.jsonl"),
     *,
@@ -57,7 +57,7 @@ def reality(
             n,
             tasks=names(tasks),
             realities=[reality_of(name) for name in names(realities)],
-            loops=names(loops) if loops else usual,
+            loops=usual if loops is None else names(loops),
             seed=seed,
             file=samples,
             runner=runner,
