@@ -120,11 +120,13 @@ class Simulation:
         Raises:
             ModelError: MuJoCo refuses the scene.
             NotFoundError: No controller or estimator has that name.
-            TaskError: The controller is none, the plan has no path for the hand's arm, or a
-                ``scene`` is given together with a reality that changes it.
+            TaskError: The controller is none, the reality is none, the plan has no path for the hand's
+                arm, or a ``scene`` is given together with a reality that changes it.
         """
         self.plan = plan
         self.reality: RealityOfTrial | None = None
+        if not isinstance(reality, Reality | None):
+            raise TaskError(f"reality is {reality!r}; give a Reality, as named_reality makes one")
         if reality is not None and not reality.ideal:
             if scene is not None:
                 raise TaskError("give a scene or a reality: a reality changes the scene it builds")
