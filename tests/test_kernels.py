@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import dis
 import importlib.util
 import marshal
 import subprocess
 import sys
-from types import FunctionType
+from types import CodeType, FunctionType
+from typing import Any
 
 import numpy as np
 import pytest
 
 from planner.numerics import kernels
-from planner.numerics.kernels import compile_loops, kernel
+from planner.numerics.kernels import compile_loops, globals_read, kernel
+from planner.proximity import gap_loops
+from planner.synthesis.loops import clearances
 
 
 def plain_norms(rows: np.ndarray) -> np.ndarray:
@@ -53,6 +57,34 @@ def test_planning_is_imported_without_what_few_plans_need() -> None:
     loaded = {name.partition(".")[0] for name in done.stdout.split()}
     assert {"casadi", "pinocchio", "coal"} <= loaded
     assert not loaded & {"scipy", "trimesh", "qpsolvers", "numba"}
+
+
+def _told_by_dis(code: CodeType) -> set[str]:
+    return {i.argval for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"}
+
+
+def test_globals_that_code_reads_are_those_that_dis_tells() -> None:
+    """Of functions of all kinds; an attribute that is called like a global is none."""
+    functions = [
+        value
+        for module in (dis, subprocess, gap_loops, clearances, kernels)
+        for value in vars(module).values()
+        if isinstance(value, FunctionType)
+    ]
+    assert len(functions) > 50
+    for function in functions:
+        assert globals_read(function.__code__) == _told_by_dis(function.__code__)
+    namespace: dict[str, Any] = {}
+    exec("def f(np):\n    return norms(np.rows)", namespace)
+    assert globals_read(namespace["f"].__code__) == {"norms"}
+
+
+def test_globals_of_code_of_many_names_are_found() -> None:
+    """Beyond 127 names their numbers take a second instruction, beyond 32767 a third."""
+    names = [f"name_{k}" for k in range(33_000)]
+    code = compile(f"def f():\n    return [{', '.join(names)}]", "many", "exec").co_consts[0]
+    assert isinstance(code, CodeType)
+    assert globals_read(code) == set(names) == _told_by_dis(code)
 
 
 def test_the_name_of_machine_code_does_not_depend_on_where_the_loops_were_read_from() -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.bridge import LinkGeometry
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics.state import HandState, MovingHand
 from planner.spatial import FloatArray
 from planner.synthesis.link_spheres import fill, span
 
@@ -118,10 +118,11 @@ def collision_pairs(hand: Hand) -> tuple[tuple[int, int], ...]:
     project = np.linalg.pinv(matrix) if len(value) else np.zeros((hand.nq, 0))
     rng = np.random.default_rng(0)
     turns, shifts = [], []
+    moving = MovingHand(hand, hand.q_lower)
     for _ in range(COLLISION_SAMPLES):
         q = rng.uniform(hand.q_lower, hand.q_upper)
         q = np.clip(q - project @ (matrix @ q - value), hand.q_lower, hand.q_upper)
-        poses = HandState(hand, q).pin_data.oMi
+        poses = moving.move(q).pin_data.oMi
         turns.append(np.array([pose.rotation for pose in poses])[joint])
         shifts.append(np.array([pose.translation for pose in poses])[joint])
     at = np.einsum("snij,nkj->nksi", np.array(turns), ends)
