@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import of_trimesh
+from scipy.spatial import ConvexHull
 
 from planner.errors import ObjectError
 from planner.objects import GraspObject, parse_object
-from planner.shapes import Box, Hammer, Knot, LBracket, Mug, Shape, Sphere, Torus
+from planner.shapes import Box, Hammer, Knot, LBracket, Mug, Shape, Sphere, Torus, stable
 from planner.shapes.stable import stable_poses
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, IntArray
 
 SIZES = np.array([0.04, 0.06, 0.10])
 
@@ -113,3 +114,56 @@ def test_a_box_stands_as_it_always_did() -> None:
         poses = Box(size).resting_poses()
         np.testing.assert_array_equal(poses[0].rotation, np.eye(3))
         assert poses[0].height == pytest.approx(size[2] / 2)
+
+
+def _one_face_after_the_other(
+    normals: FloatArray, areas: FloatArray, neighbours: IntArray
+) -> list[int]:
+    """Numbers of the faces that simplices are of, each compared with every neighbour."""
+    group, count = [-1] * len(normals), 0
+    for seed in np.argsort(-areas, kind="stable"):
+        if group[seed] >= 0:
+            continue
+        group[seed], queue = count, [seed]
+        while queue:
+            for other in neighbours[queue.pop()]:
+                flat = normals[other] @ normals[seed] > np.cos(np.radians(stable.FLAT_DEG))
+                if group[other] < 0 and flat:
+                    group[other] = count
+                    queue.append(other)
+        count += 1
+    return group
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_faces_are_those_found_one_after_the_other(seed: int) -> None:
+    """On hulls of points with flat faces, rounded ones, and some in between."""
+    rng = np.random.default_rng(seed)
+    round_points = rng.normal(size=(400, 3))
+    round_points /= np.linalg.norm(round_points, axis=1, keepdims=True)
+    flattened = np.clip(round_points, -0.99, [0.6, 0.9, 0.999])
+    boxed = rng.uniform(-1.0, 1.0, size=(60, 3)).round(seed % 3)
+    for points in (round_points, flattened, boxed):
+        hull = ConvexHull(points)
+        normals, corners = hull.equations[:, :3], points[hull.simplices]
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = np.linalg.norm(cross, axis=1)
+        found = stable._coplanar(normals, areas, hull.neighbors)
+        assert found.tolist() == _one_face_after_the_other(normals, areas, hull.neighbors)
+
+
+def test_poses_on_a_known_hull_are_those_on_a_new_one() -> None:
+    """All vertices of an ellipsoid are on its hull, which is then not computed again."""
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    ball.apply_scale([0.05, 0.03, 0.02])
+    mesh = of_trimesh(ball)
+    assert len(mesh.hull_vertices) == len(mesh.vertices)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("scipy.spatial.ConvexHull", None)
+        known = mesh.resting_poses()
+    new = stable_poses(mesh.hull_vertices)
+    assert len(known) == len(new) > 0
+    for one, other in zip(known, new, strict=True):
+        assert np.array_equal(one.rotation, other.rotation)
+        assert (one.height, one.margin_deg) == (other.height, other.margin_deg)
+        assert one.probability == other.probability

@@ -406,7 +406,9 @@ class Mesh(Shape):
 
     @cached_property
     def _resting_poses(self) -> tuple[StablePose, ...]:
-        return stable_poses(self.hull_vertices)
+        hull = self._hull
+        of_all = np.array_equal(hull.vertices, np.arange(len(self.vertices)))
+        return stable_poses(self.hull_vertices, hull if of_all else None)
 
     def resting_poses(self) -> tuple[StablePose, ...]:
         """Stable poses on a horizontal table, the one that can be tilted farthest first.

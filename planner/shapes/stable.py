@@ -12,11 +12,15 @@ pose for the facets of a round bottom.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from planner.shapes.meshes.triangles import solid_angles
 from planner.spatial import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.spatial import ConvexHull
 
 __all__ = ["StablePose", "stable_poses"]
 
@@ -26,6 +30,10 @@ facets of a scanned or finely divided bottom."""
 
 LEAST_TILT_DEG = 2.0
 """A pose that falls when tilted by less than this (degrees) is listed only if there is no other."""
+
+
+ROUNDING = 1e-12
+"""More than two ways of computing the cosine of an angle differ by."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +53,7 @@ class StablePose:
     probability: float | None = None
 
 
-def stable_poses(points: FloatArray) -> tuple[StablePose, ...]:
+def stable_poses(points: FloatArray, hull: ConvexHull | None = None) -> tuple[StablePose, ...]:
     """Stable poses, the one that can be tilted farthest first.
 
     The preferred pose of a mug is upright (falls at 40 degrees), although a dropped mug more often
@@ -54,10 +62,12 @@ def stable_poses(points: FloatArray) -> tuple[StablePose, ...]:
 
     Args:
         points: Points (n, 3) whose hull is that of the solid, m; its centre of mass is the origin.
+        hull: The hull of exactly these points, where it is known.
     """
-    from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+    if hull is None:
+        from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
 
-    hull = ConvexHull(points)
+        hull = ConvexHull(points)
     normals, offsets = hull.equations[:, :3], -hull.equations[:, 3]
     corners = points[hull.simplices]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -98,19 +108,21 @@ def _coplanar(normals: FloatArray, areas: FloatArray, neighbours: IntArray) -> I
 
     Simplices are compared with that one, not with their neighbour: a round flank is not one face.
     """
-    group = np.full(len(normals), -1)
+    group = [-1] * len(normals)
     least, count = np.cos(np.radians(FLAT_DEG)), 0
-    for seed in np.argsort(-areas, kind="stable"):
+    towards = np.einsum("nkd,nd->nk", normals[neighbours], normals)
+    alone = (towards < least - ROUNDING).all(axis=1).tolist()
+    for seed in np.argsort(-areas, kind="stable").tolist():
         if group[seed] >= 0:
             continue
-        group[seed], queue = count, [seed]
+        group[seed], queue = count, [] if alone[seed] else [seed]
         while queue:
-            for other in neighbours[queue.pop()]:
+            for other in neighbours[queue.pop()].tolist():
                 if group[other] < 0 and normals[other] @ normals[seed] > least:
                     group[other] = count
                     queue.append(other)
         count += 1
-    return group
+    return np.array(group)
 
 
 class _Faces:
