@@ -120,7 +120,7 @@ class Simulation:
         Raises:
             ModelError: MuJoCo refuses the scene.
             NotFoundError: No controller or estimator has that name.
-            TaskError: The controller is none, the reality is none, the plan has no path for the hand's
+            TaskError: The controller is none, the reality is none, the plan has no path for an
                 arm, or a ``scene`` is given together with a reality that changes it.
         """
         self.plan = plan

@@ -123,6 +123,7 @@ def test_the_options_of_run_are_those_of_batch() -> None:
     # but for how a plan is executed and chosen among several, which a batch does not do
     run, batch = (set(signature(command).parameters) for command in (grasp.run, commands.batch))
     executed = {"sim_mu", "physics", "controller", "view", "video", "arrows"}
+    executed |= {"reality", "reality_seed", "estimate", "pads"}
     chosen = {"best_of", "keep", "metric"}
     assert run - batch == {"object", "out_dir", "context"} | executed | chosen
 

@@ -12,6 +12,7 @@ from sim.controllers.base import (
     ReportsEvents,
     ReportsLimits,
     Sense,
+    UsesSenses,
 )
 from sim.controllers.events import Event, EventKind
 from sim.controllers.follow import MotionReference
@@ -56,6 +57,7 @@ __all__ = [
     "SlipDetector",
     "Target",
     "TouchReading",
+    "UsesSenses",
     "controller_for",
     "controller_maker",
     "controller_name",

@@ -12,9 +12,9 @@ Write your own to take part in a trial::
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 from planner.contacts import ContactSet
 from planner.spatial import SE3, FloatArray
@@ -34,6 +34,7 @@ __all__ = [
     "ReportsEvents",
     "ReportsLimits",
     "Sense",
+    "UsesSenses",
 ]
 
 Phase: TypeAlias = Literal[
@@ -102,6 +103,15 @@ class Observation:
     seen: SeenPose | None = None
     belief: PoseBelief | None = None
     read_touch: Callable[[], TouchReading] = TouchReading.nothing
+
+    @property
+    def reads_pads(self) -> bool:
+        """Whether ``pads`` can be asked for; a real hand may have none."""
+        return True
+
+    def altered(self, **changes: Any) -> Observation:
+        """The same with other values of some fields."""
+        return replace(self, **changes)
 
     @property
     def all_touch(self) -> bool:
@@ -183,4 +193,14 @@ class NeedsSenses(Protocol):
     @property
     def needs(self) -> tuple[Sense, ...]:
         """Senses without which it cannot work."""
+        ...
+
+
+@runtime_checkable
+class UsesSenses(Protocol):
+    """A controller that says what it reads where there is a sense for it, and does without else."""
+
+    @property
+    def uses(self) -> tuple[Sense, ...]:
+        """Senses that it reads beside those that it needs."""
         ...

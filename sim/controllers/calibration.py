@@ -45,7 +45,12 @@ class Calibration:
         self.estimate: OffsetEstimate | None = None
 
     def learn(self, observation: Observation) -> bool:
-        """Look at the contacts of now, as read; whether the offsets have changed."""
+        """Look at the contacts of now, as read; whether the offsets have changed.
+
+        Nothing is learned of a hand without pads.
+        """
+        if not observation.reads_pads:
+            return False
         T_base_world = observation.T_world_base.inverse()
         pads = observation.pads
         look = Look(
@@ -69,7 +74,7 @@ class Calibration:
         if not self.offset.any():
             return observation
         q = observation.q - self.offset
-        return replace(observation, q=q, read_pads=lambda: self._moved(observation, q))
+        return observation.altered(q=q, read_pads=lambda: self._moved(observation, q))
 
     def _moved(self, observation: Observation, q: FloatArray) -> PadReading:
         """Pads feel in their fingertips' frames: where these are follows from the joints."""

@@ -43,12 +43,14 @@ class GraspController:
 
     Attributes:
         needs: Senses without which it cannot work.
+        uses: What it corrects its joints by, where there is a sense for it.
         plan: What is executed.
         q_ref: Posture (nq,) around which the hand is held at present, as encoders read it.
         calibration: Encoder offsets that the first touch found.
     """
 
     needs: tuple[Sense, ...] = ("touch", "object_pose")
+    uses: tuple[Sense, ...] = ("pads",)
 
     def __init__(self, plan: GraspPlan) -> None:
         """Prepare forces in the object's frame, search directions and gains."""

@@ -65,6 +65,16 @@ class HandObservation(Observation):
         """Whether the touch of fingers is known."""
         return "normal_forces" in self.__dict__
 
+    @property
+    def reads_pads(self) -> bool:
+        """Whether the hand has pads."""
+        return "pads" in self.__dict__ or self.__dict__["read_pads"] is not _NOT_READ["read_pads"]
+
+    def altered(self, **changes: Any) -> HandObservation:
+        """The same with other values of some fields."""
+        kept = {k: v for k, v in self.__dict__.items() if f"read_{k}" not in changes}
+        return HandObservation(kept | changes)
+
     def __getattr__(self, name: str) -> Any:
         """Refuse what there is no sense for; asked only where nothing is known by that name."""
         if name in _SENSE_OF:

@@ -28,6 +28,7 @@ from sim.controllers import (
     ReportsEvents,
     ReportsLimits,
     Sense,
+    UsesSenses,
 )
 from sim.controllers.base import Observation
 from sim.real_hand.clock import Clock
@@ -92,7 +93,7 @@ class SimulatedHand:
             trial: The trial; its controller is not asked any more.
             clock: Real time; its own if None.
             senses: What can be read beside joints and efforts; what the trial's controller says
-                that it needs if None, or all if it says nothing.
+                that it needs or uses if None, or all if it says nothing.
 
         Raises:
             TaskError: The trial has run, or a sense that a hand cannot have.
@@ -105,6 +106,7 @@ class SimulatedHand:
         if senses is None:
             driver: object = self.controller
             senses = driver.needs if isinstance(driver, NeedsSenses) else ALL_SENSES
+            senses = {*senses, *(driver.uses if isinstance(driver, UsesSenses) else ())}
         unknown = [sense for sense in senses if sense not in ALL_SENSES]
         if unknown:
             raise TaskError(
