@@ -33,7 +33,7 @@ pa = pytest.importorskip("pyarrow")
 N = 8
 """Grasps of the batch that all of these tests plan."""
 
-MANY = 200
+MANY = 600
 """Grasps of a batch that is still at work when something happens to it."""
 
 TIMES = ("cpu_s", "build_s")
@@ -235,10 +235,10 @@ def started(out: Path) -> subprocess.Popen[str]:
 
 def wait_for(condition: Callable[[], bool], what: str) -> None:
     """Wait for something to happen, no longer than a minute."""
-    for _ in range(600):
+    for _ in range(3000):
         if condition():
             return
-        time.sleep(0.1)
+        time.sleep(0.02)
     pytest.fail(f"waited a minute for {what}")
 
 

@@ -36,6 +36,7 @@ def flat(done: Any) -> str:
 def inputs(tmp_path_factory: pytest.TempPathFactory, allegro: Hand) -> Path:
     """A folder with a plan, its report, a report without states, and a batch of two."""
     folder = tmp_path_factory.mktemp("inputs")
+    (folder / "empty").mkdir()
     plan = plan_grasp(GraspTask.create(allegro, "box"))
     write_plan(plan, folder / "plan.json")
     report = simulate(plan)
@@ -94,7 +95,7 @@ def test_failed_trials_are_named_and_kept_if_asked_for(inputs: Path, tmp_path: P
         (["missing.json"], "missing.json"),
         (["bare.json"], "has no recorded states"),
         (["grasps/manifest.json"], "not a plan or a report"),
-        (["."], "holds no batch"),
+        (["empty"], "holds neither a batch"),
         (["report.json", "--to", "hdf5"], "hdf5"),
         (["report.json", "--to", "parquet", "--video"], "parquet holds no films"),
         (["report.json", "--size", "big"], "'big' is no size of a film"),

@@ -86,8 +86,8 @@ def test(
     r"""Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
-    rest in every direction. "all" leaves out what the hand cannot take, reality, pushes and drake
-    (pip install "opposable\[drake]"). dexgraspbench has its own physics.
+    rest in every direction. "all" leaves out reality, pushes, drake, and what a hand cannot take.
+    drake: pip install "opposable\[drake]".
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
