@@ -38,6 +38,12 @@ LIMIT_TOL = 1e-6
 """How far (N, N m) a wanted force may lie beyond its limit: rounding."""
 
 
+LIGHT_PERIOD = 0.005
+"""Longest time between steps (s) at which fingers push lightly before the squeeze. The limit turns
+servos into sources of torque with what was just read; at 100 Hz over a network with late packets
+that swings, and the object was dropped (examples/20_hand_over_udp.py)."""
+
+
 class GraspController:
     """Executes the fingers' part of a plan.
 
@@ -105,7 +111,7 @@ class GraspController:
             true = self.q_ref - offset if offset.any() else self.q_ref
             self._law_q = self._believed.believe(true)
         ctrl = servo_commands(self._hand.actuation, self.q_ref, self._law_q, self._still, torque)
-        if self._latched:
+        if self._latched or elapsed > LIGHT_PERIOD:
             return ctrl
         return self._light.commands(ctrl, observation.q, observation.v, weight)
 
