@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.controllers import Observation
+from sim.controllers import Observation, TouchReading
 from sim.tactile.bodies import PadBodies, PlannedNormals, pad_reading
 from sim.tactile.exact import layouts_of
 from sim.tactile.senses import TouchContext, register_touch
@@ -52,7 +52,12 @@ class BinarySense:
             position=position,
             sliding=self._bodies.sliding(position, normal, touching, np.ones(len(touching))),
         )
-        return replace(truth, normal_forces=reading.normal_force, read_pads=lambda: reading)
+        return replace(
+            truth,
+            normal_forces=reading.normal_force,
+            read_pads=lambda: reading,
+            read_touch=TouchReading.nothing,
+        )
 
 
 register_touch("binary", BinarySense)

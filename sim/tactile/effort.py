@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.spatial import FloatArray, skew
-from sim.controllers import Observation
+from sim.controllers import Observation, TouchReading
 from sim.controllers.loads import HandLoads
 from sim.controllers.motors import joint_drag
 from sim.tactile.bodies import PadBodies, PlannedNormals, pad_reading
@@ -90,7 +90,12 @@ class EffortSense:
             position=position,
             sliding=self._bodies.sliding(position, normal, touching, np.ones(len(touching))),
         )
-        return replace(truth, normal_forces=reading.normal_force, read_pads=lambda: reading)
+        return replace(
+            truth,
+            normal_forces=reading.normal_force,
+            read_pads=lambda: reading,
+            read_touch=TouchReading.nothing,
+        )
 
     def _forces(self, truth: Observation) -> FloatArray:
         """Forces (n, 3) on what touches that explain the torques now, N, world."""
