@@ -31,7 +31,7 @@ PORTION_S = 0.2
 """Time (s) that a portion of jobs should take: what a worker may be idle for at the end."""
 
 MOST_JOBS = 32
-"""Most jobs of a portion: what a worker that dies takes with it, and what is done again alone."""
+"""Most jobs of a portion (-). The jobs of a worker that dies are done again, one by one."""
 
 AHEAD = 2
 """Portions per worker that are sent before the first is finished, so that none waits."""
@@ -53,7 +53,7 @@ def forked_results(
 ) -> Iterator[tuple[int, Result]]:
     """Numbers and results of jobs as they are finished, in any order.
 
-    Workers begin when the first jobs are known: what is loaded until then is there in all of them.
+    Workers begin when the first jobs are known, and inherit everything that is loaded by then.
 
     Args:
         work: Called with each job.

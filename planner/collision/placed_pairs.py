@@ -23,7 +23,7 @@ from planner.task import GraspTask
 __all__ = ["PlacedPairs"]
 
 MESH_LIMIT = 0.006
-"""``PlacedPairs.near`` looks no further than this (m) from a mesh: what is near takes time."""
+"""``PlacedPairs.near`` looks no further than this (m) from a mesh; a wider search takes longer."""
 
 
 class PlacedPairs:

@@ -447,7 +447,7 @@ class ForceLoop:
         return True
 
     def _hold_away(self, away: NDArray[np.bool_]) -> None:
-        """Write the bounds on what is not a normal force, with some contacts (n,) away."""
+        """Write the bounds of all rows but normal forces; some contacts (n,) are away."""
         self._away = away
         tails = np.where(away[self._owner], 0.0, self._tail_limits)
         self.qp.lower[self._tail], self.qp.upper[self._tail] = tails

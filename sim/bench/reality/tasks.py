@@ -1,4 +1,4 @@
-"""``ComparedTask``: what is tried in the comparison, and how it is judged.
+"""``ComparedTask``: a task of the comparison, and its verdict.
 
 hold    pick five shapes up and hold them, as ``bench grasps``
 turn    turn cylinders and blocks by 90 degrees in the hand, as ``bench manipulate``, with its drawn

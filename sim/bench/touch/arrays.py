@@ -1,4 +1,4 @@
-"""The part ``arrays``: random contacts on an array alone, and what is estimated of them."""
+"""The part ``arrays``: random contacts on an array alone, and the errors of their estimates."""
 
 from __future__ import annotations
 

@@ -144,5 +144,5 @@ def _answers(plan: GraspPlan, pushes: FloatArray, seed: int) -> dict[str, Any]:
 
 
 def _told(event: Event, names: Sequence[str]) -> tuple[float, int]:
-    """When (s) an event was, and the finger that slipped; -1 of what is no slip."""
+    """Time (s) of an event and the finger that slipped; -1 if the event is no slip."""
     return event.time, names.index(event.finger) if event.kind == "slip" else -1
