@@ -170,8 +170,8 @@ class SlipDetector:
         if told is not None:  # pads that notice slips by themselves
             begins = told & ~self._slipping
             self._slipping[:] = told
-        self.begun_beyond_spin = begins[1]
-        return begins[0]
+        self.begun_beyond_spin = np.asarray(begins[1])
+        return np.asarray(begins[0])
 
 
 class InfeasibilityMonitor:
