@@ -80,7 +80,7 @@ class BelievedJoints:
         known = np.isfinite(self.offset)
         gap = gaps - np.where(known, self.offset, 0.0)
         closed = self._planned & ~known & (gap <= MOST_OFF) | self._carrying & (gap <= STOP_TOL)
-        # a known offset is taken off whole; else what is left of the gap is
+        # a known offset is subtracted; without one the whole remaining gap is
         change = np.where(closed & (np.abs(gap) > STOP_TOL), gap, 0.0)
         change += np.where(known, self.offset, 0.0)
         moved = np.flatnonzero(change)

@@ -174,7 +174,7 @@ class ObjectEstimator:
         self._base_twist = np.array(pin.log6(change).vector) / elapsed
 
     def _note(self, track: Track) -> None:
-        """Take over what is known now."""
+        """Set the belief that controllers read: covariance, world axes, and whether it is known."""
         T_world_base = track.last.T_world_base
         turn = np.zeros((6, 6))
         turn[:3, :3] = turn[3:, 3:] = T_world_base.rotation

@@ -1,4 +1,4 @@
-"""``PoseFilter``: from what is known at one moment to what is known at the next.
+"""``PoseFilter``: carries estimate and covariance from one moment to the next.
 
 Prediction by contacts that stick (``rolling``), correction by contacts that lie on the surface
 (``surface``) and by what a camera saw. Errors that last, as a pad's or a camera's drift do, count
@@ -149,7 +149,7 @@ class PoseFilter:
         return Filtered(Belief(look.T_base_object, np.zeros(m), 0.0, covariance))
 
     def advanced(self, known: Filtered, a: Moment, b: Moment) -> Filtered:
-        """What is known at moment b before it is looked at, from what is known at a."""
+        """Predicted state at moment b, before its measurements, from the state at a."""
         belief, k, dt = known.belief, self.tips.index, b.time - a.time
         moved = (b.q - a.q)[k]
         tips = self.tips.at(self._believed(0.5 * (a.q + b.q), belief))

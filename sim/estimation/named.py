@@ -52,7 +52,7 @@ class Estimator(Protocol):
 
 
 MakeEstimator: TypeAlias = Callable[[GraspTask, SensorErrors], Estimator]
-"""Makes an estimator for a task and what is expected of its senses."""
+"""Makes an estimator for a task and the expected errors of its senses."""
 
 AnyEstimator: TypeAlias = str | MakeEstimator
 """What is accepted as an estimator: a name, or what makes one. Each trial gets its own."""

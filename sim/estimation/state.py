@@ -29,7 +29,7 @@ class Belief:
     Attributes:
         T_base_object: Pose of the object in the hand's base.
         offsets: (m,), reading minus joint, rad or m, of the joints that the filter looks at.
-        size: Growth of all lengths of the object over what is believed (-).
+        size: Growth of all lengths of the object, relative to the believed size (-).
         covariance: (7 + m, 7 + m).
     """
 

@@ -23,7 +23,7 @@ KEPT = 0.4
 
 @dataclass(slots=True)
 class _Node:
-    """A moment, what is known of it, and what was known of it before any look."""
+    """A moment, its estimate, and its estimate before any measured pose."""
 
     moment: Moment
     known: Filtered
