@@ -52,7 +52,7 @@ CARRIED = (0.1, 2.0)
 """The same of one that no contact holds."""
 
 SHORTEST = 1e-3
-"""Least time (s) between two looks that counts: with two at once drift would have no information."""
+"""Least time (s) between two looks that counts: of two at once drift would tell nothing."""
 
 OFF_PAD = 0.004
 """Distance (m) of a contact from a pad's sphere beyond which it is one of another link."""
