@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -111,6 +111,8 @@ def test_bad_estimators_are_refused(plan: GraspPlan) -> None:
         register_estimator("touch", "the same again")(ObjectEstimator)
     with pytest.raises(TaskError, match=r"camera is -1.0; give a number >= 0"):
         SensorErrors(camera=-1.0)
+    with pytest.raises(TaskError, match=r"camera is '1 mm'; give a number >= 0"):
+        SensorErrors(camera=cast(Any, "1 mm"))
     with pytest.raises(TaskError, match="nothing was noted"):
         EstimateLog().draw("nowhere.png")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -18,11 +18,14 @@ from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.controllers import ImpedanceGains, ObjectImpedance, Observation
+from sim.controllers.belief import PoseBelief
 from sim.controllers.impedance import ImpedanceLaw
 from sim.manipulation import InHandController, ManipulationObservation, manipulate
 from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.in_hand import AnyTurningController
+from sim.manipulation.reading import Reading
 from sim.pads import read_pads
+from sim.reality import REALITIES
 from sim.simulation import Simulation
 
 
@@ -235,3 +238,45 @@ def test_the_hand_stays_open_while_it_retreats(plan: ManipulationPlan) -> None:
     for progress in (0.0, 0.5, 1.0):
         retreating = replace(observation, phase="retreat", progress=progress)
         np.testing.assert_array_equal(driver.step(retreating), opened)
+
+
+@pytest.mark.parametrize(
+    ("deviation_deg", "beyond_deg"), [(0.0, 0.5), (0.6, 1.7), (1.0, 2.5), (30.0, 2.5)]
+)
+def test_the_goal_lies_further_where_the_turn_is_not_known_well(
+    plan: ManipulationPlan, deviation_deg: float, beyond_deg: float
+) -> None:
+    holding: Any = ObjectImpedance(plan.grasp)
+    driver = ManipulationDriver(plan, holding, rate=1.0)
+    reference = driver.begin_stroke(plan.angle, np.deg2rad(deviation_deg))
+    assert np.rad2deg(reference.goal - plan.angle) == pytest.approx(beyond_deg)
+    assert holding.reference is reference
+    # never beyond what was planned
+    whole = driver.begin_stroke(plan.motion.path.angle, np.deg2rad(deviation_deg))
+    assert whole.goal == plan.motion.path.angle
+
+
+@pytest.mark.parametrize("about", [(0.0, 0.0, 1.0), (0.6, 0.0, -0.8)])
+def test_the_deviation_that_is_read_is_that_about_the_axis(
+    plan: ManipulationPlan, about: tuple[float, float, float]
+) -> None:
+    axis = np.array(about)
+    recorder: Any = None  # knows the truth, which is not asked
+    assert Reading(Simulation(plan.grasp), recorder, axis).deviation() == 0.0
+    simulation = Simulation(plan.grasp, reality=REALITIES["lab"])
+    assert simulation.estimator is not None
+    tell = simulation.estimator.step
+    wide = np.diag([1.0, 1.0, 1.0, 0.01**2, 0.02**2, 0.03**2])
+
+    class Unsure:
+        """Tells what the estimator does, and that it knows little."""
+
+        def step(self, observation: Observation) -> Observation:
+            belief = PoseBelief(covariance=wide, known=True)
+            return replace(tell(observation), belief=belief)
+
+    simulation.estimator = cast(Any, Unsure())
+    palm = plan.grasp.T_world_palm.rotation  # the joints are read a degree off
+    expected = np.linalg.norm(np.array([0.01, 0.02, 0.03]) * (palm @ axis))
+    read = Reading(simulation, recorder, axis).deviation()
+    assert read == pytest.approx(expected, rel=0.1)

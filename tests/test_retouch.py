@@ -96,6 +96,27 @@ def test_corrected_pads_are_nearer_to_where_they_are(plan: GraspPlan) -> None:
     assert np.sqrt(np.mean(after**2)) < 0.7 * np.sqrt(np.mean(before**2))
 
 
+def test_a_contact_beside_its_pad_tells_nothing(plan: GraspPlan) -> None:
+    """A link above the tip touches: its place says nothing of where the tip is."""
+    seen = touching(plan, off_by(plan, 3.0))
+    pads = seen.pads
+    strayed = pads.position.copy()
+    strayed[1] -= 0.02 * pads.normal[1]
+    without = pads.position.copy()
+    without[1] = np.nan
+
+    def learned(positions: FloatArray) -> FloatArray:
+        calibration = Calibration(plan)
+        moved = replace(pads, position=positions)
+        assert calibration.learn(replace(seen, read_pads=lambda: moved))
+        return calibration.offset
+
+    np.testing.assert_array_equal(learned(strayed), learned(without))
+    assert not np.array_equal(learned(pads.position), learned(without))
+    everywhere = replace(pads, position=pads.position - 0.02 * pads.normal)
+    assert not Calibration(plan).learn(replace(seen, read_pads=lambda: everywhere))
+
+
 class Busy:
     closing = True
 

@@ -24,6 +24,7 @@ from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Sense
 from sim.controllers.believed import BelievedJoints, servo_commands
 from sim.controllers.calibration import Calibration
+from sim.controllers.friction import FoundFriction
 from sim.controllers.lightly import LightTouch
 from sim.controllers.loads import HandLoads, crossed
 from sim.controllers.motors import MotorServo
@@ -53,6 +54,7 @@ class GraspController:
         plan: What is executed.
         q_ref: Posture (nq,) around which the hand is held at present, as encoders read it.
         calibration: Encoder offsets that the first touch found.
+        friction: Dry friction of the joints that was felt before the first touch.
     """
 
     needs: tuple[Sense, ...] = ("touch", "object_pose")
@@ -75,6 +77,7 @@ class GraspController:
         self.calibration = Calibration(plan)
         self._closing = TouchAgain(plan, self.calibration)
         self._light = LightTouch(self._hand)
+        self.friction = FoundFriction(self._hand)
         self._believed = BelievedJoints(self._hand.actuation, plan.q)
         self._servo = MotorServo(self._hand, plan.q)
         self._loads = HandLoads(self._hand, self._fingers)
@@ -111,9 +114,13 @@ class GraspController:
             true = self.q_ref - offset if offset.any() else self.q_ref
             self._law_q = self._believed.believe(true)
         ctrl = servo_commands(self._hand.actuation, self.q_ref, self._law_q, self._still, torque)
-        if self._latched or elapsed > LIGHT_PERIOD:
+        if self._latched:
             return ctrl
-        return self._light.commands(ctrl, observation.q, observation.v, weight)
+        if elapsed <= LIGHT_PERIOD:
+            ctrl = self._light.commands(ctrl, observation.q, observation.v, weight)
+        if not observation.normal_forces.any():
+            self.friction.feel(elapsed, ctrl, observation.q, observation.v, weight)
+        return ctrl
 
     @property
     def closing(self) -> bool:

@@ -8,7 +8,7 @@ phases ``REFERENCE_PHASES`` a ``Reference`` may move the targets of object and f
     forces   the least contact forces that give that wrench within friction, normal forces and
              actuators (``planner.forces.ForceLoop``), at the contacts that the pads feel
     ctrl     joint torques for these forces (``sim.controllers.torques``), through motors, servos
-             or tendons
+             or tendons, and for the joints' dry friction (``sim.controllers.friction``)
 
 What it notices and what it does then:
     contact lost    the forces are planned over the others at once; the finger searches along its
@@ -235,6 +235,7 @@ class ObjectImpedance:
             self.T_palm_wanted = in_palm
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
             self._torques.latch()
+            self._torques.make_up_for(self._opening.friction.extra)
         wanted_twist = np.zeros(6)
         if observation.phase in REFERENCE_PHASES and self.reference is not None:
             wanted_twist = self._follow(self.reference, elapsed, in_palm, observation.q)

@@ -75,6 +75,10 @@ class HoldingTorques:
         self._tip_velocity = np.zeros((n, 3))
         self._law_q, self._torque = plan.q.copy(), np.zeros(nq)
 
+    def make_up_for(self, friction: FloatArray) -> None:
+        """Take joints to have dry friction (nq,) beyond the model's, N m, from now on."""
+        self._stiction = self._stiction + friction
+
     def move(self, q: FloatArray, v: FloatArray, gravity: FloatArray) -> None:
         """Go to joints (nq,) and rates (nq,), with gravity (3,) in the base's axes, m/s2."""
         self._q, self._v = q, v

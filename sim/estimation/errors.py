@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from numbers import Real
 
 from planner.errors import TaskError
 from sim.reality import Reality
@@ -52,8 +53,9 @@ class SensorErrors:
         """Check every number."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise TaskError(f"sensor errors: {field.name} is {value}; give a number >= 0")
+            number = isinstance(value, Real) and not isinstance(value, bool)
+            if not (number and math.isfinite(value) and value >= 0):
+                raise TaskError(f"sensor errors: {field.name} is {value!r}; give a number >= 0")
 
     @classmethod
     def of(cls, reality: Reality | None) -> SensorErrors:

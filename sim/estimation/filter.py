@@ -51,6 +51,9 @@ ROLLING = 0.15
 CARRIED = (0.1, 2.0)
 """The same of one that no contact holds."""
 
+SHORTEST = 1e-3
+"""Least time (s) between two looks that counts: of two at once drift would tell nothing."""
+
 OFF_PAD = 0.004
 """Distance (m) of a contact from a pad's sphere beyond which it is one of another link."""
 
@@ -216,7 +219,7 @@ class PoseFilter:
     def look_noise(self, look: Look) -> FloatArray:
         """(6, 6), covariance of a measured pose as an error of the base's axes."""
         e = self._errors
-        drift = 1.0 + 2.0 * e.drift_time / max(look.period, 1e-3)
+        drift = 1.0 + 2.0 * e.drift_time / max(look.period, SHORTEST)
         linear = e.camera**2 + e.drift**2 * drift
         angular = e.camera_turn**2 + e.drift_turn**2 * drift
         arm = skew(look.T_base_object.translation)

@@ -167,8 +167,9 @@ class Phases:
             self._run.reading.mark_reference()
         if self._plan.gait is not None:
             return self._stroke()
-        if not first:  # fingers went back to where the motion began
-            self._run.driver.begin_stroke(self._plan.angle - self._turned)
+        deviation = self._run.reading.deviation()
+        if not first or deviation:  # not first: fingers went back to where the motion began
+            self._run.driver.begin_stroke(self._plan.angle - self._turned, deviation)
         fault = self._follow("turn")
         numbers = self._in_hand()
         return fault or self._shortfall(numbers), numbers
@@ -211,7 +212,8 @@ class Phases:
 
     def _stroke(self) -> Measured:
         before = self._turned
-        asked = abs(self._run.driver.begin_stroke(self._plan.angle - before).goal)
+        deviation = self._run.reading.deviation()
+        asked = abs(self._run.driver.begin_stroke(self._plan.angle - before, deviation).goal)
         fault = self._follow("turn")
         numbers = self._in_hand()
         made = abs(self._turned - before)

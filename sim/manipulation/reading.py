@@ -60,6 +60,18 @@ class Reading:
         self._turn = signed_twist(turn, self._axis, near=self._turn)
         return self._turn
 
+    def deviation(self) -> float:
+        """Believed standard deviation of the object's rotation about the turn's axis now, rad.
+
+        0 where no estimator tells it.
+        """
+        seen = self._seen()
+        if seen is None or seen.belief is None:
+            return 0.0
+        turn = (seen.T_world_base * self._hand.move(seen.q).T_base_palm).rotation
+        axis = turn @ self._axis
+        return float(np.sqrt(max(0.0, axis @ seen.belief.covariance[3:, 3:] @ axis)))
+
     def T_world_object(self) -> SE3:
         """Pose of the object."""
         seen = self._seen()

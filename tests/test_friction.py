@@ -1,0 +1,111 @@
+"""Dry friction that is felt on the way: on paper, in trials, and made up for in a turn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.spatial import FloatArray
+from planner.task import GraspTask
+from sim.controllers import GraspController, Observation
+from sim.controllers.friction import FAST, LEAST_TIME, FoundFriction
+from sim.controllers.motors import joint_drag
+from sim.controllers.torques import HoldingTorques
+from sim.reality import Reality
+from sim.timeline import Timeline
+from sim.trial import simulate
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+DT = 0.002
+
+
+@pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand", "shadow_hand_torque"])
+def hand(request: pytest.FixtureRequest) -> Hand:
+    return load_hand(request.param)
+
+
+def of_fingers(hand: Hand) -> FloatArray:
+    driven = np.zeros(hand.nq)
+    for finger in hand.fingers.values():
+        driven[finger.q_index] = 1.0
+    return driven
+
+
+def moved(hand: Hand, friction: float, rate: float, seconds: float) -> FloatArray:
+    """What is found of joints that move evenly, to and fro, against a friction."""
+    found = FoundFriction(hand)
+    weight = HandState(hand, hand.neutral).gravity_torque(GRAVITY)
+    drag, stiction = joint_drag(hand)
+    for k in range(round(seconds / DT)):
+        v = np.full(hand.nq, rate * (-1) ** k)
+        torque = weight + drag * v + (stiction + friction) * np.sign(v)
+        ctrl = hand.actuation.commands(hand.neutral, v, torque)
+        found.feel(DT, ctrl, hand.neutral, v, weight)
+    return found.extra
+
+
+def test_friction_on_paper_is_found_in_fingers_and_nowhere_else(hand: Hand) -> None:
+    driven = of_fingers(hand)
+    found = moved(hand, 0.02, 2.0 * FAST, 2.0 * LEAST_TIME)
+    np.testing.assert_allclose(found, 0.02 * driven, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("friction", "rate", "seconds"),
+    [(0.0, 1.0, 1.0), (0.002, 1.0, 1.0), (0.02, 0.5 * FAST, 1.0), (0.02, 1.0, 0.5 * LEAST_TIME)],
+)
+def test_nothing_is_claimed_of_little_friction_or_of_little_motion(
+    hand: Hand, friction: float, rate: float, seconds: float
+) -> None:
+    assert not moved(hand, friction, rate, seconds).any()
+
+
+@pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
+def plan(request: pytest.FixtureRequest) -> GraspPlan:
+    return plan_grasp(GraspTask.create(request.param, "cylinder"))
+
+
+class Watched(GraspController):
+    """Tells what friction it had found when it began to squeeze."""
+
+    found: FloatArray
+
+    def step(self, observation: Observation) -> FloatArray:
+        self.found = self.friction.extra
+        return super().step(observation)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.02])
+def test_a_trial_finds_the_friction_that_the_model_does_not_have(
+    plan: GraspPlan, friction: float
+) -> None:
+    made: list[Watched] = []
+
+    def make(plan: GraspPlan) -> Watched:
+        made.append(Watched(plan))
+        return made[0]
+
+    reality = Reality(name="dry", dry_friction=friction, encoder_offset=1e-9)
+    simulate(plan, controller=make, reality=reality, timeline=Timeline(hold=0.1))
+    expected = friction * of_fingers(plan.task.hand)
+    np.testing.assert_allclose(made[0].found, expected, atol=0.002)
+
+
+def test_what_is_found_is_made_up_for_along_the_motion(plan: GraspPlan) -> None:
+    rate = np.where(np.arange(len(plan.q)) % 3 == 0, -0.4, 0.4)
+    tips = np.zeros((len(plan.task.fingers), 3))
+
+    def torque(friction: float) -> FloatArray:
+        torques = HoldingTorques(plan)
+        torques.make_up_for(np.full(len(plan.q), friction))
+        torques.move(plan.q, np.zeros(len(plan.q)), GRAVITY)
+        torques.aim(tips, plan.q, rate)
+        return torques.own_torque
+
+    expected = 0.02 * np.sign(rate) * of_fingers(plan.task.hand)
+    np.testing.assert_allclose(torque(0.02) - torque(0.0), expected, atol=1e-12)
