@@ -34,7 +34,9 @@ from sim.tactile import (
     TaxelArray,
     TaxelLayout,
     Texture,
+    TouchContext,
     contact_image,
+    make_sense,
     register_touch,
 )
 from sim.tactile.gains import GainTracker
@@ -431,6 +433,31 @@ def test_every_controller_holds_with_every_sense(
     report = simulate(plan, controller=controller, reality=Reality(name="t", touch=touch))
     assert report.success, report.verdict
     assert report.reality is not None and report.reality["touch"] == touch
+
+
+def touches_in_the_air(plan: GraspPlan, reality: Reality, told: bool = True) -> int:
+    """How often effort feels something before anything is touched."""
+    simulation = Simulation(plan, reality=reality)
+    real = simulation.reality
+    assert real is not None
+    if not told:
+        context = TouchContext(
+            scene=simulation.scene, data=simulation.data, plan=plan, seed=reality.seed
+        )
+        real._touch = make_sense("effort", context)
+    count = 0
+    for phase, seconds in (("approach", 0.8), ("close", 0.4)):
+        for _ in simulation.run(phase, seconds):  # type: ignore[arg-type]
+            truth = simulation.observe(phase, 0.0)  # type: ignore[arg-type]
+            if not truth.normal_forces.any():
+                count += int((simulation.sensed(truth).normal_forces > 0.1).sum())
+    return count
+
+
+def test_the_friction_of_joints_is_no_touch_for_effort(plan: GraspPlan) -> None:
+    stiff = Reality(name="stiff", touch="effort", dry_friction=0.02)
+    known, unknown = (touches_in_the_air(plan, stiff, told) for told in (True, False))
+    assert known < 0.1 * unknown
 
 
 def test_the_exact_sense_changes_nothing(plan: GraspPlan) -> None:

@@ -30,9 +30,10 @@ from sim.tactile.senses import TouchContext, register_touch
 
 __all__ = ["EffortSense"]
 
-LEAST_FORCE, LOST_FORCE = 0.25, 0.1
-"""Force (N) along the normal from which on a finger touches: a finger that closes in the air reads
-less; and below which it touches no more."""
+LEAST_FORCE, LOST_FORCE = 0.12, 0.04
+"""Force (N) along the normal from which on a finger touches, and below which it touches no more. A
+finger that closes in the air reads less; one that closes lightly on an object reads 0.15 to 0.25
+(Allegro hand, 0.02 N m of dry friction)."""
 
 SMOOTHING = 0.01
 """Time constant (s) of the average of force and acceleration."""
@@ -40,8 +41,9 @@ SMOOTHING = 0.01
 AT_LIMIT = 0.01
 """A joint this near (rad) to its limit may be carried by it."""
 
-SLOWEST = 0.005
-"""Rate (rad/s) from which on a joint moves."""
+SLOWEST = 0.1
+"""Rate (rad/s) from which on the dry friction of a joint is full: below, it creeps, in
+simulators too, with less."""
 
 FLAT = 1e-6
 """Added to the normal equations (m2): a stretched finger has a direction that no motor feels."""
