@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
+    StrictInt,
     ValidationInfo,
     field_validator,
     model_serializer,
@@ -78,14 +79,14 @@ class TaxelDescription(StrictData):
         dead: Row and column, from 0, of each taxel that reads nothing, as its driver knows.
     """
 
-    rows: int = Field(ge=2, le=64)
-    columns: int = Field(ge=2, le=64)
-    spacing: float = Field(gt=0, le=0.02)
-    noise: float = Field(default=0.05, ge=0, lt=1)
-    threshold: NotNegative = 0.005
-    latency: float = Field(default=0.002, ge=0, le=1)
-    rate: NotNegative = 0.0
-    dead: tuple[tuple[int, int], ...] = ()
+    rows: int = Field(ge=2, le=64, strict=True)
+    columns: int = Field(ge=2, le=64, strict=True)
+    spacing: float = Field(gt=0, le=0.02, strict=True)
+    noise: float = Field(default=0.05, ge=0, lt=1, strict=True)
+    threshold: float = Field(default=0.005, ge=0, strict=True)
+    latency: float = Field(default=0.002, ge=0, le=1, strict=True)
+    rate: float = Field(default=0.0, ge=0, strict=True)
+    dead: tuple[tuple[StrictInt, StrictInt], ...] = ()
 
     @model_validator(mode="after")
     def _dead_are_taxels(self) -> Self:
@@ -95,7 +96,9 @@ class TaxelDescription(StrictData):
                     f"dead taxel [{row}, {column}] is outside of the array; give rows from 0 to "
                     f"{self.rows - 1} and columns from 0 to {self.columns - 1}"
                 )
-        if len(set(self.dead)) == self.rows * self.columns:
+            if self.dead.count((row, column)) > 1:
+                raise ValueError(f"dead taxel [{row}, {column}] is named twice; name it once")
+        if len(self.dead) == self.rows * self.columns:
             raise ValueError("all taxels are dead; leave some alive, or leave the table out")
         return self
 

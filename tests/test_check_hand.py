@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from planner.describe import CheckReport, check_hand
 from planner.describe.overlaps import HandGaps, frequent_overlaps
-from planner.errors import TaskError
+from planner.errors import HandError, TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
@@ -271,6 +271,20 @@ def test_check_hand_command(runner: CliRunner, edit_hand: EditHand) -> None:
     assert "no posture 'pinch'" in " ".join(bad.output.split())
     missing = runner.invoke(app, ["check-hand", "no_such_hand"])
     assert missing.exit_code == EXIT_BAD_INPUT
+
+
+def test_arrays_of_taxels_are_shown_and_wrong_ones_are_told_by_finger(edit_hand: EditHand) -> None:
+    thumb = 'name = "thumb"'
+    text = (models_dir() / "hands" / "allegro_hand" / "hand.toml").read_text(encoding="utf-8")
+    pad = text[text.index(thumb) :].split("[fingers.pad]")[1].split("geom = ")[1].splitlines()[0]
+    line = f"geom = {pad}"
+    array = "taxels = { rows = 9, columns = 7, spacing = 0.002, dead = [[0, 3]] }"
+    report = check_hand(load_hand(edit_hand({line: f"{line}\n{array}"})))
+    assert {p.finger: p.taxels for p in report.pads}["thumb"] == "9 x 7, 2 mm apart, 1 dead"
+    assert [p.taxels for p in report.pads if p.finger != "thumb"] == [""] * 3
+    twice = array.replace("[[0, 3]]", "[[0, 3], [0, 3]]")
+    with pytest.raises(HandError, match=r"fingers\[thumb\].*\[0, 3\] is named twice"):
+        load_hand(edit_hand({line: f"{line}\n{twice}"}))
 
 
 def test_describe_command(runner: CliRunner, tmp_path: Path) -> None:

@@ -33,6 +33,14 @@ class Row(StrictData):
     sizes: tuple[float, ...] = ()
 
 
+class NamedRow(Row):
+    name: str
+
+
+class Rows(StrictData):
+    rows: tuple[NamedRow, ...]
+
+
 @pytest.mark.parametrize("mass", [math.nan, math.inf, -math.inf])
 def test_data_of_a_file_is_finite(mass: float) -> None:
     assert Row(mass=1.0).mass == 1.0
@@ -46,6 +54,11 @@ def test_faults_are_told_with_their_place_and_the_first_of_them_alone() -> None:
         Row.model_validate({"mass": 1.0, "sizes": [1.0, "x"], "colour": 3})
     told = faults_of(caught.value).split("; ")
     assert [fault.split(":")[0] for fault in told] == ["sizes.1", "colour"]
+    parts = {"rows": [{"name": "thumb", "mass": "x"}]}
+    with pytest.raises(ValidationError) as caught:
+        Rows.model_validate(parts)
+    assert faults_of(caught.value, parts).startswith("rows[thumb].mass: ")
+    assert faults_of(caught.value).startswith("rows.0.mass: ")
     with pytest.raises(ValidationError) as caught:
         Row.model_validate({f"unknown_{k}": k for k in range(20)})
     assert len(faults_of(caught.value).split("; ")) == MOST_FAULTS

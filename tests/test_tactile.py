@@ -34,9 +34,12 @@ from sim.tactile import (
     TaxelArray,
     TaxelLayout,
     Texture,
+    TouchContext,
     contact_image,
+    make_sense,
     register_touch,
 )
+from sim.tactile.gains import GainTracker
 from sim.tactile.ideal import ExactSense
 from sim.tactile.pressure import CONTACT_MODULUS, contact_deviation, spread
 
@@ -232,6 +235,10 @@ def test_images_come_late_and_at_their_rate() -> None:
 def test_a_wrong_array_is_refused_with_what_is_allowed() -> None:
     with pytest.raises(ValidationError, match=r"dead taxel \[11, 0\].*rows from 0 to 10"):
         layout_of(dead=((11, 0),))
+    with pytest.raises(ValidationError, match=r"dead taxel \[1, 2\] is named twice"):
+        layout_of(dead=((1, 2), (1, 2)))
+    with pytest.raises(ValidationError, match="rows"):
+        TaxelDescription(rows="9", columns=7, spacing=0.002)  # type: ignore[arg-type]
     with pytest.raises(ValidationError, match="at most 120 are possible; give fewer or closer"):
         layout_of(rows=40)
     with pytest.raises(ValidationError, match="all taxels are dead"):
@@ -279,8 +286,9 @@ def watched(
     share: float = 0.1,
     seed: int = 0,
     roll: float = 0.0,
+    ramp: float = 0.0,
 ) -> float:
-    """When a pad that slides from half-time on raises the alarm, and the shiver."""
+    """When a pad that slides from half-time on raises the alarm; its force ramps by so many N/s."""
     rng = np.random.default_rng(seed)
     layout = layout_of(noise=noise, rows=13, columns=13)
     array, estimator = TaxelArray(layout, rng), ContactEstimator(layout)
@@ -291,7 +299,8 @@ def watched(
         if k > steps / 2:
             texture.slide(speed * 0.002)
         place = (-0.002 + roll * now, 0.0005)
-        image = array.measured(contact_image(layout, press(layout, place, 2.0), texture.gains))
+        contact = press(layout, place, 2.0 + ramp * now)
+        image = array.measured(contact_image(layout, contact, texture.gains))
         slips.step(np.array([now]), [image], [estimator.estimate(image)])
         if slips.slipping[0]:
             first = min(first, now - seconds / 2)
@@ -310,6 +319,34 @@ def test_half_of_all_slips_are_noticed_within_10_ms_of_a_tenth_of_a_millimetre(
 def test_a_pad_that_sticks_or_rolls_raises_no_alarm() -> None:
     assert watched(0.0, seconds=4.0) == math.inf
     assert watched(0.0, seconds=1.0, roll=0.004) == math.inf
+
+
+def test_a_force_that_grows_or_shrinks_fast_neither_raises_nor_hides_a_slip() -> None:
+    for ramp in (30.0, -3.0):
+        assert watched(0.0, seconds=0.6, ramp=ramp) == math.inf
+    delays = [watched(0.02, seconds=0.4, ramp=30.0, seed=seed) - 0.005 for seed in range(5)]
+    assert np.median(delays) <= 0.015 and max(delays) < 0.1
+
+
+def test_gains_are_those_of_the_texture_whatever_force_and_place_are() -> None:
+    layout = layout_of(noise=0.0, rows=13, columns=13)
+    texture = Texture(layout.shape, np.random.default_rng(3), 0.1)
+    tracker, estimator = GainTracker(layout), ContactEstimator(layout)
+
+    def look(force: float, u: float) -> dict[int, float]:
+        image = contact_image(layout, press(layout, (u, 0.0005), force), texture.gains)
+        taxels, gains = tracker.look(0.002, image, estimator.estimate(image))
+        return dict(zip(taxels.tolist(), gains.tolist(), strict=True))
+
+    for _ in range(20):
+        first = look(2.0, 0.0)
+    later = look(3.0, 0.0003)
+    assert len(first.keys() & later.keys()) > 6
+    for taxel in first.keys() & later.keys():
+        assert later[taxel] == pytest.approx(first[taxel], abs=5e-3)
+    texture.slide(1e-3)
+    moved = look(3.0, 0.0003)
+    assert max(abs(moved[k] - later[k]) for k in moved.keys() & later.keys()) > 0.05
 
 
 def test_a_polished_object_is_not_felt_to_slip() -> None:
@@ -396,6 +433,31 @@ def test_every_controller_holds_with_every_sense(
     report = simulate(plan, controller=controller, reality=Reality(name="t", touch=touch))
     assert report.success, report.verdict
     assert report.reality is not None and report.reality["touch"] == touch
+
+
+def touches_in_the_air(plan: GraspPlan, reality: Reality, told: bool = True) -> int:
+    """How often effort feels something before anything is touched."""
+    simulation = Simulation(plan, reality=reality)
+    real = simulation.reality
+    assert real is not None
+    if not told:
+        context = TouchContext(
+            scene=simulation.scene, data=simulation.data, plan=plan, seed=reality.seed
+        )
+        real._touch = make_sense("effort", context)
+    count = 0
+    for phase, seconds in (("approach", 0.8), ("close", 0.4)):
+        for _ in simulation.run(phase, seconds):  # type: ignore[arg-type]
+            truth = simulation.observe(phase, 0.0)  # type: ignore[arg-type]
+            if not truth.normal_forces.any():
+                count += int((simulation.sensed(truth).normal_forces > 0.1).sum())
+    return count
+
+
+def test_the_friction_of_joints_is_no_touch_for_effort(plan: GraspPlan) -> None:
+    stiff = Reality(name="stiff", touch="effort", dry_friction=0.02)
+    known, unknown = (touches_in_the_air(plan, stiff, told) for told in (True, False))
+    assert known < 0.1 * unknown
 
 
 def test_the_exact_sense_changes_nothing(plan: GraspPlan) -> None:

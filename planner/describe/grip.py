@@ -10,6 +10,7 @@ from planner.describe.convex_links import ConvexLink, cone_directions
 from planner.describe.overlaps import TOUCHING
 from planner.describe.postures import PostureSolver
 from planner.describe.report import Finding, PadRow, PostureRow
+from planner.description import TaxelDescription
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
@@ -40,6 +41,7 @@ def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
     taking_part = {f.name for f in hand.choose_fingers()}
     joint = {g.name: g.joint_id for g in hand.geometries}
     presses = _presses(hand)
+    described = {f.name: f.pad for f in hand.description.fingers}
     out = []
     for finger in hand.fingers.values():
         pad = finger.pad
@@ -58,6 +60,7 @@ def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
             depth_error=solid.depth(pad.center) - pad.radius,
             stands_out=float((solid.support(directions) - sphere).max()),
             hidden=max(beside - own, 0.0),
+            taxels=_array(described[finger.name].taxels),
             presses=presses.get(finger.name),
         )
         out.append(row)
@@ -101,6 +104,14 @@ def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
                 )
             )
     return tuple(out)
+
+
+def _array(taxels: TaxelDescription | None) -> str:
+    """An array in a few words; "" without one."""
+    if taxels is None:
+        return ""
+    dead = f", {len(taxels.dead)} dead" if taxels.dead else ""
+    return f"{taxels.rows} x {taxels.columns}, {1e3 * taxels.spacing:g} mm apart{dead}"
 
 
 def _presses(hand: Hand) -> dict[str, float]:

@@ -80,6 +80,7 @@ class PadRow:
         depth_error: Depth of its centre in the geom less its radius, m.
         stands_out: How far the geom stands out before the sphere within the cone, m.
         hidden: How far another geom of the link stands out before both along the axis, m.
+        taxels: Its array as ``hand.toml`` has it, for people; "" of a pad without one.
         presses: Force along the pad's look that the actuators make in the pinch posture, N; None
             for a finger that takes no part in it.
     """
@@ -92,6 +93,7 @@ class PadRow:
     depth_error: float
     stands_out: float
     hidden: float
+    taxels: str
     presses: float | None
 
 

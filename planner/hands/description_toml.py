@@ -257,4 +257,4 @@ def validated(
     try:
         return kind.model_validate(raw)
     except ValidationError as error:
-        raise HandError(f"{path} does not describe {what}: {faults_of(error)}") from error
+        raise HandError(f"{path} does not describe {what}: {faults_of(error, raw)}") from error

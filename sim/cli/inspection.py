@@ -185,7 +185,15 @@ def print_check(report: CheckReport, console: Console) -> None:
     for coupling in report.couplings:
         say(escape(f"coupling {coupling}"))
     pads = Table(title="pads")
-    for column in ("finger", "geom", "radius mm", "cone deg", "stands out mm", "presses N"):
+    for column in (
+        "finger",
+        "geom",
+        "radius mm",
+        "cone deg",
+        "stands out mm",
+        "presses N",
+        "taxels",
+    ):
         pads.add_column(column)
     for p in report.pads:
         pads.add_row(
@@ -195,6 +203,7 @@ def print_check(report: CheckReport, console: Console) -> None:
             f"{p.half_angle_deg:.0f}",
             f"{1e3 * p.stands_out:.2f}",
             "-" if p.presses is None else f"{p.presses:.1f}",
+            p.taxels or "-",
         )
     console.print(pads)
     spaces = Table(title="where the tips get to, base frame, mm")

@@ -63,7 +63,13 @@ class RealityOfTrial:
             data: ``mujoco.MjData``, as it is at every step.
             plan: What is executed.
         """
-        context = TouchContext(scene=scene, data=data, plan=plan, seed=self.reality.seed)
+        context = TouchContext(
+            scene=scene,
+            data=data,
+            plan=plan,
+            seed=self.reality.seed,
+            dry_friction=self.reality.dry_friction,
+        )
         self._touch = make_sense(self.reality.touch, context)
 
     def place(self, scene: Scene, data: Any) -> None:

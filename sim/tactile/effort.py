@@ -8,8 +8,9 @@ beyond holding and moving the finger itself:
 with F the forces of the actuators, g the torque of the finger's weight, b, c and M damping, dry
 friction and inertia of its joints as the model has them, a their low-passed acceleration. N spans
 the motions that couplings, stops and joints at their limits leave: what these carry no motor feels.
-The friction of a joint at rest, which may act either way, counts as that of its last motion. The
-normal is the planned one (``PlannedNormals``), and the contact where it leaves the pad.
+The friction of a joint that moves is known; that of a joint at rest is as large as it can be: what
+it explains is no touch. The normal is the planned one (``PlannedNormals``), and the contact where
+it leaves the pad.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ from sim.tactile.senses import TouchContext, register_touch
 
 __all__ = ["EffortSense"]
 
-LEAST_FORCE = 0.25
-"""Force (N) from which on a finger touches: a finger that closes in the air reads less."""
+LEAST_FORCE, LOST_FORCE = 0.12, 0.04
+"""Force (N) along the normal from which on a finger touches, and below which it touches no more. A
+finger that closes in the air reads less; one that closes lightly on an object reads 0.15 to 0.25
+(Allegro hand, 0.02 N m of dry friction)."""
 
 SMOOTHING = 0.01
 """Time constant (s) of the average of force and acceleration."""
@@ -38,8 +41,9 @@ SMOOTHING = 0.01
 AT_LIMIT = 0.01
 """A joint this near (rad) to its limit may be carried by it."""
 
-SLOWEST = 0.005
-"""Rate (rad/s) from which on a joint moves."""
+SLOWEST = 0.1
+"""Rate (rad/s) from which on the dry friction of a joint is full: below, it creeps, in
+simulators too, with less."""
 
 FLAT = 1e-6
 """Added to the normal equations (m2): a stretched finger has a direction that no motor feels."""
@@ -60,10 +64,11 @@ class EffortSense:
         self._radii = np.array([[one.radius] for one in layouts])
         self._loads = HandLoads(hand, plan.task.fingers)
         self._pin = hand.pin_model.createData()
-        self._drag, self._stiction = joint_drag(hand)
+        self._drag, modelled = joint_drag(hand)
+        self._stiction = modelled + context.dry_friction
         self._rows = np.array([c.row for c in hand.couplings]).reshape(-1, hand.nq)
         self._force = np.zeros((len(layouts), 3))
-        self._sign = np.zeros(hand.nq)
+        self._touching = np.zeros(len(layouts), dtype=bool)
         self._v, self._rate, self._time = np.zeros(hand.nq), np.zeros(hand.nq), -1.0
 
     def read(self, truth: Observation) -> Observation:
@@ -76,12 +81,12 @@ class EffortSense:
         self._v, self._time = truth.v, truth.time
         force = self._forces(truth)
         self._force = force if first else self._force + share * (force - self._force)
-        size = np.sqrt((self._force**2).sum(axis=1))
-        touching = size >= LEAST_FORCE
         turns = self._bodies.turns()
         middle = (turns @ self._centers[:, :, None])[:, :, 0] + self._bodies.places()
         normal = self._planned.at(middle, truth.T_world_base)
-        touching &= (self._force * normal).sum(axis=1) > 0
+        along = (self._force * normal).sum(axis=1)
+        self._touching = along >= np.where(self._touching, LOST_FORCE, LEAST_FORCE)
+        touching = self._touching
         position = middle + self._radii * normal
         reading = pad_reading(
             touching=touching,
@@ -107,9 +112,8 @@ class EffortSense:
         torque = hand.actuation.moment.T @ effort + hand.actuation.passive_torque(q)
         inertia = pin.crba(hand.pin_model, self._pin, q)
         inertia = np.triu(inertia) + np.triu(inertia, 1).T
-        self._sign = np.where(np.abs(v) > SLOWEST, np.sign(v), self._sign)
-        resists = self._drag * v + self._stiction * self._sign
-        torque = torque - resists - own - inertia @ self._rate
+        torque = torque - self._drag * v - own - inertia @ self._rate
+        torque -= self._rubs(torque, v)
         at_limit = (q < hand.q_lower + AT_LIMIT) | (q > hand.q_upper - AT_LIMIT)
         out = np.zeros((len(self._task.fingers), 3))
         for k, finger in enumerate(self._task.fingers):
@@ -124,6 +128,11 @@ class EffortSense:
             force = np.linalg.solve(seen.T @ seen + FLAT * np.eye(3), seen.T @ wanted)
             out[k] = turn @ force
         return out
+
+    def _rubs(self, torque: FloatArray, v: FloatArray) -> FloatArray:
+        """Dry friction (nq,), N m, of joints with rates v (nq,) that are moved by torques (nq,)."""
+        at_rest = np.clip(torque, -self._stiction, self._stiction)
+        return np.where(np.abs(v) > SLOWEST, self._stiction * np.sign(v), at_rest)
 
 
 def _left_by(rows: FloatArray) -> FloatArray:

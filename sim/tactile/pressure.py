@@ -22,10 +22,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.special import erf
 
 from planner.spatial import FloatArray
 
-__all__ = ["CONTACT_MODULUS", "contact_deviation", "spread", "spread_of_shear", "stick_ratio"]
+__all__ = [
+    "CONTACT_MODULUS",
+    "contact_deviation",
+    "spread",
+    "spread_of_shear",
+    "spread_with_slopes",
+    "stick_ratio",
+]
 
 CONTACT_MODULUS = 1.3e6
 """Contact modulus E / (1 - nu^2) of pads, Pa: the soft rubber of ``sim.physics.options``."""
@@ -35,6 +43,9 @@ LEAST_DEVIATION = 1e-4
 
 LEAST_USED = 0.02
 """Share of friction (-) below which the shear has the spread of this share: the formula is 0/0."""
+
+LEAST_SPREAD = 1e-30
+"""Share (-) that is as good as none: its logarithm is finite."""
 
 _ROOT = math.sqrt(0.5)
 
@@ -62,6 +73,20 @@ def spread(edges: FloatArray, middle: float, deviation: float) -> FloatArray:
     below = [math.erf(scale * (edge - middle)) for edge in edges.tolist()]
     values = np.array(below)
     return np.asarray(0.5 * (values[1:] - values[:-1]))
+
+
+def spread_with_slopes(
+    edges: FloatArray, middle: float, deviation: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Shares (n,) as ``spread`` gives them, and how their logarithms grow (n,).
+
+    The second is with the middle, per deviation of the Gaussian; the third with the logarithm of
+    the deviation (-). Shares are at least ``LEAST_SPREAD``.
+    """
+    z = (edges - middle) / deviation
+    shares = np.maximum(np.diff(0.5 * erf(_ROOT * z)), LEAST_SPREAD)
+    density = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
+    return shares, -np.diff(density) / shares, -np.diff(z * density) / shares
 
 
 def spread_of_shear(pressure: FloatArray, stuck: FloatArray, used: float) -> FloatArray:

@@ -52,12 +52,15 @@ class TouchContext:
         data: ``mujoco.MjData``, as it is at every step.
         plan: What is executed: where contacts were planned.
         seed: Of all noise.
+        dry_friction: Of every joint beside what the hand's model has, N m (N for slides): a
+            laboratory knows about how stiff its hand turns.
     """
 
     scene: Scene
     data: Any
     plan: GraspPlan
     seed: int
+    dry_friction: float = 0.0
 
 
 MakeSense: TypeAlias = Callable[[TouchContext], TouchSense]

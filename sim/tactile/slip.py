@@ -1,12 +1,13 @@
 """``SlipWatch``: which pads slip, from the shiver of their taxels.
 
-While a pad sticks or rolls, what its taxels read over what a smooth patch at the estimated place
-would give (``sim.tactile.pressure``) stays the same, taxel by taxel, up to noise: the texture under
-each of them (``sim.tactile.texture``). Its logarithm, less what a wrong place or force explains
-(constant and linear parts), is averaged over ``FAST`` and over ``SLOW``. The pad slips when the
-mean square of their difference over the loaded taxels, less that of noise, exceeds ``ALARM``
-squared and is larger than noise alone would make it once in millions (``SIGMAS``); it has stopped
-when it falls below ``CALM`` squared.
+While a pad sticks or rolls, the texture under its taxels stays the same, whatever the force does
+(``sim.tactile.gains``). When the object slides, another texture comes under them. Gains are
+averaged over blocks of time up to now, and neighbouring blocks are compared: the mean square of the
+difference over the loaded taxels, less that of noise, summed over some neighbours, grows with the
+way that was slid (``sim.tactile.texture``). The pad slips when one of these sums exceeds ``ALARM``
+and is larger than noise alone would make it once in some millions of looks (``SIGMAS``); it has
+stopped ``HOLD`` after the last of them. Short blocks see fast slips, long ones slow slips, a
+single difference a jerk, many a creep.
 """
 
 from __future__ import annotations
@@ -19,45 +20,57 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 from sim.tactile.estimate import ContactEstimate
+from sim.tactile.gains import FITTED, GainTracker
 from sim.tactile.layout import TaxelLayout
-from sim.tactile.pressure import contact_deviation, spread
 
 __all__ = ["SlipWatch"]
 
-FAST, SLOW = 0.015, 0.08
-"""Time constants (s) of the averages that are compared."""
+BLOCK = 0.004
+"""Length of the shortest blocks, s: neighbours are compared this often."""
 
-ALARM, CALM = 0.05, 0.03
-"""Difference of the averages (-), as a share of a taxel's force, where a slip begins and ends."""
+SCALES: tuple[tuple[int, tuple[int, ...]], ...] = (
+    (2, (1, 2, 6)),
+    (4, (1, 2, 6)),
+    (8, (1, 2)),
+)
+"""Lengths of blocks in shortest ones, and over how many differences is summed: up to 0.1 s."""
+
+MOST = 28
+"""Shortest blocks that are remembered."""
+
+ALARM = 0.008
+"""Sum of squared changes of the gains' logarithms (-) that is a slip. A texture of 10 %
+that changes over 0.1 mm gives 0.0036 per 0.02 mm at first: the alarm is raised at some 0.05 mm. A
+smoother object must slide further, one of 5 % four times as far."""
+
+HOLD = 0.05
+"""How long (s) a slip lasts after the last sum that tells of it."""
 
 SIGMAS = 5.0
 """How unlikely noise alone must be, in standard deviations of a normal distribution: 3e-7."""
 
-LOADED_SHARE = 0.005
-"""Share of the normal force (-) from which on a taxel counts."""
+SHARED = 1.5
+"""By how much the variance of a sum of squares exceeds that of as many independent ones (-):
+neighbouring differences share a block, and are correlated by one half."""
 
-FEWEST = 5
-"""Loaded taxels below which nothing is left once place and force are taken out."""
-
-LEAST_FORCE = 0.1
+LEAST_FORCE = 0.25
 """Normal force (N) below which a pad is too lightly loaded to tell."""
 
 LEAST_NOISE = 0.01
 """Noise (-) that is expected of the best array."""
 
-STEADY = 0.4
-"""How far (-) the logarithm of the force may be from that of its slow average: where a patch grows
-or shrinks faster, squeezing or letting go, nothing is judged."""
+LONGEST = 0.1
+"""Time (s) between images beyond which nothing is remembered of the one before."""
 
-YOUNG = 10
-"""Images that a taxel must have been loaded for before it counts."""
+TIME_TOL = 1e-9
+"""Times that differ by less (s) are the same: rounding of sums of time steps."""
 
 
 class SlipWatch:
     """Slips of n pads over time.
 
     Attributes:
-        shiver: (n,), difference of the averages beyond noise (-), as a share of a taxel's force.
+        shiver: (n,), largest sum of squared changes beyond noise (-); see ``ALARM``.
         slipping: (n,), which pads slip now.
     """
 
@@ -69,7 +82,7 @@ class SlipWatch:
         """
         n = len(layouts)
         self._pads = [_Pad(layout) for layout in layouts]
-        self._taken = np.full(n, -np.inf)
+        self._taken, self._told = np.full((2, n), -np.inf)
         self.shiver = np.zeros(n)
         self.slipping: NDArray[np.bool_] = np.zeros(n, dtype=bool)
 
@@ -87,78 +100,102 @@ class SlipWatch:
             elapsed, self._taken[k] = time - self._taken[k], time
             if elapsed <= 0.0:
                 continue
-            excess, least = self._pads[k].look(min(elapsed, SLOW), image, seen[k])
-            self.shiver[k] = np.sqrt(max(excess, 0.0))
-            begins = excess > max(ALARM**2, least)
-            self.slipping[k] = excess > CALM**2 if self.slipping[k] else begins
+            self.shiver[k], alarm = self._pads[k].look(elapsed, image, seen[k])
+            if alarm:
+                self._told[k] = time
+            self.slipping[k] = time - self._told[k] <= HOLD
 
 
 class _Pad:
-    """The averages of one pad."""
+    """Gains and blocks of one pad."""
 
     def __init__(self, layout: TaxelLayout) -> None:
-        self._layout = layout
-        rows, columns = layout.shape
-        self._u, self._v = np.tile(layout.u, rows), np.repeat(layout.v, columns)
-        self._noise = max(layout.array.noise, LEAST_NOISE)
-        self._axes = layout.frames.reshape(-1, 3, 3).transpose(0, 2, 1)
-        self._fast, self._slow = np.zeros((2, rows * columns))
-        self._age = np.zeros(rows * columns)
-        self._force = 0.0
+        self._gains = GainTracker(layout)
+        taxels = layout.array.rows * layout.array.columns
+        self._blocks = _Blocks(taxels, max(layout.array.noise, LEAST_NOISE) ** 2)
 
-    def look(self, elapsed: float, image: FloatArray, seen: ContactEstimate) -> tuple[float, float]:
-        """Mean square of the difference beyond noise, and the most that noise explains (-)."""
-        if seen.normal_force < LEAST_FORCE:
-            self._age[:] = self._force = 0.0
-            return 0.0, 0.0
-        if self._force == 0.0:
-            self._force = seen.normal_force
-        self._force += elapsed / (SLOW + elapsed) * (seen.normal_force - self._force)
-        if abs(math.log(seen.normal_force / self._force)) > STEADY:
-            return 0.0, 0.0
-        taxels = image.reshape(-1, 3)
-        # along the contact's normal, not along each taxel's: of that the shear has no part
-        pressure = ((self._axes @ seen.normal) * taxels).sum(axis=1)
-        share = pressure / seen.normal_force
-        deviation = contact_deviation(seen.normal_force, self._layout.radius)
-        across, along = self._layout.edges
-        smooth = np.outer(
-            spread(along, seen.place[1], deviation), spread(across, seen.place[0], deviation)
-        ).ravel()
-        loaded = (
-            (share > LOADED_SHARE)
-            & (smooth > LOADED_SHARE)
-            & (pressure > 2.0 * self._layout.array.threshold)
-        )
-        self._age = np.where(loaded, self._age + 1.0, 0.0)
-        if int(loaded.sum()) < FEWEST:
-            return 0.0, 0.0
-        gain = np.log(share[loaded] / smooth[loaded])
-        basis = np.stack(
-            [
-                np.ones(len(gain)),
-                (self._u[loaded] - seen.place[0]) / deviation,
-                (self._v[loaded] - seen.place[1]) / deviation,
-            ]
-        )
-        gain = gain - basis.T @ np.linalg.solve(basis @ basis.T, basis @ gain)
-        age = self._age[loaded]
-        shares = [np.maximum(elapsed / (time + elapsed), 1.0 / age) for time in (FAST, SLOW)]
-        for average, part in zip((self._fast, self._slow), shares, strict=True):
-            average[loaded] += part * (gain - average[loaded])
-        old = age > YOUNG
-        count = int(old.sum())
-        left = count - 3
-        if count < FEWEST:
-            return 0.0, 0.0
-        fast, slow = (np.maximum(part / (2.0 - part), 1.0 / age) for part in shares)
-        noise = self._noise**2 * float((fast + slow)[old].sum()) / count
-        difference = (self._fast - self._slow)[loaded][old]
-        square = float(difference @ difference) / left
-        return square - noise, noise * (_unlikely(left) - 1.0)
+    def look(self, elapsed: float, image: FloatArray, seen: ContactEstimate) -> tuple[float, bool]:
+        """The shiver after an image, and whether it raises the alarm."""
+        lightly = seen.normal_force < LEAST_FORCE
+        if lightly or elapsed > LONGEST:
+            self._gains.forget()
+            self._blocks.forget()
+        if not lightly:
+            elapsed = min(elapsed, LONGEST)
+            self._blocks.add(elapsed, *self._gains.look(elapsed, image, seen))
+        return self._blocks.shiver, self._blocks.alarm
 
 
-def _unlikely(freedom: int) -> float:
+class _Blocks:
+    """Gains of one pad by blocks of ``BLOCK``, the newest last.
+
+    Attributes:
+        shiver: Largest sum of squared changes beyond noise (-).
+        alarm: Whether one of the sums is a slip.
+    """
+
+    def __init__(self, taxels: int, noise: float) -> None:
+        self._noise = noise
+        self._sums, self._loaded = np.zeros((2, MOST, taxels))
+        self._images = np.zeros(MOST)
+        self._time, self._filled = 0.0, 0
+        self.shiver, self.alarm = 0.0, False
+
+    def forget(self) -> None:
+        """The contact is another one from now on."""
+        self._sums[:] = self._loaded[:] = self._images[:] = 0.0
+        self._time, self._filled = 0.0, 0
+        self.shiver, self.alarm = 0.0, False
+
+    def add(self, elapsed: float, taxels: NDArray[np.intp], gains: FloatArray) -> None:
+        """Take over gains (n,) of loaded taxels (n,)."""
+        self._sums[-1, taxels] += gains
+        self._loaded[-1, taxels] += 1.0
+        self._images[-1] += 1.0
+        self._time += elapsed
+        if self._time < BLOCK - TIME_TOL:
+            return
+        self._filled = min(self._filled + 1, MOST)
+        self._judge()
+        for part in (self._sums, self._loaded, self._images):
+            part[:-1] = part[1:]
+            part[-1] = 0.0
+        self._time = 0.0
+
+    def _judge(self) -> None:
+        self.shiver, self.alarm = 0.0, False
+        used = np.flatnonzero(self._loaded[-1])
+        sums, loaded = self._sums[:, used], self._loaded[:, used]
+        for length, counts in SCALES:
+            n = min(max(counts) + 1, self._filled // length)
+            if n < 2:
+                return
+            shape = (n, length, -1)
+            images = self._images[-n * length :].reshape(n, length).sum(axis=1)
+            count = loaded[-n * length :].reshape(shape).sum(axis=1)
+            mean = sums[-n * length :].reshape(shape).sum(axis=1) / np.maximum(count, 1.0)
+            whole = count >= images[:, None]
+            both = whole[1:] & whole[:-1]
+            freedom = np.maximum(both.sum(axis=1) - FITTED, 0)
+            square = (np.diff(mean, axis=0) ** 2 * both).sum(axis=1) / np.maximum(freedom, 1)
+            noise = self._noise * (1.0 / images[1:] + 1.0 / images[:-1])
+            told = freedom > 0
+            self._sum_up(counts, freedom, (square - noise) * told, noise * told)
+
+    def _sum_up(
+        self, counts: tuple[int, ...], freedom: FloatArray, excess: FloatArray, noise: FloatArray
+    ) -> None:
+        """Judge the newest of some squared changes (n,), oldest first."""
+        for count in counts:
+            known = float(freedom[-count:].sum()) / (SHARED if count > 1 else 1.0)
+            if known < 1.0:
+                continue
+            change, expected = float(excess[-count:].sum()), float(noise[-count:].sum())
+            self.shiver = max(self.shiver, change)
+            self.alarm |= change > max(ALARM, expected * (_unlikely(known) - 1.0))
+
+
+def _unlikely(freedom: float) -> float:
     """What noise hardly ever exceeds: chi squared over its degrees of freedom at ``SIGMAS``.
 
     E. B. Wilson and M. M. Hilferty, The distribution of chi-square, PNAS 17, 1931.

@@ -96,15 +96,25 @@ class TaxelSense:
         )
 
     def felt(self) -> dict[str, Any]:
-        """The images of ``fullest`` as plain data for a report, mN exact; empty without any."""
+        """The images of ``fullest`` as plain data for a report, mN exact; empty without any.
+
+        "time_s" is that of the newest; each pad has the time of its own, as latencies differ.
+        """
         touch = self.fullest
         if not touch.images:
             return {}
         return {
-            "time_s": float(touch.time[0]),
+            "time_s": float(touch.time.max()),
             "pads": [
-                {"finger": one.finger, "spacing_m": one.array.spacing, "image_N": _plain(image)}
-                for one, image in zip(self._layouts, touch.images, strict=True)
+                {
+                    "finger": one.finger,
+                    "spacing_m": one.array.spacing,
+                    "time_s": time,
+                    "image_N": _plain(image),
+                }
+                for one, time, image in zip(
+                    self._layouts, touch.time.tolist(), touch.images, strict=True
+                )
             ],
         }
 
