@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -111,8 +111,18 @@ def test_bad_estimators_are_refused(plan: GraspPlan) -> None:
         register_estimator("touch", "the same again")(ObjectEstimator)
     with pytest.raises(TaskError, match=r"camera is -1.0; give a number >= 0"):
         SensorErrors(camera=-1.0)
-    with pytest.raises(TaskError, match="nothing was noted"):
-        EstimateLog().draw("nowhere.png")
+    with pytest.raises(TaskError, match=r"camera is 'x'; give a number >= 0"):
+        SensorErrors(camera=cast(Any, "x"))
+
+
+def test_an_empty_log_is_refused_whatever_is_asked_of_it(tmp_path: Path) -> None:
+    log, file = EstimateLog(), tmp_path / "errors"
+    asked = (lambda: log.draw(file), lambda: log.write_csv(file), lambda: log.within_two_sigma)
+    for ask in asked:
+        with pytest.raises(TaskError, match="nothing was noted; give a trial with an estimator"):
+            ask()
+    assert not file.exists()
+    assert log.error.shape == (0, 6)
 
 
 def test_an_estimator_is_told_the_size_of_errors_and_no_draw() -> None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from numbers import Real
+from typing import Any
 
 from planner.errors import TaskError
 from sim.reality import Reality
@@ -51,9 +53,10 @@ class SensorErrors:
     def __post_init__(self) -> None:
         """Check every number."""
         for field in fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise TaskError(f"sensor errors: {field.name} is {value}; give a number >= 0")
+            value: Any = getattr(self, field.name)  # dataclasses check no types
+            number = isinstance(value, Real) and not isinstance(value, bool)
+            if not (number and math.isfinite(value) and value >= 0):
+                raise TaskError(f"sensor errors: {field.name} is {value!r}; give a number >= 0")
 
     @classmethod
     def of(cls, reality: Reality | None) -> SensorErrors:
