@@ -44,8 +44,8 @@ LEAST_PERIOD = 1e-3
 poses do not come faster than."""
 
 STANDING = (5e-5, 1e-3)
-"""Random walk of an object that stands and is not touched, m / sqrt(s) and rad / sqrt(s): 0.1 mm and
-0.1 degrees in 4 s. It stands still; what is allowed for keeps the covariance regular."""
+"""Random walk of an object that stands and is not touched, m / sqrt(s) and rad / sqrt(s).
+In 4 s these are 0.1 mm and 0.1 degrees: it stands still."""
 
 PUSHED, PUSHED_UP = (3e-3, 0.05), (1e-3, 0.03)
 """The same of one that is touched: along the table and about the vertical; up, and by tipping. In
