@@ -20,7 +20,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from itertools import islice
 from typing import Any, TypeVar
 
-from joblib.externals import cloudpickle
+from joblib import wrap_non_picklable_objects
 
 from planner.batch.jobs import end_with
 from planner.system.environment import on_interrupt
@@ -116,7 +116,7 @@ def _packed(thing: Any) -> bytes:
     try:
         return pickle.dumps(thing)
     except (pickle.PicklingError, AttributeError, TypeError):
-        return bytes(cloudpickle.dumps(thing))
+        return pickle.dumps(wrap_non_picklable_objects(thing, keep_wrapper=False))
 
 
 def _begin(parent: int, work: Callable[[Any], Any]) -> None:
