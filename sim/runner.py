@@ -21,7 +21,7 @@ from typing import Any, TypeAlias, TypeVar
 from rich.console import Console
 
 from planner.batch.jobs import end_with
-from planner.batch.pool import default_backend, finished
+from planner.batch.pool import LOKY, finished
 from planner.version import written_by
 from sim.progress import ProgressBar
 
@@ -113,7 +113,7 @@ class Runner:
             partial(_in_worker, work, os.getpid()),
             jobs,
             workers=self.workers,
-            backend=default_backend(self.workers),
+            backend=LOKY,  # a copy of a process that has drawn something hangs when it draws
             given_up=given_up,
         )
         return self._keep_all(results, len(jobs), title, keep)
