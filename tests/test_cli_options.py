@@ -5,18 +5,15 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Annotated
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
-from planner.errors import HandError, TaskError
-from planner.hand_loading import load_hand
-from sim.cli.common import errors_for_people, tell_of_policy
+from planner.errors import TaskError
+from sim.cli.common import errors_for_people
 from sim.cli.options import PlanOptions, with_options
-from sim.learning.policy import PolicyFor
 
 RUN = CliRunner()
 
@@ -78,19 +75,3 @@ def test_the_command_line_loads_no_engine_before_a_command_runs() -> None:
     code = "import sim.cli, sys; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"mujoco", "pinocchio", "coal", "casadi", "numpy"} & set(run.stdout.split())
-
-
-def test_a_policy_says_what_it_is_for_and_is_refused_for_another_hand_at_once(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    about = PolicyFor.of(
-        load_hand("allegro_hand"), objects="cylinder:0.03x0.08", angle_deg=90.0, reality="lab"
-    )
-    driver = SimpleNamespace(policy=SimpleNamespace(about=about))
-    tell_of_policy(driver, "allegro_hand")
-    told = "trained to turn cylinder:0.03x0.08 by 90 degrees with allegro_hand, reality lab"
-    assert told in " ".join(capsys.readouterr().err.split())
-    with pytest.raises(HandError, match="allegro_hand"):
-        tell_of_policy(driver, "shadow_hand")
-    tell_of_policy("impedance", "no such hand")  # no policy
-    assert capsys.readouterr().err == ""

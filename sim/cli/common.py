@@ -259,33 +259,6 @@ def controller_of(name: str) -> Any:
     return name
 
 
-def tell_of_policy(driver: Any, hand: str | None = None) -> None:
-    """Say what a policy was trained for, and refuse it for another hand before anything is planned.
-
-    Args:
-        driver: What ``controller_of`` gave; of what is no policy nothing is said.
-        hand: Name or path of the hand that is to be planned for; None where that is known later.
-
-    Raises:
-        HandError: The policy is of another hand.
-        PlannerError: The hand cannot be loaded.
-    """
-    about = getattr(getattr(driver, "policy", None), "about", None)
-    if about is None:
-        return
-    if hand is not None:
-        from planner.hand_loading import load_hand
-
-        about.check(load_hand(hand))
-    say(
-        err,
-        escape(
-            f"the policy was trained to turn {about.objects} by {about.angle_deg:g} degrees with "
-            f"{about.hand}, reality {about.reality}"
-        ),
-    )
-
-
 def reality_of(
     text: str, seed: int | None = None, pads: str | None = None, *, draws: bool = False
 ) -> Any:

@@ -47,7 +47,6 @@ from sim.cli.common import (
     print_json,
     reality_of,
     say,
-    tell_of_policy,
     told_command,
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
@@ -250,7 +249,6 @@ def manipulate(
             out_dir,
             as_json,
             told_command(context),
-            hand_name,
         )
         return
     if hand is not None or object is not None or request.tells_the_task:
@@ -292,7 +290,6 @@ def _execute(
     out_dir: Path | None,
     as_json: bool,
     command: str,
-    hand: str | None = None,
 ) -> None:
     """Plan once all other options are known to be sound, execute, and report.
 
@@ -309,7 +306,6 @@ def _execute(
     reality = reality_of(execution.reality, execution.reality_seed, execution.pads)
     estimator = estimate_of(execution.estimate)
     driver = controller_of(execution.controller)
-    tell_of_policy(driver, hand)
     check_films(execution.video)
     _warn_of_friction(believed_mu, physics.mu)
     if out_dir is not None:

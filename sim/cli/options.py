@@ -41,7 +41,6 @@ from sim.cli.common import (
     physics_of,
     reality_of,
     say,
-    tell_of_policy,
 )
 from sim.cli.task_options import TaskOptions
 
@@ -346,7 +345,6 @@ class TrialOptions:
         from sim.trial import simulate
 
         driver = controller_of(self.controller)
-        tell_of_policy(driver)
         physics = physics_of(self.physics, self.sim_mu)
         reality = reality_of(self.reality, self.reality_seed, self.pads)
         estimator = estimate_of(self.estimate)
