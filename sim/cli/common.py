@@ -151,7 +151,7 @@ PhysicsOption = Annotated[
 RealityOption = Annotated[
     str,
     typer.Option(
-        help="Errors: ideal, lab, rough, or a TOML or JSON file.",
+        help="Errors: ideal, lab, rough, or a file.",
         metavar="NAME",
         rich_help_panel=TRIAL_PANEL,
     ),
@@ -173,7 +173,7 @@ EstimateOption = Annotated[
 PadsOption = Annotated[
     str | None,
     typer.Option(
-        help="Touch: exact, taxels, effort, binary; that of --reality if none.",
+        help="Touch: exact, taxels, effort, binary.",
         metavar="SENSE",
         rich_help_panel=TRIAL_PANEL,
     ),

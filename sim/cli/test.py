@@ -86,9 +86,8 @@ def test(
     r"""Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
-    rest in every direction. "all" leaves out reality, pushes, drake, and what a hand cannot take.
-    The protocol reality draws from --reality, or from lab if none is named. drake: pip install
-    "opposable\[drake]".
+    rest in every direction. "all" leaves out reality (of lab), pushes, drake (pip install
+    "opposable\[drake]"), and what a hand cannot take.
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
