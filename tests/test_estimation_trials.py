@@ -111,8 +111,10 @@ def test_bad_estimators_are_refused(plan: GraspPlan) -> None:
         register_estimator("touch", "the same again")(ObjectEstimator)
     with pytest.raises(TaskError, match=r"camera is -1.0; give a number >= 0"):
         SensorErrors(camera=-1.0)
-    with pytest.raises(TaskError, match=r"camera is 'x'; give a number >= 0"):
-        SensorErrors(camera=cast(Any, "x"))
+    with pytest.raises(TaskError, match=r"camera is '1 mm'; give a number >= 0"):
+        SensorErrors(camera=cast(Any, "1 mm"))
+    with pytest.raises(TaskError, match="nothing was noted"):
+        EstimateLog().draw("nowhere.png")
 
 
 def test_an_empty_log_is_refused_whatever_is_asked_of_it(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from numbers import Real
-from typing import Any
 
 from planner.errors import TaskError
 from sim.reality import Reality
@@ -53,7 +52,7 @@ class SensorErrors:
     def __post_init__(self) -> None:
         """Check every number."""
         for field in fields(self):
-            value: Any = getattr(self, field.name)  # dataclasses check no types
+            value = getattr(self, field.name)
             number = isinstance(value, Real) and not isinstance(value, bool)
             if not (number and math.isfinite(value) and value >= 0):
                 raise TaskError(f"sensor errors: {field.name} is {value!r}; give a number >= 0")

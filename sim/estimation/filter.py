@@ -39,10 +39,6 @@ TOO_MANY = 5
 FAR = 3.0
 """Standard deviations beyond which a contact counts less."""
 
-LEAST_PERIOD = 1e-3
-"""Shortest time between poses (s) by which drift is shared out: half a time step of 2 ms, which
-poses do not come faster than."""
-
 STANDING = (5e-5, 1e-3)
 """Random walk of an object that stands and is not touched, m / sqrt(s) and rad / sqrt(s).
 In 4 s these are 0.1 mm and 0.1 degrees: it stands still."""
@@ -57,6 +53,9 @@ ROLLING = 0.15
 CARRIED = (0.1, 2.0)
 """The same of one that no contact holds: 10 mm and 11 degrees after 0.01 s, so that nothing is
 believed of a direction along which no finger sticks."""
+
+SHORTEST = 1e-3
+"""Least time (s) between two looks that counts: of two at once drift would tell nothing."""
 
 OFF_PAD = 0.004
 """Distance (m) of a contact from a pad's sphere beyond which it is one of another link."""
@@ -223,7 +222,7 @@ class PoseFilter:
     def look_noise(self, look: Look) -> FloatArray:
         """(6, 6), covariance of a measured pose as an error of the base's axes."""
         e = self._errors
-        drift = 1.0 + 2.0 * e.drift_time / max(look.period, LEAST_PERIOD)
+        drift = 1.0 + 2.0 * e.drift_time / max(look.period, SHORTEST)
         linear = e.camera**2 + e.drift**2 * drift
         angular = e.camera_turn**2 + e.drift_turn**2 * drift
         arm = skew(look.T_base_object.translation)
