@@ -24,7 +24,7 @@ from sim.controllers.events import Event
 from sim.recording import Recording, RecordingData
 from sim.report_file import ComparisonData, EventData, ReportFile
 from sim.samples import SampleData, Samples
-from sim.screen import OnScreen, table
+from sim.screen import OnScreen, reality_lines, table
 from sim.verdict import Reason, Thresholds, Verdict, largest
 
 __all__ = ["FingerComparison", "TrialReport"]
@@ -201,11 +201,7 @@ class TrialReport(OnScreen):
             "mm/s however firm the grip, before "
             f"{self.physics['noslip_iterations']} noslip iterations"
         )
-        if self.reality is not None:
-            told = f"reality: {self.reality['name']}, seed {self.reality['seed']}"
-            touch = self.reality.get("touch", "exact")
-            pads = "" if touch == "exact" else f", pads: {touch}"
-            yield Text(f"{told}, estimator: {self.reality.get('estimator', 'none')}{pads}")
+        yield from (Text(line) for line in reality_lines(self.reality))
         if self.remedies:
             yield Text("each of these keeps the object from creeping:")
         for remedy in self.remedies:

@@ -19,18 +19,11 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from planner.batch.jobs import end_with
-from planner.batch.pool import finished
+from planner.batch.pool import LOKY, finished
 from planner.version import written_by
+from sim.progress import ProgressBar
 
 __all__ = ["Check", "Runner", "made_with"]
 
@@ -120,7 +113,7 @@ class Runner:
             partial(_in_worker, work, os.getpid()),
             jobs,
             workers=self.workers,
-            backend="loky",
+            backend=LOKY,  # a copy of a process that has drawn something hangs when it draws
             given_up=given_up,
         )
         return self._keep_all(results, len(jobs), title, keep)
@@ -144,21 +137,12 @@ class Runner:
         title: str,
         keep: Callable[[Result], object],
     ) -> bool:
-        bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=self.console,
-        )
-        with bar as progress:
-            row = progress.add_task(title, total=total)
+        with ProgressBar(self.console, ticks=self.workers == 1) as bar:
+            bar.show(title, 0, total)
             try:
-                for result in results:
+                for done, result in enumerate(results, start=1):
                     keep(result)
-                    progress.advance(row)
+                    bar.show(title, done, total)
             except KeyboardInterrupt:
                 return False
         return True

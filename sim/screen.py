@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from io import StringIO
+from typing import Any
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
-__all__ = ["OnScreen", "number", "percent", "table"]
+__all__ = ["OnScreen", "number", "percent", "reality_lines", "table"]
 
 WIDTH = 100
 """Characters of a line of a report that is printed as text."""
@@ -45,3 +46,22 @@ def number(value: float, digits: int, unit: str = "") -> str:
 def percent(value: float) -> str:
     """A share in percent; "" for NaN."""
     return "" if math.isnan(value) else f"{100 * value:.0f} %"
+
+
+def reality_lines(reality: Mapping[str, Any] | None) -> list[str]:
+    """The reality of a report in lines: name, seed, estimator, pads; and what was drawn.
+
+    Args:
+        reality: ``reality`` of a report; None where all was as believed.
+    """
+    if reality is None:
+        return []
+    touch = reality.get("touch", "exact")
+    pads = "" if touch == "exact" else f", pads: {touch}"
+    lines = [
+        f"reality: {reality['name']}, seed {reality['seed']}, "
+        f"estimator: {reality.get('estimator', 'none')}{pads}"
+    ]
+    if drawn := reality.get("drawn_in_words"):
+        lines.append(f"drawn: {drawn}")
+    return lines

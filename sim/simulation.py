@@ -45,7 +45,7 @@ from sim.looking.picture import draw_tape
 from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
 from sim.pads import read_pads
-from sim.reality import Reality, RealityOfTrial
+from sim.reality import AnyReality, Reality, RealityOfTrial, as_reality
 from sim.scene import PhysicsOptions, Scene, build_scene
 from sim.tactile import read_touch
 from sim.timeline import Timeline
@@ -97,7 +97,7 @@ class Simulation:
         carrier: Carrier | None = None,
         q: FloatArray | None = None,
         T_world_base: SE3 | None = None,
-        reality: Reality | None = None,
+        reality: AnyReality | None = None,
         estimator: AnyEstimator | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
@@ -112,22 +112,22 @@ class Simulation:
             carrier: What moves the hand as a whole; the scene's gantry or the arm if None.
             q: Joints (nq,) at the start, rad or m; the plan's start if None.
             T_world_base: Base pose at the start; the plan's start if None.
-            reality: Errors of sensors, drives and object that the plan does not know; none if None.
+            reality: Errors of sensors, drives and object that the plan does not know, or their name
+                as ``--reality`` takes it; none if None.
             estimator: What tells the controller where the object is: a name, or what makes one of
                 task and sensor errors; if None, that with all senses where the pose that is read
                 has errors, and none else.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
-            NotFoundError: No controller or estimator has that name.
+            NotFoundError: No controller, estimator or reality has that name.
             TaskError: The controller is none, the reality is none, the plan has no path for an
                 arm, or a ``scene`` is given together with a reality that changes it.
         """
         self.plan = plan
         self.reality: RealityOfTrial | None = None
-        if not isinstance(reality, Reality | None):
-            raise TaskError(f"reality is {reality!r}; give a Reality, as named_reality makes one")
-        if reality is not None and not reality.ideal:
+        reality = as_reality(reality)
+        if not reality.ideal:
             if scene is not None:
                 raise TaskError("give a scene or a reality: a reality changes the scene it builds")
             self.reality = RealityOfTrial(reality, plan.task)

@@ -34,7 +34,7 @@ from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.estimation import AnyEstimator
 from sim.looking.film import check_video
 from sim.looking.picture import draw_tape, moments_of
-from sim.reality import Reality
+from sim.reality import AnyReality
 from sim.recorder import Recorder
 from sim.report import TrialReport
 from sim.scene import PhysicsOptions
@@ -69,7 +69,7 @@ class Trial:
         timeline: Timeline | None = None,
         thresholds: Thresholds | None = None,
         record_every: float = 0.02,
-        reality: Reality | None = None,
+        reality: AnyReality | None = None,
         estimator: AnyEstimator | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
@@ -295,7 +295,7 @@ def simulate(
     timeline: Timeline | None = None,
     thresholds: Thresholds | None = None,
     record_every: float = 0.02,
-    reality: Reality | None = None,
+    reality: AnyReality | None = None,
     estimator: AnyEstimator | None = None,
     progress: Callable[[float], None] | None = None,
     on_step: Callable[[Simulation], None] | None = None,

@@ -35,6 +35,7 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.system.models import models_dir
 from planner.task import GraspTask
+from sim.reality import Drawn, Reality, drawn_numbers, draws_in_words
 
 # Craig's Denavit-Hartenberg parameters of the Panda: a (m), alpha (rad), d (m) of joints 1 to 7
 DH = [
@@ -318,3 +319,11 @@ def test_an_object_just_out_of_reach_ends_in_reasons_that_say_so(arm_hand: Hand)
 def test_without_an_arm_inverse_kinematics_says_what_is_missing(allegro: Hand) -> None:
     with pytest.raises(HandError, match="allegro_hand is not on an arm"):
         reach(allegro, SE3.Identity(), allegro.posture("pinch"))
+
+
+def test_the_offset_of_a_slide_is_a_length(gantry: Path) -> None:
+    hand = load_hand(gantry)
+    offset = np.zeros(hand.nq)
+    offset[hand.joint_index("arm/z")] = 0.002
+    drawn = dataclasses.replace(Drawn.of(Reality(), hand), encoder_offset=offset)
+    assert draws_in_words([drawn_numbers(drawn, hand)]) == "slides up to 2.0 mm off"

@@ -81,8 +81,8 @@ def test_the_bar_shows_rate_and_estimated_end() -> None:
     drawn = io.StringIO()
     with BatchBar(Console(file=drawn, force_terminal=True, width=120)) as bar:
         assert bar.kept() == "nothing was planned"
-        bar.show(BatchProgress(total=100, done=20, kept=20, found=0, elapsed_s=0.0))
-        bar.show(BatchProgress(total=100, done=40, kept=20, found=18, elapsed_s=10.0))
+        bar.told(BatchProgress(total=100, done=20, kept=20, found=0, elapsed_s=0.0))
+        bar.told(BatchProgress(total=100, done=40, kept=20, found=18, elapsed_s=10.0))
         assert bar.kept() == "40 grasps are kept"
     assert "40/100" in drawn.getvalue()
     assert "2.0/s, found 18 of 20" in drawn.getvalue()

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import pytest
 from planner.batch import BatchProgress, GraspFeatures, GraspSet, plan_grasps, pool
 from planner.batch.forked import can_fork
 from planner.batch.jobs import BatchObject, Job
-from planner.batch.pool import planned_rows
+from planner.batch.pool import finished, planned_rows
 from planner.batch.rows import failed_row
 from planner.errors import TaskError
 from planner.files import read_plan, write_plan
@@ -308,3 +309,14 @@ def test_bad_requests_are_refused(allegro: Hand) -> None:
         given: dict[str, Any] = {"objects": ["sphere"], "n": 1} | arguments
         with pytest.raises(TaskError, match=message):
             plan_grasps(allegro, given.pop("objects"), given.pop("n"), **given)
+
+
+def test_copies_send_functions_without_a_name_too() -> None:
+    """As the controllers of a protocol are, where a lambda makes them."""
+    jobs: list[Callable[[int], int]] = [partial(lambda k, x: k + x, k) for k in range(5)]
+    done = finished(_curried, jobs, workers=2, backend="fork", given_up=lambda job, why: job)
+    assert sorted(made(10) for made in done) == [11, 12, 13, 14, 15]
+
+
+def _curried(job: Callable[[int], int]) -> Callable[[int], int]:
+    return lambda x: job(x) + 1

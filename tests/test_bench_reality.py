@@ -223,6 +223,8 @@ def test_what_cannot_be_asked_for_is_refused(compare: Compare) -> None:
         compare(loops=["reading"])
     with pytest.raises(NotFoundError, match="hold, pushes, turn"):
         compare(tasks=["holds"])
+    with pytest.raises(TaskError, match="2 realities are called 'lab'; give each a name"):
+        compare(realities=[LAB, replace(LAB, object_mass=0.0)])
     with pytest.raises(PlannerError, match="allegro_hand"):
         run_reality(
             ["allegro"],
@@ -356,6 +358,10 @@ def test_every_bench_that_runs_trials_takes_a_reality(
     done = RUN.invoke(app, ["bench", command, *hands, "--reality", "rough"])
     assert isinstance(done.exception, Stopped), done.output
     assert given["reality"] == ROUGH
+    Path("mine.toml").write_text('preset = "rough"\nobject_size = 0.0\n', encoding="utf-8")
+    done = RUN.invoke(app, ["bench", command, *hands, "--reality", "mine.toml"])
+    assert isinstance(done.exception, Stopped), done.output
+    assert given["reality"] == replace(ROUGH, name="mine.toml", object_size=0.0)
     assert RUN.invoke(app, ["bench", command, *hands, "--reality", "ruff"]).exit_code == 3
 
 

@@ -174,7 +174,7 @@ def test_a_message_that_is_met_is_found_by_its_text(wrong: Callable[[], object])
 COMPOSED = {
     "planner.describe",  # what `check_hand` was told by others
     "planner.forces",  # "<reason>. <remedy>" of what `explain_infeasibility` finds
-    "sim.physics",  # "<path>: <error>"
+    "sim.preset_files",  # "<path>: <error>"
     "sim.protocols",  # the reason of what was asked of it
 }
 """Rooms that raise a message made of others, which are listed themselves."""

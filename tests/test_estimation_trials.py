@@ -117,6 +117,16 @@ def test_bad_estimators_are_refused(plan: GraspPlan) -> None:
         EstimateLog().draw("nowhere.png")
 
 
+def test_an_empty_log_is_refused_whatever_is_asked_of_it(tmp_path: Path) -> None:
+    log, file = EstimateLog(), tmp_path / "errors"
+    asked = (lambda: log.draw(file), lambda: log.write_csv(file), lambda: log.within_two_sigma)
+    for ask in asked:
+        with pytest.raises(TaskError, match="nothing was noted; give a trial with an estimator"):
+            ask()
+    assert not file.exists()
+    assert log.error.shape == (0, 6)
+
+
 def test_an_estimator_is_told_the_size_of_errors_and_no_draw() -> None:
     one, other = (SensorErrors.of(REALITIES["rough"].seeded(seed)) for seed in (1, 2))
     assert one == other

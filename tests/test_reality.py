@@ -735,8 +735,3 @@ def test_the_protocol_draws_from_a_laboratory_unless_told_otherwise(asked: Reali
     assert used == replace(REALITIES["lab"], touch=asked.touch, seed=asked.seed)
     rough = named_reality("rough", 2)
     assert with_errors(rough) is rough
-
-
-def test_a_name_where_a_reality_is_wanted_is_told_what_to_give(plan: GraspPlan) -> None:
-    with pytest.raises(TaskError, match="reality is 'lab'; give a Reality, as named_reality"):
-        simulate(plan, reality=cast(Any, "lab"))

@@ -208,6 +208,8 @@ def test_a_controller_is_a_name_an_object_a_class_or_a_function(plan: GraspPlan)
 def test_what_is_no_controller_is_refused(plan: GraspPlan) -> None:
     with pytest.raises(NotFoundError, match=r"called 'closed'. There is: feedforward, impedance"):
         simulate(plan, controller="closed")
+    with pytest.raises(NotFoundError, match="policy:FILE on the command line"):
+        simulate(plan, controller="closed")
     for call in (simulate, partial(run_protocol, protocol="forces")):
         with pytest.raises(TaskError, match="controller is 3; give one of feedforward, impedance"):
             call(plan, controller=3)  # type: ignore[arg-type]

@@ -132,7 +132,7 @@ def test_the_bar_counts_and_the_table_names_what_was_lost() -> None:
     )
     with StatesBar(screen) as bar:
         assert bar.kept() == "what was planned is kept"
-        bar.show(now)
+        bar.told(now)
         assert bar.kept() == "60 states are kept"
     assert "20.0/s, kept 75 %" in screen.file.getvalue()  # type: ignore[attr-defined]
     cell = {

@@ -15,7 +15,7 @@ from planner.audit.report import AuditReport, joined_reports
 from planner.audit.rows import AuditRow, StageResult
 from planner.audit.sources import given_of_plans
 from planner.batch.jobs import end_with
-from planner.batch.pool import finished
+from planner.batch.pool import default_backend, finished
 from planner.batch.recipe import recipe_of, task_of
 from planner.errors import TaskError
 from planner.exchange.formats import Reading
@@ -223,7 +223,9 @@ def _chunks(
         )
         for first in range(0, len(given), AT_ONCE)
     )
-    yield from finished(_work, jobs, workers=workers, backend="loky", given_up=_given_up)
+    yield from finished(
+        _work, jobs, workers=workers, backend=default_backend(workers), given_up=_given_up
+    )
 
 
 def _work(job: AuditJob) -> list[AuditRow]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -18,6 +19,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from itertools import islice
 from typing import Any, TypeVar
+
+from joblib import wrap_non_picklable_objects
 
 from planner.batch.jobs import end_with
 from planner.system.environment import on_interrupt
@@ -83,16 +86,16 @@ def _in_portions(
     pool: ProcessPoolExecutor, jobs: Iterator[tuple[int, Any]], workers: int
 ) -> Iterator[tuple[int, Any]]:
     """Send portions and give back what they bring."""
-    size, sent = 1, set[Future[tuple[float, list[tuple[int, Any]]]]]()
+    size, sent = 1, set[Future[bytes]]()
     while True:
         while len(sent) < AHEAD * workers and (portion := list(islice(jobs, size))):
             with on_interrupt(signal.SIG_IGN):  # workers that are begun now inherit it
-                sent.add(pool.submit(_done, portion))
+                sent.add(pool.submit(_done, _packed(portion)))
         if not sent:
             return
         ready, sent = wait(sent, return_when=FIRST_COMPLETED)
         for future in ready:
-            taken, results = future.result()
+            taken, results = pickle.loads(future.result())
             size = max(1, min(MOST_JOBS, 2 * size, int(PORTION_S * len(results) / taken)))
             yield from results
 
@@ -101,11 +104,19 @@ _inherited: dict[str, Callable[[Any], Any]] = {}
 """In a worker: what it does with a job, which need not be sent."""
 
 
-def _done(portion: list[tuple[int, Any]]) -> tuple[float, list[tuple[int, Any]]]:
-    """Time (s) and results of a portion, in a worker."""
+def _done(portion: bytes) -> bytes:
+    """Time (s) and results of a portion, in a worker; packed, as the portion is."""
     work, begin = _inherited["work"], time.perf_counter()
-    results = [(number, work(job)) for number, job in portion]
-    return max(time.perf_counter() - begin, 1e-6), results
+    results = [(number, work(job)) for number, job in pickle.loads(portion)]
+    return _packed((max(time.perf_counter() - begin, 1e-6), results))
+
+
+def _packed(thing: Any) -> bytes:
+    """As it is sent; functions without a name too, as joblib sends them."""
+    try:
+        return pickle.dumps(thing)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return pickle.dumps(wrap_non_picklable_objects(thing, keep_wrapper=False))
 
 
 def _begin(parent: int, work: Callable[[Any], Any]) -> None:

@@ -24,7 +24,7 @@ from planner.batch.rows import failed_row
 from planner.errors import TaskError
 from planner.system.environment import on_interrupt, safe_path
 
-__all__ = ["check_backend", "default_backend", "finished", "planned_rows"]
+__all__ = ["LOKY", "check_backend", "default_backend", "finished", "planned_rows"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

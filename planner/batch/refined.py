@@ -17,7 +17,7 @@ from functools import partial
 from typing import Any
 
 from planner.batch.jobs import end_with
-from planner.batch.pool import check_backend, finished
+from planner.batch.pool import check_backend, default_backend, finished
 from planner.batch.recipe import recipe_of, task_of
 from planner.errors import HandError, TaskError
 from planner.failure import Failure
@@ -43,7 +43,7 @@ def refine_grasps(
     clamp: bool = False,
     options: SynthesisOptions | None = None,
     workers: int = 1,
-    backend: str = "loky",
+    backend: str | None = None,
 ) -> Iterator[Result]:
     """Number and result of each pose, as they are finished; each is that of ``refine_grasp``.
 
@@ -57,7 +57,7 @@ def refine_grasps(
         clamp: As in ``refine_grasp``.
         options: As in ``refine_grasp``.
         workers: Processes; 1 for this one, in order of the poses; -1 for one per core.
-        backend: joblib's name of a backend.
+        backend: As in ``plan_grasps``.
 
     Raises:
         TaskError: Not as many tasks as poses, or no backend or number of workers; with several
@@ -66,6 +66,7 @@ def refine_grasps(
     tasks = [task] * len(poses) if isinstance(task, GraspTask) else list(task)
     if len(tasks) != len(poses):
         raise TaskError(f"there are {len(tasks)} tasks for {len(poses)} poses; give one for each")
+    backend = default_backend(workers) if backend is None else backend
     check_backend(backend, workers)
     if workers == 1:
         return _here(tasks, poses, clamp, options)

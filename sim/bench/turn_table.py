@@ -41,7 +41,8 @@ def manipulate_table(result: dict[str, Any]) -> Table:
     """Counts out of all trials, and medians, per hand and kind of object."""
     moves = "shift" in result
     table = table_of(
-        f"{_movement(result)}: counts out of all trials (closed: successes with closure); "
+        f"{_movement(result)}: counts out of all trials (closed: successes with closure; a "
+        "turn counts from the asked angle on, complete runs are off by 5 degrees at most); "
         "medians of successes: time until they had turned, how far the turn was off, "
         "largest tilt off the planned attitude, "
         "largest distance off the path; fewest fingers and largest force (N) of a finger in any; "

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress
 
 from sim.cli.common import (
     EXIT_INTERRUPTED,
@@ -29,6 +28,7 @@ from sim.cli.common import (
 )
 from sim.cli.options import with_options
 from sim.cli.reading import ReadingOptions, listed_plans, our_kind, refuse_beside_ours
+from sim.progress import ProgressBar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -198,8 +198,8 @@ def _audit_ours(
         called = None if kind == "plan" else [one.stem for one in files]
         sets = list(given_of_plans([read_plan(one) for one in files], file, called))
     reports = []
-    with Progress(console=err, transient=True, disable=quiet or not err.is_terminal) as progress:
-        bar = progress.add_task("judging", total=sum(len(given) for _, given in sets))
+    total = sum(len(given) for _, given in sets)
+    with ProgressBar(err, quiet=quiet) as bar:
         for task, given in sets:
             reports.append(
                 audit_grasps(
@@ -209,12 +209,12 @@ def _audit_ours(
                     approach=approach,
                     execute=_executed(simulate),
                     workers=workers if kind == "batch" else 1,
-                    progress=lambda _: progress.advance(bar),
+                    progress=lambda _: bar.show("judging", bar.done + 1, total),
                 )
             )
             if not reports[-1].complete:
                 break
-    return _joined(reports, sum(len(given) for _, given in sets))
+    return _joined(reports, total)
 
 
 def _audit_theirs(
@@ -239,15 +239,14 @@ def _audit_theirs(
     ]
     total = sum(len(given) for _, given in sets)
     reports = []
-    with Progress(console=err, transient=True, disable=not (bar and err.is_terminal)) as progress:
-        shown = progress.add_task("judging", total=total)
+    with ProgressBar(err, quiet=not bar) as shown:
         for task, given in sets:
             reports.append(
                 audit_grasps(
                     task,
                     given,
                     fingers_told=fingers_told,
-                    progress=lambda _: progress.advance(shown),
+                    progress=lambda _: shown.show("judging", shown.done + 1, total),
                     **options,
                 )
             )

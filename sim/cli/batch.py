@@ -92,7 +92,7 @@ def batch(
                 max_attempts=request.max_attempts or DEFAULT_MAX_ATTEMPTS,
                 max_cpu_s=request.max_cpu_s,
                 options=options,
-                progress=bar.show,
+                progress=bar.told,
             )
         except KeyboardInterrupt as error:
             say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))

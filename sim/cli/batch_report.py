@@ -4,81 +4,29 @@ from __future__ import annotations
 
 import math
 import statistics
-import time
-from typing import Any, Self
+from typing import Any
 
-from rich import box
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
 from planner.batch import BatchProgress, GraspSet
-from sim.tables import number
+from sim.progress import ProgressBar
+from sim.tables import number, table_of
 
 __all__ = ["BatchBar", "batch_summary", "batch_table"]
 
 
-DRAW_S = 0.1
-"""Shortest time (s) between two drawings of the bar."""
+class BatchBar(ProgressBar):
+    """The bar of a batch, with its rate and what was found; use it as a context."""
 
-
-class BatchBar:
-    """A progress bar with rate and estimated end; use it as a context."""
-
-    def __init__(self, console: Console) -> None:
-        """A bar on a console; nothing is drawn where that is no terminal.
-
-        Args:
-            console: Where.
-        """
-        self._progress = Progress(
-            TextColumn("planning"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=console,
-            disable=not console.is_terminal,
-            transient=True,
-            auto_refresh=False,  # by a thread, beside which no worker may be forked
-        )
-        self._bar = self._progress.add_task("", total=None, note="")
-        self._last: BatchProgress | None = None
-        self._drawn = -math.inf
-
-    def __enter__(self) -> Self:
-        """Start drawing."""
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop drawing."""
-        self._progress.stop()
-
-    def show(self, now: BatchProgress) -> None:
+    def told(self, now: BatchProgress) -> None:
         """Show how far a batch is."""
-        self._last = now
         planned = now.done - now.kept
         note = f"{now.rate:.1f}/s, found {now.found} of {planned}" if planned else ""
-        draws = time.monotonic() - self._drawn >= DRAW_S or now.done == now.total
-        if draws:
-            self._drawn = time.monotonic()
-        self._progress.update(
-            self._bar, total=now.total, completed=now.done, note=note, refresh=draws
-        )
+        self.show("planning", now.done, now.total, note)
 
     def kept(self) -> str:
         """How many grasps are kept, in words."""
-        return "nothing was planned" if self._last is None else f"{self._last.done} grasps are kept"
+        return f"{self.done} grasps are kept" if self.done else "nothing was planned"
 
 
 def batch_summary(grasps: GraspSet) -> dict[str, Any]:
@@ -122,15 +70,13 @@ COLUMNS = ("found", "tries", "CPU s", "epsilon", "distinct", "approach", "surfac
 
 def batch_table(summary: dict[str, Any]) -> Table:
     """The summary as a table."""
-    table = Table(
-        title=f"{summary['hand']}: tries and CPU per found grasp; distinct: without near-"
+    table = table_of(
+        f"{summary['hand']}: tries and CPU per found grasp; distinct: without near-"
         "duplicates; approach: share of directions, entropy; surface: share touched; "
         "posture: width over which joints are spread",
-        box=box.SIMPLE_HEAD,
+        ("object",),
+        COLUMNS,
     )
-    table.add_column("object", overflow="fold")
-    for name in COLUMNS:
-        table.add_column(name, justify="right", no_wrap=True)
     for item in summary["objects"]:
         spread = item["diversity"]
         width = spread["posture_width_rad"]

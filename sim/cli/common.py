@@ -151,14 +151,16 @@ PhysicsOption = Annotated[
 RealityOption = Annotated[
     str,
     typer.Option(
-        help="Errors: ideal, lab, rough.",
+        help="Errors: ideal, lab, rough, or a file.",
         metavar="NAME",
         rich_help_panel=TRIAL_PANEL,
     ),
 ]
 RealitySeedOption = Annotated[
-    int,
-    typer.Option(min=0, help="Of what --reality draws.", metavar="N", rich_help_panel=TRIAL_PANEL),
+    int | None,
+    typer.Option(
+        min=0, help="Of what --reality draws; 0.", metavar="N", rich_help_panel=TRIAL_PANEL
+    ),
 ]
 EstimateOption = Annotated[
     str | None,
@@ -169,7 +171,7 @@ EstimateOption = Annotated[
     ),
 ]
 PadsOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         help="Touch: exact, taxels, effort, binary.",
         metavar="SENSE",
@@ -257,15 +259,35 @@ def controller_of(name: str) -> Any:
     return name
 
 
-def reality_of(name: str, seed: int = 0, pads: str = "exact") -> Any:
+def reality_of(
+    text: str, seed: int | None = None, pads: str | None = None, *, draws: bool = False
+) -> Any:
     """Reality as ``--reality``, ``--reality-seed`` and ``--pads`` give it.
+
+    Args:
+        text: Name of a preset, or a file.
+        seed: Of what is drawn; that of the reality if None.
+        pads: Sense of touch; that of the reality if None.
+        draws: Whether something is drawn without ``--reality`` too.
 
     Raises:
         NotFoundError: There is none of that name, or no such sense of touch.
+        FileFormatError: A file that cannot be read.
+        TaskError: A field that there is not, a value out of range, or a seed of nothing.
     """
-    from sim.reality import named_reality
+    from planner.errors import TaskError
+    from sim.reality import reality_for
 
-    return replace(named_reality(name, seed), touch=pads)
+    found = reality_for(text)
+    found = found if pads is None else replace(found, touch=pads)
+    if seed is None:
+        return found
+    if found.ideal and not draws:
+        raise TaskError(
+            f"--reality-seed {seed} seeds errors, and the reality {found.name!r} has none; give "
+            "--reality lab, rough or a file, or leave the seed out"
+        )
+    return found.seeded(seed)
 
 
 def estimate_of(name: str | None) -> str | None:

@@ -78,14 +78,13 @@ def episodes(
     states are taken as they are. All are of one hand. Ctrl-C keeps the episodes that are whole; an
     error leaves nothing behind.
     """
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
     from sim.controllers import named_controller
     from sim.episodes import write_episodes
     from sim.episodes.film import check_films, size_of
     from sim.episodes.folder import refuse_full
     from sim.episodes.formats import format_named
     from sim.episodes.sources import Trials, sources_of
+    from sim.progress import ProgressBar
 
     format_named(to)  # bad input ends here
     if controller:
@@ -96,22 +95,13 @@ def episodes(
     refuse_full(folder)
     trials = Trials(controller=controller, physics=physics_of(physics, sim_mu), fps=fps)
     sources = sources_of(inputs, trials, most=most)
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        console=err,
-        transient=True,
-        disable=not err.is_terminal,
-    )
-    with heeding_ctrl_c() as check, bar as progress:
-        shown = progress.add_task("episodes", total=len(sources))
+    with heeding_ctrl_c() as check, ProgressBar(err, ticks=True) as bar:
 
         def reports() -> Iterator[tuple[str, AnyReport]]:
-            for source in sources:
+            for done, source in enumerate(sources):
+                bar.show("episodes", done, len(sources))
                 check()
                 yield source.name, source.report()
-                progress.advance(shown)
 
         def tell(episode: Episode, why: str) -> None:
             if why:

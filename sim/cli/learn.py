@@ -8,14 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
 from sim.cli.common import (
@@ -36,6 +28,8 @@ from sim.cli.common import (
     say,
     told_command,
 )
+from sim.progress import ProgressBar
+from sim.tables import table_of
 
 if TYPE_CHECKING:
     from sim.learning import Progress as Made
@@ -96,9 +90,9 @@ def learn(
         epochs=epochs,
         senses=tuple(names(senses)),
     )
-    with heeding_ctrl_c(), _Bar() as bar:
+    with heeding_ctrl_c(), _Bar(err, ticks=True) as bar:
         try:
-            learned = train(task, course, folder, command=told_command(context), progress=bar.show)
+            learned = train(task, course, folder, command=told_command(context), progress=bar.told)
         except KeyboardInterrupt as error:
             say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))
             raise typer.Exit(EXIT_INTERRUPTED) from error
@@ -117,50 +111,28 @@ def learn(
     )
 
 
-class _Bar:
-    """A progress bar of episodes; nothing is drawn where there is no terminal."""
+class _Bar(ProgressBar):
+    """The bar of all rounds; use it as a context."""
 
-    def __init__(self) -> None:
-        self._progress = Progress(
-            TextColumn("round {task.fields[round]}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=err,
-            disable=not err.is_terminal,
-            transient=True,
-        )
-        self._bar: Any = None
-        self._done = 0
-
-    def __enter__(self) -> _Bar:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def show(self, now: Made) -> None:
+    def told(self, now: Made) -> None:
         """Show how far it is."""
-        self._done = now.episode
-        if self._bar is None:
-            self._bar = self._progress.add_task("", total=now.of, round=0, note="")
-        note = f"with closure {now.strict} of {now.in_round}"
+        note = f"round {now.round}, with closure {now.strict} of {now.in_round}"
         if math.isfinite(now.fitted):
             note += f", error {now.fitted:.2g}"
-        self._progress.update(self._bar, completed=now.episode, round=now.round, note=note)
+        self.show("learning", now.episode, now.of, note)
 
     def kept(self) -> str:
         """What there is."""
-        return f"{self._done} episodes are kept"
+        return f"{self.done} episodes are kept"
 
 
 def _table(told: dict[str, Any]) -> Table:
     """A row for each round."""
-    table = Table("round", "teacher drives", "episodes", "turned, not dropped", "with closure")
+    table = table_of(
+        "episodes by round",
+        ("round", "teacher drives"),
+        ("episodes", "turned, not dropped", "with closure"),
+    )
     for row in told["rounds"]:
         n = row["episodes"]
         table.add_row(

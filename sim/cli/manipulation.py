@@ -183,9 +183,9 @@ class ExecutionOptions:
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
     reality: RealityOption = "ideal"
-    reality_seed: RealitySeedOption = 0
+    reality_seed: RealitySeedOption = None
     estimate: EstimateOption = None
-    pads: PadsOption = "exact"
+    pads: PadsOption = None
     max_force: Annotated[
         float | None,
         typer.Option(

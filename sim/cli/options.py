@@ -324,9 +324,9 @@ class TrialOptions:
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
     reality: RealityOption = "ideal"
-    reality_seed: RealitySeedOption = 0
+    reality_seed: RealitySeedOption = None
     estimate: EstimateOption = None
-    pads: PadsOption = "exact"
+    pads: PadsOption = None
     controller: ControllerOption = "feedforward"
     view: ViewOption = False
     video: VideoOption = None

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress
 
 from sim.cli.common import (
     EXIT_INTERRUPTED,
@@ -31,6 +30,7 @@ from sim.cli.common import (
 from sim.cli.options import with_options
 from sim.cli.reading import ReadingOptions, listed_plans, our_kind, refuse_beside_ours
 from sim.cli.task_options import TaskOptions
+from sim.progress import ProgressBar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -148,9 +148,9 @@ def refine(
     complete = False
     with (
         heeding_ctrl_c() as check,
-        Progress(console=err, transient=True, disable=as_json or not err.is_terminal) as progress,
+        ProgressBar(err, quiet=as_json) as bar,
     ):
-        bar = progress.add_task("refining", total=len(given))
+        bar.show("refining", 0, len(given))
         results = refine_grasps(
             [one.task for one in given],
             [(one.T_world_base, one.q) for one in given],
@@ -163,7 +163,7 @@ def refine(
                 if result.plan is not None:
                     write_plan(result.plan, path)
                 rows[index] = _row(given[index].name, result, path)
-                progress.advance(bar)
+                bar.show("refining", len(rows), len(given))
                 check()
             complete = True
         except KeyboardInterrupt:

@@ -168,7 +168,7 @@ def states(
     with StatesBar(err) as bar:
         try:
             summary = make_states(
-                asked, folder, workers=workers, formats=formats or ("all",), progress=bar.show
+                asked, folder, workers=workers, formats=formats or ("all",), progress=bar.told
             )
         except KeyboardInterrupt as error:
             say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
-from rich import box
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
+
+from sim.progress import ProgressBar
+from sim.tables import table_of
 
 if TYPE_CHECKING:
     from sim.reset_states import StatesProgress
@@ -22,52 +16,23 @@ if TYPE_CHECKING:
 __all__ = ["StatesBar", "states_table"]
 
 
-class StatesBar:
-    """A progress bar with rate and time left; use it as a context."""
+class StatesBar(ProgressBar):
+    """The bar of each phase, with rate and share kept; use it as a context."""
 
     def __init__(self, console: Console) -> None:
-        """A bar on a console; nothing is drawn where that is no terminal."""
-        self._progress = Progress(
-            TextColumn("{task.fields[phase]} {task.fields[cell]}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
-            console=console,
-            disable=not console.is_terminal,
-            transient=True,
-        )
-        self._bar: Any = None
-        self._at: tuple[str, str] | None = None
+        """A bar on a console."""
+        super().__init__(console)
         self._states: dict[str, int] = {}
 
-    def __enter__(self) -> Self:
-        """Start drawing."""
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop drawing."""
-        self._progress.stop()
-
-    def show(self, now: StatesProgress) -> None:
-        """Show how far a run is; every phase has its own bar."""
+    def told(self, now: StatesProgress) -> None:
+        """Show how far a run is."""
         note = ""
         if now.phase == "holding":
             self._states[now.cell] = now.done
             fresh = now.done - now.before
             rate = fresh / now.elapsed_s if now.elapsed_s > 0 else 0.0
             note = f"{rate:.1f}/s, kept {100 * now.done / max(1, now.tried):.0f} %"
-        if self._at != (now.cell, now.phase):
-            if self._bar is not None:
-                self._progress.remove_task(self._bar)
-            self._at = now.cell, now.phase
-            self._bar = self._progress.add_task(
-                "", total=now.total, cell=now.cell, phase=now.phase, note=note
-            )
-        self._progress.update(self._bar, completed=now.done, note=note)
+        self.show(f"{now.phase} {now.cell}", now.done, now.total, note)
 
     def kept(self) -> str:
         """How much is kept, in words."""
@@ -78,16 +43,16 @@ class StatesBar:
 
 def states_table(summary: dict[str, Any]) -> Table:
     """A row per object and size, of the content of ``summary.json``."""
-    table = Table(box=box.SIMPLE, title=f"{summary['hand']}: stable states")
-    for name in ("object", "states", "kept", "commonest loss", "CPU ms/state"):
-        table.add_column(name, justify="left" if name in ("object", "commonest loss") else "right")
-    for name in ("orientations", "gravity"):
-        table.add_column(f"{name} covered", justify="right")
+    table = table_of(
+        f"{summary['hand']}: stable states",
+        ("object", "commonest loss"),
+        ("states", "kept", "CPU ms/state", "orientations covered", "gravity covered"),
+    )
     for cell in summary["cells"]:
-        row = [cell["name"], f"{cell['states']}/{cell['asked']}"]
+        states = f"{cell['states']}/{cell['asked']}"
         if not cell["tried"]:
             reasons = cell["plans"]["reasons"]
-            table.add_row(*row, "", next(iter(reasons), ""), "", "", "")
+            table.add_row(cell["name"], next(iter(reasons), ""), states, "", "", "", "")
             continue
         lost = next(iter(cell["lost"].items()), ("", 0))
         covered = cell.get("coverage", {})
@@ -96,9 +61,10 @@ def states_table(summary: dict[str, Any]) -> Table:
             for key in ("orientations_of_object_in_palm", "directions_of_gravity_in_palm")
         ]
         table.add_row(
-            *row,
-            f"{100 * cell['rate_kept']:.1f} %",
+            cell["name"],
             f"{lost[1]} {lost[0].split(':')[0]}" if lost[1] else "",
+            states,
+            f"{100 * cell['rate_kept']:.1f} %",
             f"{1e3 * cell['hold_cpu_s_per_state']:.1f}",
             *shares,
         )

@@ -11,6 +11,8 @@ A wrench is infeasible while no contact forces within friction, normal forces an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -183,14 +185,20 @@ class InfeasibilityMonitor:
         gave_up: Why it gave up, "" while it has not; "" again when it is over.
     """
 
-    def __init__(self, needed: int) -> None:
-        """For a grasp that this many fingers can hold."""
+    def __init__(self, needed: int, fingers: Sequence[str], what: str) -> None:
+        """Watch a grasp.
+
+        Args:
+            needed: Fingers that can hold it.
+            fingers: Names of those that take part, n.
+            what: Name of the object.
+        """
         self.missed, self.given, self.gave_up = 0.0, 1.0, ""
-        self._needed = needed
+        self._needed, self._fingers, self._what = needed, tuple(fingers), what
         self._missed_for = self._few_for = 0.0
 
     def update(
-        self, elapsed: float, *, short: float, asked: float, holding: int
+        self, elapsed: float, *, short: float, asked: float, holding: NDArray[np.bool_]
     ) -> list[tuple[EventKind, str]]:
         """Take over a step; returns the events to note.
 
@@ -198,7 +206,7 @@ class InfeasibilityMonitor:
             elapsed: Since the last step, s.
             short: Size of the unbalanced wrench, N.
             asked: Size of the wrench, N.
-            holding: Fingers that hold.
+            holding: Which fingers (n,) hold.
         """
         self.missed = short / max(1.0, asked)
         wanting = self.missed > MISSED_TOL
@@ -206,21 +214,27 @@ class InfeasibilityMonitor:
         self.given = min(1.0, max(LEAST_GIVEN, self.given + elapsed * rate))
         before = self._missed_for
         self._missed_for = before + elapsed if wanting else 0.0
-        few = holding < self._needed
+        count = int(holding.sum())
+        few = count < self._needed
         self._few_for = self._few_for + elapsed if few else 0.0
         notes: list[tuple[EventKind, str]] = []
-        detail = f"{short:.2f} N of {asked:.2f} N cannot be exerted"
+
+        def detail() -> str:
+            names = [name for name, holds in zip(self._fingers, holding, strict=True) if holds]
+            who = ", ".join(names) or "no finger"
+            return f"{who} on {self._what}: {short:.2f} N of {asked:.2f} N cannot be exerted"
+
         if before < INFEASIBLE_TIME <= self._missed_for:
-            notes.append(("infeasible", f"{detail}; the nearest forces are given"))
+            notes.append(("infeasible", f"{detail()}; the nearest forces are given"))
         if before >= INFEASIBLE_TIME and self._missed_for == 0.0:
             notes.append(("feasible again", f"after {before:.3f} s"))
         if self.gave_up and (wanting or few):
             return notes
         self.gave_up = ""
         if self._few_for > PATIENCE:
-            self.gave_up = f"only {holding} fingers hold, for {PATIENCE} s"
+            self.gave_up = f"only {count} fingers hold, for {PATIENCE} s"
         elif self._missed_for > PATIENCE:
-            self.gave_up = f"{detail}, for {PATIENCE} s"
+            self.gave_up = f"{detail()}, for {PATIENCE} s"
         if self.gave_up:
             notes.append(("gave up", self.gave_up))
         return notes

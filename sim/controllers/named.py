@@ -39,6 +39,12 @@ nothing that steers the object; impedance: a closed loop that keeps the object's
 
 DEFAULT_CONTROLLER = "feedforward"
 
+OF_A_POLICY = (
+    "A learned policy is --controller policy:FILE on the command line, and "
+    "sim.learning.policy_controller(FILE) in Python."
+)
+"""What else there is to drive a hand, for messages; the room that has it is above this one."""
+
 
 def named_controller(name: str) -> MakeController:
     """What makes a fresh controller for a plan.
@@ -47,7 +53,7 @@ def named_controller(name: str) -> MakeController:
         NotFoundError: No controller has that name.
     """
     if name not in CONTROLLERS:
-        raise NotFoundError("controller", name, CONTROLLERS)
+        raise NotFoundError("controller", name, CONTROLLERS, OF_A_POLICY)
     return CONTROLLERS[name]
 
 

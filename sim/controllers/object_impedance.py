@@ -161,7 +161,9 @@ class ObjectImpedance:
         self._frames = np.array(self._contacts.frames)
         self._loop = self._make_loop()
         self._time = 0.0
-        self._infeasibility = InfeasibilityMonitor(task.fingers_needed)
+        self._infeasibility = InfeasibilityMonitor(
+            task.fingers_needed, task.finger_names, task.object.name
+        )
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -362,9 +364,8 @@ class ObjectImpedance:
         """Note when a wrench is infeasible, and give up when that lasts."""
         weight = self._loop.problem.row_scale[:6]
         short, asked = (math.sqrt(w @ w) for w in (weight * missed, weight * wrench))
-        holding = int(self.schedule.holding.sum())
         for kind, detail in self._infeasibility.update(
-            elapsed, short=short, asked=asked, holding=holding
+            elapsed, short=short, asked=asked, holding=self.schedule.holding
         ):
             self._note(kind, None, detail)
 

@@ -34,6 +34,8 @@ class _Told(Protocol):
 class EstimateLog:
     """Errors of the estimated pose over time, true minus estimated, world axes.
 
+    An empty log has arrays without rows; what sums it up, writes or draws it raises a TaskError.
+
     Attributes:
         every: Time between samples, s.
     """
@@ -86,17 +88,22 @@ class EstimateLog:
 
     @property
     def within_two_sigma(self) -> float:
-        """Share of all errors within two believed standard deviations; NaN of none."""
-        if not self._rows:
-            return float("nan")
+        """Share of all errors within two believed standard deviations.
+
+        Raises:
+            TaskError: Nothing was noted.
+        """
+        self._check_noted()
         return float((np.abs(self.error) < 2.0 * self.deviation).mean())
 
     def write_csv(self, path: Path | str) -> None:
         """Write a line per sample: time, phase, errors, deviations, whether the pose was known.
 
         Raises:
+            TaskError: Nothing was noted.
             FileFormatError: The file cannot be written.
         """
+        self._check_noted()
         kinds = [(f"{axis}_mm", 1e3) for axis in AXES]
         kinds += [(f"about_{axis}_deg", float(np.rad2deg(1.0))) for axis in AXES]
         names = [name for name, _ in kinds]
@@ -119,8 +126,7 @@ class EstimateLog:
         Raises:
             TaskError: Nothing was noted, or Matplotlib is not installed.
         """
-        if not self._rows:
-            raise TaskError("nothing was noted; give a trial with an estimator on_step=log")
+        self._check_noted()
         try:
             from matplotlib.figure import Figure
         except ImportError as problem:
@@ -145,6 +151,10 @@ class EstimateLog:
             axes.set_xlabel("time [s]")
         grid[2, 0].legend(fontsize=8)
         figure.savefig(path, dpi=110)
+
+    def _check_noted(self) -> None:
+        if not self._rows:
+            raise TaskError("nothing was noted; give a trial with an estimator on_step=log")
 
     def _phases(self) -> list[tuple[float, str]]:
         """When each phase begins, s."""

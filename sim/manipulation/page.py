@@ -34,6 +34,7 @@ from sim.pages.words import (
     physics_blocks,
     plan_blocks,
     quality_rows,
+    reality_blocks,
     shown,
     source_blocks,
     task_rows,
@@ -267,7 +268,7 @@ def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
     if report.made_backwards_because:
         text = f"Made backwards before it was put down: {report.made_backwards_because}."
         blocks.append(Sentence(text=text))
-    blocks += [PlotsHere(), *pressure_blocks(report.reality)]
+    blocks += [*reality_blocks(report.reality), PlotsHere(), *pressure_blocks(report.reality)]
     for part in parts:
         blocks += _phases(part)
     numbers = dict(report.numbers)

@@ -31,6 +31,7 @@ from sim.manipulation.timeline import (
     SuccessCriteria,
 )
 from sim.recording import Recording
+from sim.screen import reality_lines
 from sim.verdict import Fault, first_collision, lost
 
 __all__ = ["ManipulationReport"]
@@ -156,7 +157,7 @@ class ManipulationReport:
 
     @property
     def success(self) -> bool:
-        """Turned as far and moved as asked for, not put down half-way, and not dropped."""
+        """Turned as far or further, moved as asked for, not put down half-way, and not dropped."""
         if self.earlier is not None:
             return False
         held = self.log.during("hold")
@@ -249,6 +250,7 @@ class ManipulationReport:
             lines += [f"normal forces, largest mean over 20 ms {limit}:"]
             lines += [f"  {force}" for force in self.forces]
         lines += [f"controller: {line}" for line in told_events(self.events)]
+        lines += reality_lines(self.reality)
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])
 

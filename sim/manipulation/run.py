@@ -38,7 +38,7 @@ from sim.manipulation.simulation import ManipulationSim, Push
 from sim.manipulation.standing import rests
 from sim.manipulation.timeline import TURNING, ManipulationTimeline, SuccessCriteria
 from sim.physics import PhysicsOptions
-from sim.reality import Reality
+from sim.reality import AnyReality
 
 __all__ = ["ManipulationRun", "manipulate"]
 
@@ -62,7 +62,7 @@ class ManipulationRun:
         timeline: ManipulationTimeline | None = None,
         criteria: SuccessCriteria | None = None,
         push: Push | None = None,
-        reality: Reality | None = None,
+        reality: AnyReality | None = None,
         estimator: AnyEstimator | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start; see ``manipulate``."""
@@ -247,7 +247,7 @@ def manipulate(
     timeline: ManipulationTimeline | None = None,
     criteria: SuccessCriteria | None = None,
     push: Push | None = None,
-    reality: Reality | None = None,
+    reality: AnyReality | None = None,
     estimator: AnyEstimator | None = None,
     pictures: Path | None = None,
     video: Path | None = None,

@@ -24,7 +24,7 @@ from sim.manipulation.timeline import (
     ManipulationTimeline,
 )
 from sim.physics import PhysicsOptions
-from sim.reality import Reality
+from sim.reality import AnyReality
 from sim.simulation import Simulation
 from sim.verdict import DropCriteria, lost
 
@@ -72,7 +72,7 @@ class ManipulationSim:
         true_task: GraspTask | None = None,
         physics: PhysicsOptions | None = None,
         push: Push | None = None,
-        reality: Reality | None = None,
+        reality: AnyReality | None = None,
         estimator: AnyEstimator | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start; see ``manipulate``."""

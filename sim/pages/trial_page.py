@@ -33,6 +33,7 @@ from sim.pages.words import (
     physics_blocks,
     plan_blocks,
     quality_rows,
+    reality_blocks,
     shown,
     source_blocks,
     task_rows,
@@ -199,7 +200,8 @@ def _summary(report: ReportFile, plan: PlanFile | None, stage: Moving | None) ->
     if report.remedies:
         blocks.append(Sentence(text="Each of these keeps the object from creeping:"))
         blocks += [Sentence(text=remedy) for remedy in report.remedies]
-    blocks += [PlotsHere(), *pressure_blocks(report.reality), *_comparison(report)]
+    blocks += [*reality_blocks(report.reality), PlotsHere()]
+    blocks += [*pressure_blocks(report.reality), *_comparison(report)]
     blocks += events_block(report.events)
     rows = [("hand", report.hand), ("object", report.object), ("mass", shown(report.mass_kg, "kg"))]
     blocks += [Heading(text="Task")]

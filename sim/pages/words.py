@@ -8,6 +8,7 @@ from typing import Any
 from planner.files.data import PlanFile, TaskData
 from planner.pages.blocks import Block, Command, Facts, Folded, Heading, Sentence, Table
 from sim.report_file import EventData
+from sim.screen import reality_lines
 
 __all__ = [
     "events_block",
@@ -17,6 +18,7 @@ __all__ = [
     "physics_blocks",
     "plan_blocks",
     "quality_rows",
+    "reality_blocks",
     "shown",
     "source_blocks",
     "task_rows",
@@ -128,6 +130,12 @@ def physics_blocks(
     first = (("physics", shown(physics["name"])), ("friction, mu", shown(physics["mu"])))
     every = Folded(title="All numbers of the physics", blocks=(facts_of(physics),))
     return (Heading(text="Simulation"), Facts(rows=(*first, *rows)), every)
+
+
+def reality_blocks(reality: Mapping[str, Any] | None) -> tuple[Block, ...]:
+    """Which errors the trial had, and what was drawn of them; nothing where there were none."""
+    lines = reality_lines(reality)
+    return tuple(Sentence(text=f"{line[:1].upper()}{line[1:]}.") for line in lines)
 
 
 def events_block(events: Sequence[EventData]) -> tuple[Block, ...]:

@@ -11,7 +11,7 @@ What the numbers do to a held object is derived in ``sim.creep``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -241,10 +241,6 @@ def register_physics(options: PhysicsOptions) -> PhysicsOptions:
     if options != PRESETS.setdefault(options.name, options):
         raise TaskError(f"there are physics named {options.name!r} already; give another name")
     return options
-
-
-FIELDS = tuple(field.name for field in fields(PhysicsOptions))
-"""Names that a file may set."""
 
 
 def _number(name: str, value: Any, least: float, most: float, unit: str = "") -> None:

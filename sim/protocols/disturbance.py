@@ -25,7 +25,7 @@ from sim.controllers import AnyController, Phase
 from sim.controllers.monitors import SLIP_SPEED
 from sim.estimation import AnyEstimator
 from sim.physics import PhysicsOptions
-from sim.reality import Reality
+from sim.reality import AnyReality
 from sim.recorder import Recorder
 from sim.recording import Recording
 from sim.samples import Samples
@@ -79,7 +79,7 @@ class DisturbanceTrial:
         timeline: Timeline = GRIP,
         scene: Scene | None = None,
         carrier: Carrier | None = None,
-        reality: Reality | None = None,
+        reality: AnyReality | None = None,
         estimator: AnyEstimator | None = None,
     ) -> None:
         """Put the hand, fingers open, where it grasps.

@@ -93,6 +93,7 @@ class PushesCase:
             reality=reality.seeded(reality.seed + self.index),
             estimator=conditions.estimator,
         )
+        drawn = hold.simulation.reality
         strongest = -GRAVITY[2] * settings.push_load * plan.task.object.mass
         rng = np.random.default_rng([self.seed, self.index])
         pushes = drawn_pushes(settings.pushes_s, strongest, rng)
@@ -124,6 +125,7 @@ class PushesCase:
                 "pushes": float(len(pushes)),
                 "pushes_survived": float(survived),
                 "strongest_N": strongest,
+                **({} if drawn is None else drawn.numbers),
             },
         )
 

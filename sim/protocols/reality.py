@@ -14,7 +14,7 @@ from planner.plan import GraspPlan
 from sim.protocols.cases import Conditions
 from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
-from sim.reality import Reality, lab
+from sim.reality import Drawn, Reality, drawn_numbers, lab
 from sim.tactile import EXACT
 from sim.timeline import Timeline
 from sim.trial import Trial
@@ -54,8 +54,7 @@ class RealityCase:
             estimator=conditions.estimator,
         )
         report = trial.run()
-        drawn = report.reality["drawn"] if report.reality is not None else {}
-        offsets = np.asarray(drawn["encoder_offset"])
+        drawn = Drawn.of(reality, plan.task.hand)
         return Outcome(
             index=self.index,
             name=self.name,
@@ -66,13 +65,7 @@ class RealityCase:
             recording=report.recording,
             load=np.zeros(len(report.samples)),
             events=report.events,
-            conditions={
-                "reality_seed": reality.seed,
-                "mass_factor": drawn["mass"],
-                "friction_factor": drawn["friction"],
-                "size_factor": drawn["size"],
-                "largest_encoder_offset_deg": float(np.rad2deg(np.abs(offsets).max())),
-            },
+            conditions={"reality_seed": reality.seed, **drawn_numbers(drawn, plan.task.hand)},
         )
 
 

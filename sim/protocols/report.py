@@ -19,7 +19,8 @@ from planner.errors import FileFormatError
 from planner.plain import finite
 from planner.version import written_by
 from sim.protocols.outcome import Outcome
-from sim.screen import OnScreen, number, percent, table
+from sim.reality import draws_in_words
+from sim.screen import OnScreen, number, percent, reality_lines, table
 
 __all__ = ["ProtocolReport", "protocol_table", "write_csv"]
 
@@ -181,11 +182,13 @@ class ProtocolReport(OnScreen):
                 f"{p['cone']} cones, impratio {p['impratio']:g}, noslip {p['noslip_iterations']}, "
                 f"friction {p['friction']:g} and {p['torsional_friction_m']:g} m)"
             )
+        yield from (Text(line) for line in self._reality_lines())
         if s["of"]:
             yield Text(f"held in {s['held']} of {s['of']}")
         for o in self.failed[:MOST_FAILED]:
             why = "" if o.fault is None else f": {o.reason}, {o.fault.detail}"
-            yield Text(f"not held: {o.name}{why}")
+            drawn = draws_in_words([o.conditions])
+            yield Text(f"not held: {o.name}{why}{drawn and f' (drawn: {drawn})'}")
         if len(self.failed) > MOST_FAILED:
             yield Text(f"and {len(self.failed) - MOST_FAILED} more")
         for reason, count in s["reasons"].items():
@@ -200,6 +203,15 @@ class ProtocolReport(OnScreen):
             yield Text.from_markup(
                 f"[bold red]contradiction:[/] {escape(name)}: more than is proven {NEARBY}"
             )
+
+    def _reality_lines(self) -> list[str]:
+        """Which errors there were, and what was drawn of them in all trials; none of exact ones."""
+        estimator = self.settings.get("estimator", "none")
+        if "reality" not in self.settings:
+            return [] if estimator == "none" else [f"estimator: {estimator}"]
+        told = {**self.settings["reality"], "estimator": estimator}
+        drawn = draws_in_words(o.conditions for o in self.outcomes)
+        return reality_lines(told | ({"drawn_in_words": drawn} if drawn else {}))
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data; what is not a finite number becomes None."""

@@ -38,7 +38,7 @@ from sim.protocols.report import ProtocolReport
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
 from sim.protocols.shake import on_an_arm, shake_cases
-from sim.reality import Reality
+from sim.reality import AnyReality, Drawn, as_reality, drawn_numbers, draws_in_words
 from sim.runner import Runner, made_with
 from sim.scene import build_scene
 from sim.second_engine import drake_missing
@@ -67,6 +67,9 @@ controller more than the grasp; these are run by their names."""
 
 REPLAYED = ("dexgraspbench", "drake")
 """Protocols with commands and numbers of their own, whatever controller and settings are."""
+
+DRAWN_ANEW = ("reality", "pushes")
+"""Protocols whose trials each draw errors anew; those of the others all have the same."""
 
 _UNSUITABLE: Mapping[str, Callable[[GraspTask], str]] = {
     "dexgraspbench": lambda task: unsuitable_for_dexgraspbench(task.hand),
@@ -134,7 +137,7 @@ def run_protocol(
     controller: AnyController | None = None,
     physics: PhysicsOptions | None = None,
     settings: Settings | None = None,
-    reality: Reality | None = None,
+    reality: AnyReality | None = None,
     estimator: AnyEstimator | None = None,
     seed: int = 0,
     workers: int = 1,
@@ -156,9 +159,9 @@ def run_protocol(
         physics: How MuJoCo computes; defaults if None. ``dexgraspbench`` has its own, and ``drake``
             takes the friction alone.
         settings: Numbers of the protocols; defaults if None.
-        reality: Errors of sensors, drives and object; none if None, or those of a laboratory in the
-            protocol ``reality``, which draws them anew for every trial. ``dexgraspbench`` and
-            ``drake`` have none.
+        reality: Errors of sensors, drives and object, or their name; none if None, or those of a
+            laboratory in the protocol ``reality``, which draws them anew for every trial.
+            ``dexgraspbench`` and ``drake`` have none.
         estimator: What tells the controller where the object is: a name, or what makes one; see
             ``sim.simulation.Simulation``.
         seed: Of random directions and pose errors.
@@ -195,7 +198,7 @@ def run_protocol(
         raise TaskError(reason)
     label = "replay" if protocol in REPLAYED else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
-    reality = reality or Reality()
+    reality = as_reality(reality)
     if protocol == "reality":
         reality = with_errors(reality)  # the report then names what was drawn from
     conditions = Conditions(physics=physics, controller=make, reality=reality, estimator=estimator)
@@ -221,6 +224,9 @@ def run_protocol(
     own = {} if protocol in REPLAYED else asdict(settings)
     if not (protocol in REPLAYED or reality.ideal):
         own["reality"] = reality.to_dict()
+        if protocol not in DRAWN_ANEW:
+            drawn = drawn_numbers(Drawn.of(reality, plan.task.hand), plan.task.hand)
+            own["reality"]["drawn_in_words"] = draws_in_words([drawn])
     if protocol not in REPLAYED and (used := estimator_name(estimator, reality)) != NONE:
         own["estimator"] = used
     stated = drake_physics(physics.mu) if protocol == "drake" else physics_of(plan, physics)

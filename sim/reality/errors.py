@@ -15,7 +15,7 @@ from typing import Any
 from planner.errors import NotFoundError, TaskError
 from sim.tactile import EXACT, check_touch
 
-__all__ = ["IDEAL", "REALITIES", "Reality", "named_reality", "register_reality"]
+__all__ = ["IDEAL", "REALITIES", "Reality", "register_reality"]
 
 IDEAL = "ideal"
 """Name of the reality without errors."""
@@ -151,8 +151,16 @@ class Reality:
 
         Raises:
             NotFoundError: No error has that name.
+            TaskError: No name was given, or that of a field that is always kept.
         """
+        if not names:
+            raise TaskError("alone() was given no name; give those of the errors that stay")
         for name in names:
+            if name in (*NO_ERROR, "drift_time"):
+                raise TaskError(
+                    f"{name} is always kept; give names of errors, as {EXAMPLE}, or change "
+                    "it with dataclasses.replace"
+                )
             if name not in self.numbers:
                 raise NotFoundError("error of a reality", name, tuple(self.numbers))
         kept = {name: self.numbers[name] for name in (*names, "drift_time")}
@@ -192,6 +200,9 @@ POSE_ERRORS = (
 NO_ERROR = ("name", "touch", "seed")
 """Fields that are no error."""
 
+EXAMPLE = "encoder_offset"
+"""An error, for a message."""
+
 SENSED = (
     "encoder_offset",
     "encoder_scale",
@@ -227,20 +238,11 @@ def register_reality(reality: Reality) -> Reality:
     """Make a reality known by its name, and return it.
 
     Raises:
-        TaskError: Another one has that name.
+        TaskError: Another one has that name, or what was given is no reality.
     """
+    given: object = reality
+    if not isinstance(given, Reality):
+        raise TaskError(f"{given!r} is no reality; give a Reality with a name of its own")
     if reality != _REALITIES.setdefault(reality.name, reality):
         raise TaskError(f"there is a reality {reality.name!r} already; give another name")
     return reality
-
-
-def named_reality(name: str, seed: int = 0) -> Reality:
-    """A registered reality with a seed.
-
-    Raises:
-        NotFoundError: There is none of that name.
-        TaskError: The seed is no integer >= 0.
-    """
-    if name not in REALITIES:
-        raise NotFoundError("reality", name, REALITIES)
-    return REALITIES[name].seeded(seed)

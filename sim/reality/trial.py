@@ -19,6 +19,7 @@ from sim.reality.drawn import Drawn
 from sim.reality.drive import RealDrive
 from sim.reality.errors import Reality
 from sim.reality.senses import RealSenses
+from sim.reality.words import drawn_numbers, draws_in_words
 from sim.reality.world import change_world, lifted_by
 from sim.scene import Scene
 from sim.tactile import TaxelSense, TouchContext, TouchSense, make_sense
@@ -98,9 +99,21 @@ class RealityOfTrial:
         """What the actuators do at a time (s) for commands (nu,), at true joints q (nq,)."""
         return self._drive.drive(time, commands, q)
 
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What was drawn as few numbers; see ``words.drawn_numbers``."""
+        return drawn_numbers(self.drawn, self.task.hand)
+
     def to_dict(self) -> dict[str, Any]:
-        """The reality's fields, what was drawn, and what taxels felt ("felt"), as plain data."""
-        data = {**self.reality.to_dict(), "drawn": self.drawn.to_dict()}
+        """The reality's fields, what was drawn, and what taxels felt ("felt"), as plain data.
+
+        "drawn_in_words" is a line for people, "" if nothing was drawn that lasts.
+        """
+        data = {
+            **self.reality.to_dict(),
+            "drawn": self.drawn.to_dict(),
+            "drawn_in_words": draws_in_words([self.numbers]),
+        }
         if isinstance(self._touch, TaxelSense):
             data["felt"] = self._touch.felt()
         return data

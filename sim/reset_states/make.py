@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.batch.pool import check_backend, finished
+from planner.batch.pool import check_backend, default_backend, finished
 from planner.errors import FileFormatError, TaskError
 from planner.files import write_json
 from planner.hands.hand import Hand
@@ -107,7 +107,7 @@ def make_states(
     for name in formats:
         if name != ALL:
             state_format(name)
-    check_backend("loky", workers)
+    check_backend(default_backend(workers), workers)
     hand, cells = cells_of(asked)
     root = Path(folder)
     open_folder(root, asked, hand.digest)
@@ -228,7 +228,11 @@ def _planned(
     report()
     if missing:
         results = finished(
-            planned_sources, missing, workers=workers, backend="loky", given_up=_no_plan
+            planned_sources,
+            missing,
+            workers=workers,
+            backend=default_backend(workers),
+            given_up=_no_plan,
         )
         for plan in append_line(folder, results):
             made[plan["key"]] = plan
@@ -280,7 +284,9 @@ def _shards(folder: Path, kept: _Kept, n: int, workers: int) -> Iterator[tuple[b
             else:
                 waiting[k] = there
 
-    results = finished(held_shard, jobs(), workers=workers, backend="loky", given_up=_dead_shard)
+    results = finished(
+        held_shard, jobs(), workers=workers, backend=default_backend(workers), given_up=_dead_shard
+    )
     for k, shard in results:
         waiting[k] = shard
         while number in waiting and not kept.enough:

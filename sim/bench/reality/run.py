@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -143,10 +144,14 @@ def run_reality(
     Raises:
         FileFormatError: The file is not one of these, or cannot be written.
         NotFoundError: A hand, a task or a loop that does not exist.
-        TaskError: A loop that cannot run here, or nothing that is asked for can be done.
+        TaskError: A loop that cannot run here, two realities of one name, or nothing that is asked
+            for can be done.
     """
     for hand in hands:
         loaded_hand(hand)
+    for name, count in Counter(reality.name for reality in set(realities)).items():
+        if count > 1:
+            raise TaskError(f"{count} realities are called {name!r}; give each a name of its own")
     columns = [named_loop(name) for name in loops]
     trials = compared_trials(hands, tasks, realities, columns, n, seed)
     if not trials:

@@ -183,7 +183,7 @@ register_task(
 register_task(
     ComparedTask(
         name="turn",
-        about="cylinders and blocks turned by 90 degrees; strict successes",
+        about="cylinders and blocks turned by 90 degrees or more; successes with closure",
         objects=TURNED,
         plan=_plan_turn,
         execute=_execute_turn,

@@ -29,7 +29,7 @@ def reality(
         str, typer.Option(help="Comma separated: hold, turn, pushes (a minute each).")
     ] = "hold,turn",
     realities: Annotated[
-        str, typer.Option(help="Comma separated: ideal, lab, rough.")
+        str, typer.Option(help="Comma separated: ideal, lab, rough, or TOML or JSON files.")
     ] = "ideal,lab,rough",
     loops: Annotated[
         str | None,
