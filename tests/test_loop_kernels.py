@@ -27,6 +27,7 @@ from planner.hands.hand import Hand
 from planner.spatial import contact_frames
 from sim.contacts.pad_sums import pad_means
 from sim.controllers.holding_loops import tips_moved, torques_for
+from sim.controllers.monitors import follow_sliding
 
 N, NV = 4, 16
 
@@ -181,14 +182,33 @@ def test_fingertips_that_move_like_a_body(rng: np.random.Generator, count: int) 
     agree(tips_moved, *given, tol=1e-9 if count == N else 1e-6)
 
 
-def test_torques_of_forces_and_posture(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("holding", [(1, 1, 1, 1), (1, 0, 1, 0)])
+def test_torques_of_forces_and_posture(rng: np.random.Generator, holding: tuple[int, ...]) -> None:
     own = np.repeat(np.eye(N, dtype=bool), NV // N, axis=1)
     jacobians = rng.normal(size=(N, 3, NV)) * own[:, None]
-    given = rng.normal(size=(N, 3)), jacobians, own, rng.normal(size=NV), 0.3, rng.normal(size=NV)
-    torque, _ = agree(torques_for, *given, tol=1e-9)
-    spring = torque - given[0].ravel() @ jacobians.reshape(-1, NV) - given[5]
-    pressing = np.linalg.lstsq(jacobians.reshape(-1, NV).T, spring, rcond=None)[0]
+    holds, searching = np.array(holding, dtype=bool), np.array([False, False, False, True])
+    forces, normals, spring, apart, velocity = rng.normal(size=(5, N, 3))
+    bent, rates, stiffness, damping, torque = rng.normal(size=(5, NV))
+    at_tips = (forces, normals, holds, searching, spring, apart, velocity)
+    of_joints = (bent, rates, stiffness, damping, torque)
+    given, _ = agree(torques_for, *at_tips, jacobians, own, *of_joints, tol=1e-9)
+    pushes = np.where(holds[:, None], forces + spring, 0.0)
+    if not holds[1]:  # the second finger leaves, the fourth searches
+        pushes[1] = 100.0 * (apart[1] - 0.01 * normals[1]) - 15.0 * velocity[1]
+        pushes[3] = 0.5 * normals[3] - 15.0 * velocity[3]
+    posture = given - pushes.ravel() @ jacobians.reshape(-1, NV) - torque
+    posture += damping * rates - stiffness * bent
+    pressing = np.linalg.lstsq(jacobians.reshape(-1, NV).T, posture, rcond=None)[0]
     assert np.abs(pressing).max() < 1e-6
+
+
+def test_slips_are_followed_alike(rng: np.random.Generator) -> None:
+    pads = rng.uniform(0.0, 0.1, size=N), rng.normal(0.0, 0.01, size=(N, 3))
+    state = 0.01 * rng.normal(size=(N, 3)), 0.01 * rng.uniform(size=N), np.zeros((2, N))
+    since, slipping = rng.uniform(0.0, 0.02, size=(2, N)), rng.uniform(size=(2, N)) < 0.5
+    for spin in (rng.normal(size=N), np.ones(1)):
+        begins, _ = agree(follow_sliding, 0.002, *pads, spin, *state, since, slipping)
+        assert begins.any() and not begins.all()
 
 
 @pytest.mark.parametrize("pyramids", [False, True])

@@ -14,6 +14,16 @@ from planner.spatial import FloatArray, skew
 
 __all__ = ["FLAT", "RANK_TOL", "grasp_matrix", "tips_moved", "torques_for"]
 
+POSTURE_STIFFNESS = 0.3
+"""Spring (N m/rad) on what a redundant finger can do by itself, a tenth of a servo's."""
+
+SEARCH_FORCE, SEARCH_DAMPING = 0.5, 15.0
+"""A finger that lost the object presses on along its last normal with this force (N), against this
+damper (N s/m): it moves at some 3 cm/s."""
+
+RETREAT, RETREAT_STIFFNESS = 0.01, 100.0
+"""Distance (m) that a leaving finger keeps from where it held, and the spring (N/m) for that."""
+
 RANK_TOL = 1e-6
 """Added to G G^T (-, m^2) where too few fingers hold to fix every motion."""
 
@@ -163,55 +173,95 @@ def tips_moved(
 
 def _torques_for_plain(
     forces: FloatArray,
+    normals: FloatArray,
+    holding: NDArray[np.bool_],
+    searching: NDArray[np.bool_],
+    spring: FloatArray,
+    apart: FloatArray,
+    velocity: FloatArray,
     jacobians: FloatArray,
     own: NDArray[np.bool_],
     bent: FloatArray,
-    posture_stiffness: float,
+    rates: FloatArray,
+    stiffness: FloatArray,
+    damping: FloatArray,
     torque: FloatArray,
 ) -> FloatArray:
     """``torques_for`` in NumPy."""
-    out = forces.ravel() @ jacobians.reshape(-1, len(bent)) + torque
-    spring = np.where(own, posture_stiffness * bent, 0.0)  # (n, nq)
+    seek = SEARCH_FORCE * normals
+    away = RETREAT_STIFFNESS * (apart - RETREAT * normals)
+    alone = np.where(searching[:, None], seek, away) - SEARCH_DAMPING * velocity
+    total = np.where(holding[:, None], forces + spring, alone)
+    out = total.ravel() @ jacobians.reshape(-1, len(bent)) + torque
+    posture = np.where(own, POSTURE_STIFFNESS * bent, 0.0)  # (n, nq)
     jac = np.where(own[:, None], jacobians, 0.0)
     gram = jac @ jac.transpose(0, 2, 1) + _FLAT
-    force = np.linalg.solve(gram, jac @ spring[..., None])
-    idle = (spring - (jac.transpose(0, 2, 1) @ force)[..., 0]).sum(axis=0)
-    return np.asarray(out + idle)
+    force = np.linalg.solve(gram, jac @ posture[..., None])
+    idle = (posture - (jac.transpose(0, 2, 1) @ force)[..., 0]).sum(axis=0)
+    return np.asarray(out + idle + stiffness * bent - damping * rates)
 
 
 @kernel(_torques_for_plain)
 def torques_for(
     forces: FloatArray,
+    normals: FloatArray,
+    holding: NDArray[np.bool_],
+    searching: NDArray[np.bool_],
+    spring: FloatArray,
+    apart: FloatArray,
+    velocity: FloatArray,
     jacobians: FloatArray,
     own: NDArray[np.bool_],
     bent: FloatArray,
-    posture_stiffness: float,
+    rates: FloatArray,
+    stiffness: FloatArray,
+    damping: FloatArray,
     torque: FloatArray,
 ) -> FloatArray:
-    """Joint torques (nq,), N m, of forces at the contacts and a spring on the posture.
+    """Joint torques (nq,), N m: of contact forces, of fingers that hold nothing, of the posture.
 
-    The spring presses nowhere: its torque t becomes t - J^T f, f by least squares, so that it moves
-    what a redundant finger can move without its tip.
+    The spring on the posture presses nowhere: its torque t becomes t - J^T f, f by least squares,
+    so that it moves what a redundant finger can move without its tip.
 
     Args:
-        forces: (n, 3), N.
+        forces: (n, 3), of the fingers that hold, N.
+        normals: (n, 3), into the object.
+        holding: (n,), which fingers hold.
+        searching: (n,), which look for the object; the rest stay off it.
+        spring: (n, 3), forces of the fingers that hold against each other, N.
+        apart: (n, 3), from the fingertips to where they were latched, m.
+        velocity: (n, 3), of the contacts, m/s.
         jacobians: (n, 3, nq).
         own: (n, nq), joints of each finger.
         bent: (nq,), from where the joints are to their posture, rad.
-        posture_stiffness: N m/rad.
+        rates: (nq,), of the joints beyond those of the posture, rad/s.
+        stiffness: (nq,), springs on the joints that take no part, N m/rad.
+        damping: (nq,), N m s/rad.
         torque: (nq,), added, N m.
     """
     n, nq = own.shape
     out = torque.copy()
+    for j in range(nq):
+        out[j] += stiffness[j] * bent[j] - damping[j] * rates[j]
+    push = np.empty(3)
     for i in range(n):
-        f0, f1, f2 = forces[i, 0], forces[i, 1], forces[i, 2]
+        for k in range(3):
+            if holding[i]:
+                push[k] = forces[i, k] + spring[i, k]
+            else:
+                if searching[i]:
+                    push[k] = SEARCH_FORCE * normals[i, k]
+                else:
+                    push[k] = RETREAT_STIFFNESS * (apart[i, k] - RETREAT * normals[i, k])
+                push[k] -= SEARCH_DAMPING * velocity[i, k]
+        f0, f1, f2 = push[0], push[1], push[2]
         a, b, c, d, e, f = FLAT, 0.0, 0.0, FLAT, 0.0, FLAT  # J J^T by its upper triangle
         r0, r1, r2 = 0.0, 0.0, 0.0
         for j in range(nq):
             p, q, r = jacobians[i, 0, j], jacobians[i, 1, j], jacobians[i, 2, j]
             out[j] += f0 * p + f1 * q + f2 * r
             if own[i, j]:
-                t = posture_stiffness * bent[j]
+                t = POSTURE_STIFFNESS * bent[j]
                 a, b, c = a + p * p, b + p * q, c + p * r
                 d, e, f = d + q * q, e + q * r, f + r * r
                 r0, r1, r2 = r0 + p * t, r1 + q * t, r2 + r * t
@@ -230,5 +280,5 @@ def torques_for(
         for j in range(nq):
             if own[i, j]:
                 p, q, r = jacobians[i, 0, j], jacobians[i, 1, j], jacobians[i, 2, j]
-                out[j] += posture_stiffness * bent[j] - (g0 * p + g1 * q + g2 * r)
+                out[j] += POSTURE_STIFFNESS * bent[j] - (g0 * p + g1 * q + g2 * r)
     return out

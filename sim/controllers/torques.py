@@ -31,16 +31,8 @@ __all__ = ["HoldingTorques"]
 TIP_STIFFNESS = 150.0
 """Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
 
-POSTURE_STIFFNESS, JOINT_DAMPING = 0.3, 0.02
-"""Spring (N m/rad) on what a redundant finger can do by itself, a tenth of a servo's, and damper
-(N m s/rad) on every joint of the fingers."""
-
-SEARCH_FORCE, SEARCH_DAMPING = 0.5, 15.0
-"""A finger that lost the object presses on along its last normal with this force (N), against this
-damper (N s/m): it moves at some 3 cm/s."""
-
-RETREAT, RETREAT_STIFFNESS = 0.01, 100.0
-"""Distance (m) that a leaving finger keeps from where it held, and the spring (N/m) for that."""
+JOINT_DAMPING = 0.02
+"""Damper (N m s/rad) on every joint of the fingers."""
 
 
 class HoldingTorques:
@@ -76,7 +68,7 @@ class HoldingTorques:
         self._stiffness[self._moving] = 0.0
         self._damping[self._moving] = JOINT_DAMPING
         self._q_ref = plan.q.copy()
-        self._q, self._v = plan.q.copy(), np.zeros(nq)
+        self._q, self._v, self._v_moving = plan.q.copy(), np.zeros(nq), np.zeros(nq)
         self._tips = np.zeros((n, 3))
         self._apart = np.zeros((n, 3))  # from the fingertips to where they were when latched
         self._tip_forces = np.zeros((n, 3))
@@ -86,6 +78,7 @@ class HoldingTorques:
     def move(self, q: FloatArray, v: FloatArray, gravity: FloatArray) -> None:
         """Go to joints (nq,) and rates (nq,), with gravity (3,) in the base's axes, m/s2."""
         self._q, self._v = q, v
+        self._v_moving = np.where(self._moving, v, 0.0)
         self.own_torque = self._loads.move(q, gravity)
         self.T_base_palm = self._loads.T_base_palm
         self._v_ref = np.zeros(self._hand.nq)
@@ -134,7 +127,7 @@ class HoldingTorques:
             points,
             center,
             holding,
-            np.where(self._moving, self._v, 0.0),
+            self._v_moving,
             self._apart,
             TIP_STIFFNESS,
             self.jacobians,
@@ -162,15 +155,22 @@ class HoldingTorques:
                 of ``move`` if None.
             read: (nq,), joints as the servos' encoders have them; those of ``move`` if None.
         """
-        seek = SEARCH_FORCE * normals
-        away = RETREAT_STIFFNESS * (self._apart - RETREAT * normals)
-        alone = np.where(searching[:, None], seek, away) - SEARCH_DAMPING * self._tip_velocity
-        total = np.where(holding[:, None], forces + self._tip_forces, alone)
-        bent = self._q_ref - self._q
         torque = torques_for(
-            total, self.jacobians, self._own, bent, POSTURE_STIFFNESS, self.own_torque
+            forces,
+            normals,
+            holding,
+            searching,
+            self._tip_forces,
+            self._apart,
+            self._tip_velocity,
+            self.jacobians,
+            self._own,
+            self._q_ref - self._q,
+            self._v - self._v_ref,
+            self._stiffness,
+            self._damping,
+            self.own_torque,
         )
-        torque += self._stiffness * bent - self._damping * (self._v - self._v_ref)
         self._torque = torque
         self._law_q = np.where(self._moving, self._q, self._q_ref)
         encoders = self._law_q
@@ -178,8 +178,7 @@ class HoldingTorques:
             encoders = self._law_q + (read - self._q)
         if believed is not None and believed is not self._q:
             self._law_q = np.where(self._moving, believed, self._q_ref)
-        v = np.where(self._moving, self._v, 0.0)
-        return servo_commands(self._hand.actuation, encoders, self._law_q, v, torque)
+        return servo_commands(self._hand.actuation, encoders, self._law_q, self._v_moving, torque)
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last command wanted."""
