@@ -673,3 +673,23 @@ def test_each_round_is_a_line_where_there_is_no_terminal(
         "round 0: 2 episodes, 1 with closure; 2 of 4 in all",
         "round 1: 2 episodes, 1 with closure; 4 of 4 in all",
     ]
+
+
+# ---- the policy that comes with us
+
+SHIPPED = TurnTask(
+    hand="allegro_hand", objects="cylinder:0.025..0.035x0.08", reality=named_reality("lab")
+)
+
+
+@pytest.mark.slow
+def test_the_shipped_policy_turns_where_the_open_loop_does_not() -> None:
+    """A trial that neither plan nor conditions of the training have; angle as asked, and strict."""
+    plan = Plans(SHIPPED)(104)
+    conditions = Conditions.draw(np.random.default_rng([777, 104]))
+    driver = policy_controller("allegro_turn")(plan.grasp)
+    by_policy = conditions.run(SHIPPED, plan, driver).perform()
+    assert by_policy.success_with_closure, by_policy
+    assert 90.0 <= math.degrees(by_policy.turned) <= 95.0
+    by_clock = conditions.run(SHIPPED, plan, open_loop(plan.grasp)).perform()
+    assert not by_clock.success, by_clock

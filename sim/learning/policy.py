@@ -53,7 +53,7 @@ need for their whole torque (0.7 N m at 3 N m/rad)."""
 FAR = 5.0
 """Largest deviation of a sense from its mean, in standard deviations: beyond, it is clipped."""
 
-ANGLE_TOL = 0.01
+SAME_TURN = 0.01
 """Turns (degrees) that differ by less are the same."""
 
 MOST_BYTES = 64 * 2**20
@@ -142,7 +142,7 @@ class PolicyFor:
             beyond.append(f"the object is {item.name}")
         if angle_deg is None:
             beyond.append("the movement is no turn about the vertical")
-        elif abs(angle_deg - self.angle_deg) > ANGLE_TOL:
+        elif abs(angle_deg - self.angle_deg) > SAME_TURN:
             beyond.append(f"the turn is {angle_deg:g} degrees")
         if not beyond:
             return ""
