@@ -129,8 +129,7 @@ ArrowsOption = Annotated[
 ControllerOption = Annotated[
     str,
     typer.Option(
-        help="feedforward: planned forces; impedance: a loop holds the object; "
-        "policy:FILE or policy:allegro_turn.",
+        help="feedforward: planned forces; impedance: a loop holds the object; policy:FILE.",
         metavar="NAME",
         rich_help_panel=TRIAL_PANEL,
     ),
