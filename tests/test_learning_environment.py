@@ -169,7 +169,7 @@ def test_it_is_registered_and_makes_vectors(folder: Path) -> None:
         ({"plans": 1.5}, "plans is 1.5; give an integer >= 1"),
         ({"senses": "object_pose"}, r"give a list of names: \['object_pose'\]"),
         ({"rate_hz": 0.0}, "rate_hz is 0.0; give"),
-        ({"angle_deg": 0.0}, "give a finite one that is not 0"),
+        ({"angle_deg": 0.0}, "the turn is 0 degrees"),
         ({"reality": "moon"}, "no reality is called 'moon'"),
         ({"objects": "cylinder:0.04..0.03x0.1"}, "ends below its beginning"),
     ],

@@ -47,6 +47,7 @@ from sim.bench.meshes import standing
 from sim.bench.objects import BenchObject, bench_objects
 from sim.bench.run import stated
 from sim.controllers.follow import RATE, SPEED
+from sim.learning import PolicyMaker, named_driver
 from sim.manipulation import ManipulationReport, Push, manipulate, rests, settled
 from sim.manipulation.in_hand import AnyTurningController
 from sim.physics import PhysicsOptions
@@ -98,6 +99,8 @@ class Turn:
         reality: Errors of sensors, drives and object, drawn from the seed and the number; those of
             mass and friction come on top of what ``draw`` gives.
         estimator: Name of what tells the controller where the object is; see ``Simulation``.
+        controller: What drives the fingers, as ``sim.learning.named_driver`` takes it; the closed
+            loop if "".
     """
 
     index: int
@@ -115,6 +118,7 @@ class Turn:
     physics: PhysicsOptions = OURS
     reality: Reality = EXACT
     estimator: str | None = None
+    controller: str = ""
 
     @property
     def regrasps(self) -> bool:
@@ -199,7 +203,7 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
         return not_found(turn, str(error))
     check()
     begin = time.process_time()
-    report = execute_turn(turn, plan)
+    report = execute_turn(turn, plan, named_driver(turn.controller))
     check()
     last = report.results[-1].numbers
     return row_of(
@@ -263,6 +267,7 @@ def run_manipulate(
     physics: PhysicsOptions = OURS,
     reality: Reality = EXACT,
     estimator: str | None = None,
+    controller: str = "",
 ) -> dict[str, Any]:
     """Run the trials that the file does not have yet.
 
@@ -282,21 +287,26 @@ def run_manipulate(
         physics: How MuJoCo computes; friction is drawn.
         reality: Errors of sensors, drives and object; see ``Turn``.
         estimator: What tells the controller where the object is; see ``Turn``.
+        controller: What drives the fingers; see ``Turn``.
 
     Returns:
         Plain data: all rows that the file has then, and what they were made with.
 
     Raises:
         FileFormatError: The file is not one of these, or was begun with other arguments.
-        NotFoundError: A kind, an object or a hand that does not exist.
+        HandError: A hand that a policy was not trained for.
+        NotFoundError: A kind, an object, a hand or a controller that does not exist.
         ObjectError: A mesh that cannot be read, or sizes that are none.
         TaskError: Neither a turn nor a translation, or a translation with more than half a turn.
     """
     if any(shift) or not abs(angle) > LARGEST_TURN:
         ObjectPath(axis=np.array(axis), angle=angle, shift=np.array(shift))  # tells what is wrong
     objects = [item for kind in kinds for item in _objects(kind)]
+    driver = named_driver(controller)
     for hand in hands:
-        GraspTask.create(hand, "cylinder", fingers=fingers)
+        task = GraspTask.create(hand, "cylinder", fingers=fingers)
+        if isinstance(driver, PolicyMaker):
+            driver.policy.about.check(task.hand)
     cells = [(hand, item, k) for hand in hands for item in objects for k in range(n)]
     jobs = [
         Turn(
@@ -315,6 +325,7 @@ def run_manipulate(
             physics=physics,
             reality=reality,
             estimator=estimator,
+            controller=controller,
         )
         for i, (hand, item, k) in enumerate(cells)
     ]
@@ -336,6 +347,10 @@ def run_manipulate(
     if physics != OURS:
         asked["physics"] = {k: v for k, v in physics.to_dict().items() if k != "mu"}
     asked |= stated(reality, estimator)
+    if controller:
+        asked["controller"] = controller
+        if isinstance(driver, PolicyMaker):
+            asked["policy"] = driver.policy.digest
     return run_cases(
         runner, run_turn, jobs, kind=FORMAT, asked=asked, file=file, title="pick, turn, place"
     )

@@ -8,7 +8,7 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -238,25 +238,43 @@ def physics_of(text: str, sim_mu: float | None = None) -> Any:
     return found if sim_mu is None else replace(found, mu=sim_mu)
 
 
-POLICY = "policy:"
-"""What a controller begins with that is a policy's file."""
-
-
 def controller_of(name: str) -> Any:
-    """What ``--controller`` names: a name as it is, or what makes controllers of a policy's file.
+    """What ``--controller`` names: a name as it is, or what makes controllers of a policy.
 
     Raises:
-        NotFoundError: No controller has that name.
+        NotFoundError: No controller or policy has that name.
         FileFormatError: A policy that cannot be read.
     """
-    if name.startswith(POLICY):
-        from sim.learning import policy_controller
+    from sim.learning import named_driver
 
-        return policy_controller(name.removeprefix(POLICY))
-    from sim.controllers import named_controller
+    return named_driver(name)
 
-    named_controller(name)
-    return name
+
+def check_policy(driver: Any, hand: Any, item: Callable[[], Any], degrees: float | None) -> None:
+    """Refuse another hand than a policy's, and say what else it was not trained for.
+
+    Call it before anything is planned; other controllers are for every hand.
+
+    Args:
+        driver: What ``controller_of`` gave.
+        hand: Name or path of the hand, or the hand.
+        item: Gives the object.
+        degrees: Turn about the vertical that is asked for; None for another movement, or none.
+
+    Raises:
+        PlannerError: No such hand or object, or the policy is for another hand.
+    """
+    from sim.learning import PolicyMaker
+
+    if not isinstance(driver, PolicyMaker):
+        return
+    from planner.hand_loading import load_hand
+
+    about = driver.policy.about
+    about.check(load_hand(hand) if isinstance(hand, str) else hand)
+    beyond = about.beyond(item(), degrees)
+    if beyond:
+        say(err, escape(beyond))
 
 
 def reality_of(

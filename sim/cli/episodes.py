@@ -62,8 +62,8 @@ def episodes(
     controller: Annotated[
         str,
         typer.Option(
-            help="feedforward or impedance; if not given, feedforward for grasps and impedance "
-            "for turns.",
+            help="feedforward, impedance or policy:FILE; if not given, feedforward for grasps and "
+            "impedance for turns.",
             metavar="NAME",
             rich_help_panel=TRIAL_PANEL,
         ),
@@ -78,22 +78,21 @@ def episodes(
     states are taken as they are. All are of one hand. Ctrl-C keeps the episodes that are whole; an
     error leaves nothing behind.
     """
-    from sim.controllers import named_controller
     from sim.episodes import write_episodes
     from sim.episodes.film import check_films, size_of
     from sim.episodes.folder import refuse_full
     from sim.episodes.formats import format_named
     from sim.episodes.sources import Trials, sources_of
+    from sim.learning import named_driver
     from sim.progress import ProgressBar
 
     format_named(to)  # bad input ends here
-    if controller:
-        named_controller(controller)
+    driver = named_driver(controller)
     pixels = size_of(size)
     if video:
         check_films(pixels)
     refuse_full(folder)
-    trials = Trials(controller=controller, physics=physics_of(physics, sim_mu), fps=fps)
+    trials = Trials(controller=driver, physics=physics_of(physics, sim_mu), fps=fps)
     sources = sources_of(inputs, trials, most=most)
     with heeding_ctrl_c() as check, ProgressBar(err, ticks=True) as bar:
 

@@ -18,6 +18,8 @@ from sim.cli.common import (
     PictureOption,
     PlanArgument,
     check_folder,
+    check_policy,
+    controller_of,
     errors_for_people,
     exit_for,
     keep_inputs,
@@ -61,11 +63,13 @@ def run(
     the forces over time, the numbers.
     """
     from planner.files import plain_name, plan_to_dict, write_plan
+    from planner.objects import parse_object
     from sim.report_file import write_report
 
     if out_dir is not None:
         make_folder(out_dir)
     execute = trial.trial()
+    check_policy(controller_of(trial.controller), hand, lambda: parse_object(object), None)
     plan = request.plan(hand, object)
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
@@ -177,6 +181,7 @@ def simulate(
     check_folder(picture)
     keep_inputs(report_file, plan_file)
     plan = one_plan(plan_file)
+    check_policy(controller_of(trial.controller), plan.task.hand, lambda: plan.task.object, None)
     report = replace(trial.trial()(plan, picture), command=told_command(context))
     page = None if report_file is None else report_file.with_suffix(".html")
     if report_file is not None and report_file.suffix.lower() in PAGE_SUFFIXES:

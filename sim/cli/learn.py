@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -43,22 +44,22 @@ def learn(
         str, typer.Argument(help="As `plan` takes it; a..b is a range, m.", metavar="OBJECT")
     ],
     folder: Annotated[
-        Path, typer.Option("--out", help="Folder; what is there goes on.", metavar="DIR")
+        Path, typer.Option("--out", help="Folder; a training begun there goes on.", metavar="DIR")
     ] = Path("runs/learn"),
     rotate: Annotated[float, typer.Option(help="Turn, degrees.", metavar="DEG")] = 90.0,
     senses: Annotated[
-        str, typer.Option(help="Of joints,touch,targets,plan,clock.", metavar="NAMES")
-    ] = "clock",
-    plans: Annotated[int, typer.Option(help="Plans to learn from.", metavar="N")] = 36,
+        str, typer.Option(help="Of joints,touch,targets,plan,clock,object.", metavar="NAMES")
+    ] = "touch,clock,object",
+    plans: Annotated[int, typer.Option(min=1, help="Plans to learn from.", metavar="N")] = 40,
     demonstrations: Annotated[
         int,
-        typer.Option("-n", "--demonstrations", help="Episodes of round 0.", metavar="N"),
-    ] = 36,
+        typer.Option("-n", "--demonstrations", min=1, help="Episodes of round 0.", metavar="N"),
+    ] = 40,
     rounds: Annotated[
-        int, typer.Option(help="Rounds in which the policy drives.", metavar="N")
+        int, typer.Option(min=0, help="Rounds in which the policy drives.", metavar="N")
     ] = 3,
-    episodes: Annotated[int, typer.Option(help="Episodes of each.", metavar="N")] = 18,
-    epochs: Annotated[int, typer.Option(help="Of the fit of a round.", metavar="N")] = 16,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each.", metavar="N")] = 20,
+    epochs: Annotated[int, typer.Option(min=1, help="Of the fit of a round.", metavar="N")] = 16,
     seed: SeedOption = 0,
     physics: PhysicsOption = "ours",
     reality: RealityOption = "lab",
@@ -92,7 +93,9 @@ def learn(
     )
     with heeding_ctrl_c(), _Bar(err, ticks=True) as bar:
         try:
-            learned = train(task, course, folder, command=told_command(context), progress=bar.told)
+            learned = train(
+                task, course, folder, command=told_command(context), progress=_shown(bar.told)
+            )
         except KeyboardInterrupt as error:
             say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))
             raise typer.Exit(EXIT_INTERRUPTED) from error
@@ -109,6 +112,21 @@ def learn(
             f"{reality} --controller policy:{folder / 'policy.npz'}"
         ),
     )
+
+
+def _shown(bar: Callable[[Made], None]) -> Callable[[Made], None]:
+    """What shows how far it is: a bar, and a line for each round where there is no terminal."""
+
+    def show(now: Made) -> None:
+        bar(now)
+        if now.round_ends and not err.is_terminal:
+            say(
+                err,
+                f"round {now.round}: {now.in_round} episodes, {now.strict} with closure; "
+                f"{now.episode} of {now.of} in all",
+            )
+
+    return show
 
 
 class _Bar(ProgressBar):

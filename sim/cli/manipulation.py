@@ -35,6 +35,7 @@ from sim.cli.common import (
     VideoOption,
     ViewOption,
     check_films,
+    check_policy,
     controller_of,
     err,
     errors_for_people,
@@ -237,11 +238,16 @@ def manipulate(
     stand.
     """
     from planner.errors import TaskError
+    from planner.objects import parse_object
 
     if plan_file is None:
         if hand is None or object is None:
             raise TaskError("give HAND and OBJECT, or a file: opposable manipulate --plan FILE")
         hand_name, object_name = hand, object
+        axis, degrees, shift = movement(request.rotate, request.shift)
+        upright = axis == (0.0, 0.0, 1.0) and not any(shift)
+        driver = controller_of(execution.controller)
+        check_policy(driver, hand, lambda: parse_object(object_name), degrees if upright else None)
         _execute(
             lambda: request.plan(hand_name, object_name),
             request.mu,
@@ -257,6 +263,8 @@ def manipulate(
             "of planning out, or --plan"
         )
     plan = _read(plan_file, request.target())
+    driver, degrees = controller_of(execution.controller), math.degrees(plan.angle)
+    check_policy(driver, plan.task.hand, lambda: plan.task.object, degrees)
     command = told_command(context)
     _execute(lambda: plan, plan.task.mu, execution, out_dir, as_json, command)
 

@@ -17,6 +17,7 @@ from planner.files import plan_files
 from planner.files.manipulations import manipulation_from_dict
 from planner.files.plans import plan_from_dict
 from planner.plan import GraspPlan
+from sim.controllers import AnyController
 from sim.episodes.episode import AnyReport
 from sim.manipulation import manipulate
 from sim.manipulation.report_file import read_manipulation_report
@@ -45,12 +46,12 @@ class Trials:
     """How plans are executed.
 
     Attributes:
-        controller: Name of the controller; "" for the default of a trial or a manipulation.
+        controller: What drives the hand; None for the default of a trial or a manipulation.
         physics: How MuJoCo computes.
         fps: Frames per second that are wanted; None for the usual samples.
     """
 
-    controller: str = ""
+    controller: AnyController | None = None
     physics: PhysicsOptions
     fps: int | None = None
 
@@ -79,7 +80,7 @@ class Trials:
         report = simulate(
             plan,
             physics=self.physics,
-            controller=self.controller or None,
+            controller=self.controller,
             record_every=self.record_every,
         )
         if report.reason == "interrupted":
@@ -89,7 +90,7 @@ class Trials:
     def turn(self, data: dict[str, Any], name: str) -> AnyReport:
         """A manipulation."""
         plan = manipulation_from_dict(data, name)
-        return manipulate(plan, controller=self.controller or None, physics=self.physics)
+        return manipulate(plan, controller=self.controller, physics=self.physics)
 
 
 @dataclass(frozen=True, kw_only=True)

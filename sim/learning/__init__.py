@@ -6,9 +6,16 @@ training does. Running a policy needs nothing more than NumPy.
 
 from __future__ import annotations
 
-from sim.learning.controller import PolicyController, open_loop, policy_controller
+from sim.learning.controller import (
+    PolicyController,
+    PolicyMaker,
+    named_driver,
+    open_loop,
+    policy_controller,
+)
 from sim.learning.objects import ObjectRange
 from sim.learning.policy import Policy, PolicyFor
+from sim.learning.shipped import shipped_policies
 from sim.learning.training import Course, Learned, Progress, learn
 from sim.learning.trials import Conditions, Plans, TurnTask
 
@@ -21,9 +28,12 @@ __all__ = [
     "Policy",
     "PolicyController",
     "PolicyFor",
+    "PolicyMaker",
     "Progress",
     "TurnTask",
     "learn",
+    "named_driver",
     "open_loop",
     "policy_controller",
+    "shipped_policies",
 ]

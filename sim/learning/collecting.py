@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,8 @@ from numpy.typing import NDArray
 
 from planner.errors import FileFormatError
 from planner.files.whole import whole_file
+from sim.estimation import NONE
 from sim.learning.policy import Policy
-from sim.learning.senses import SENSES
 from sim.learning.teacher import Demonstrator
 from sim.learning.trials import Conditions, Plans
 from sim.manipulation import ManipulationReport
@@ -30,7 +29,7 @@ class Episode:
     """What was seen and wanted in one trial.
 
     Attributes:
-        senses: (k, m), what the policy was told at k decisions.
+        senses: (k, m), all that a policy can be told (``senses.SENSES``), at k decisions.
         wanted: (k, nu), the teacher's actions.
         success: Turned as far as asked for, and not dropped.
         strict: The same with closure: nothing of ``ManipulationReport.faults``.
@@ -113,7 +112,7 @@ def run_episode(
     policy: Policy | None,
     share: float,
     noise: float,
-    senses: Sequence[str] = SENSES,
+    estimator: str = NONE,
 ) -> Episode:
     """Run the episode of a number: the same one for the same policy and seed of the plans.
 
@@ -124,7 +123,7 @@ def run_episode(
         policy: Which policy drives where the teacher does not; the playback alone if None.
         share: Share of the time in which the teacher drives, 0 to 1.
         noise: Noise on the teacher's actions while it drives (-).
-        senses: What a policy is told, where there is none yet.
+        estimator: What tells where the object is, a name, where there is no policy yet.
 
     Raises:
         NoGraspFoundError: There is no plan for it.
@@ -134,7 +133,7 @@ def run_episode(
     plan = plans(number % count)
     limit = ASKED_SHARE * force_limit(plan)
     driver = Demonstrator(
-        plan.grasp, policy, share=share, noise=noise, rng=rng, max_normal=limit, senses=senses
+        plan.grasp, policy, share=share, noise=noise, rng=rng, max_normal=limit, estimator=estimator
     )
     run = Conditions.draw(rng).run(task, plan, driver)
     driver.simulation = run.sim.simulation

@@ -16,13 +16,25 @@ import numpy as np
 from planner.errors import NotFoundError
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.controllers import Event, GraspController, MotionReference, Observation, Reference, Sense
+from sim.controllers import (
+    CONTROLLERS,
+    Event,
+    GraspController,
+    MotionReference,
+    Observation,
+    Reference,
+    Sense,
+)
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 from sim.learning.playback import AIM, Playback
 from sim.learning.policy import ACTION_SCALE, RATE_HZ, Policy
 from sim.learning.senses import SENSES, SenseHistory
+from sim.learning.shipped import policy_file, shipped_policies
 
-__all__ = ["PolicyController", "PolicyMaker", "open_loop", "policy_controller"]
+__all__ = ["PolicyController", "PolicyMaker", "named_driver", "open_loop", "policy_controller"]
+
+POLICY = "policy:"
+"""What the name of a controller begins with that is a policy."""
 
 TIME_TOL = 1e-9
 """Rounding of times, s."""
@@ -36,6 +48,7 @@ class PolicyController:
         plan: What is executed.
         policy: What corrects the playback; None for the open loop.
         playback: The plan by the clock.
+        estimator: What tells it where the object is, a name; None where it does not matter.
         action: (nu,), the last decision.
         grip: As ``InHandController``; not used, since the playback has the plan's forces.
         schedule: As there.
@@ -53,6 +66,7 @@ class PolicyController:
         if policy is not None:
             policy.check_plan(plan)
         about = None if policy is None else policy.about
+        self.estimator = None if about is None else about.estimator
         self.playback = Playback(plan, aim=AIM if about is None else about.aim)
         self.scale = ACTION_SCALE if about is None else about.action_scale
         self.period = 1.0 / (RATE_HZ if about is None else about.rate_hz)
@@ -187,9 +201,31 @@ class PolicyMaker:
 
 
 def policy_controller(path: Path | str) -> PolicyMaker:
-    """What makes controllers of a policy's file: ``manipulate(plan, controller=...)``.
+    """What makes controllers of a policy: ``manipulate(plan, controller=...)``.
+
+    Args:
+        path: A file, or the name of a policy that comes with Opposable.
 
     Raises:
         FileFormatError: The file is none, damaged, or of another version.
+        NotFoundError: Neither a file nor a policy has that name.
     """
-    return PolicyMaker(Policy.load(path), f"policy:{Path(path).name}")
+    return PolicyMaker(Policy.load(policy_file(path)), f"policy:{Path(path).name}")
+
+
+def named_driver(name: str) -> str | PolicyMaker | None:
+    """What drives the fingers by its name on a command line.
+
+    Args:
+        name: Of a controller, or "policy:FILE", or "policy:NAME"; "" for the default.
+
+    Raises:
+        NotFoundError: No controller or policy has that name.
+        FileFormatError: A policy that cannot be read.
+    """
+    if name.startswith(POLICY):
+        return policy_controller(name.removeprefix(POLICY))
+    if name and name not in CONTROLLERS:
+        policies = [POLICY + policy for policy in shipped_policies()]
+        raise NotFoundError("controller", name, (*CONTROLLERS, *policies, f"{POLICY}FILE"))
+    return name or None

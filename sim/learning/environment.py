@@ -52,6 +52,7 @@ from sim.learning.controller import PolicyController
 from sim.learning.policy import RATE_HZ
 from sim.learning.trials import Conditions, Plans, TurnTask
 from sim.manipulation import ManipulationReport, ManipulationRun
+from sim.physics import PhysicsOptions
 from sim.reality import named_reality
 
 __all__ = ["ACTIONS", "ENVIRONMENT", "INCREMENT", "TurnEnv"]
@@ -75,6 +76,10 @@ REDRAWS = 20
 """Trials that are drawn, at most, until one comes to the first action."""
 
 Told: TypeAlias = dict[str, NDArray[np.float32]]
+
+
+RATE_TOL = 1e-9
+"""Rates (Hz) that differ by less are the same: rounding."""
 
 
 class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
@@ -127,6 +132,12 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
             raise TaskError(f"plans is {plans!r}; give an integer >= 1")
         if not (math.isfinite(rate_hz) and rate_hz > 0):
             raise TaskError(f"rate_hz is {rate_hz}; give actions per second, above 0")
+        most = 1.0 / PhysicsOptions().timestep
+        if rate_hz > most + RATE_TOL:
+            raise TaskError(
+                f"rate_hz is {rate_hz:g}, and there are {most:g} time steps per second; give at "
+                "most so many actions"
+            )
         self.render_mode = render_mode
         self.task = TurnTask(
             hand=hand,

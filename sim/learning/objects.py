@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from planner.errors import ObjectError
-from planner.objects import parse_object
+from planner.objects import GraspObject, parse_object
 
 __all__ = ["ObjectRange"]
 
@@ -52,3 +52,12 @@ class ObjectRange:
             return f"{STEP * round((low + share * (high - low)) / STEP):.6g}"
 
         return _RANGE.sub(drawn, self.text)
+
+    def holds(self, item: GraspObject) -> bool:
+        """Whether an object is of this kind, and its extents between those of both ends."""
+        low, high = (parse_object(self.at(share)).shape for share in (0.0, 1.0))
+        shape = item.shape
+        return type(shape) is type(low) and bool(
+            (shape.half_extents >= low.half_extents - STEP).all()
+            and (shape.half_extents <= high.half_extents + STEP).all()
+        )

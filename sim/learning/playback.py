@@ -27,15 +27,13 @@ from sim.controllers import MotionReference, Observation, Phase
 from sim.controllers.follow import CREEP, RAMP, RATE
 from sim.controllers.grasp import FIRST_SHARE
 from sim.controllers.loads import HandLoads, crossed
+from sim.learning.lag import PLACES, ObjectLag, interpolated
 
 __all__ = ["AIM", "Playback", "servo_shift"]
 
 AIM = float(np.deg2rad(2.5))
 """Turn (rad) beyond the asked one at which the clock ends: the middle of what the protocol accepts,
 from the asked turn to 5 degrees more. Without a camera nothing tells the last degree."""
-
-PLACES = 101
-"""Places on the path at which commands are tabulated: a degree apart."""
 
 STANDING: frozenset[Phase] = frozenset({"squeeze", "settle", "lower", "release"})
 """Phases in which the table carries the object, or may."""
@@ -55,6 +53,7 @@ class Playback:
         press: (nu,), the part of them that exerts the planned forces.
         bent: (nq,), posture as read at the first touch less the planned one, rad.
         standing: Whether the object stands on something, by the phase.
+        lag: How far the object is from where it should be by now.
     """
 
     def __init__(self, plan: GraspPlan, *, aim: float = AIM) -> None:
@@ -71,6 +70,7 @@ class Playback:
         self.shift = servo_shift(plan.task.hand)
         self._reference: MotionReference | None = None
         self._table = _tabulated(plan, None)
+        self.lag = ObjectLag(plan)
         self._gone, self._end, self._whole = 0.0, 0.0, 1.0
         self._time: float | None = None
         self.rate, self.share, self.standing = 0.0, 0.0, True
@@ -89,6 +89,7 @@ class Playback:
             return
         motion = reference.motion
         self._table = _tabulated(self.plan, motion)
+        self.lag.follow(motion)
         self._whole = abs(motion.path.angle)
         self._end = min(abs(reference.goal) + self._aim, self._whole)
         self._gone, self.rate = 0.0, 0.0
@@ -144,11 +145,7 @@ class Playback:
 
     def _turn_to(self, place: float) -> None:
         """Take posture and commands from the table."""
-        at = place * (len(self._table) - 1)
-        k = min(int(at), max(0, len(self._table) - 2))
-        row = self._table[k]
-        if len(self._table) > 1:
-            row = row + (at - k) * (self._table[k + 1] - row)
+        row = interpolated(self._table, place)
         nq, nu = len(self.bent), len(self.shift)
         self.q = row[:nq] + self.bent
         self.press = row[nq + nu :]

@@ -6,6 +6,7 @@ weights, the normalisation of the senses, and a text (JSON) that says what the p
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
@@ -20,9 +21,12 @@ from numpy.typing import NDArray
 from planner.errors import FileFormatError, HandError, PlannerError, TaskError
 from planner.files.whole import whole_file
 from planner.hands.hand import Hand
+from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.version import written_by
+from sim.estimation import NONE
+from sim.learning.objects import ObjectRange
 from sim.learning.playback import AIM
 from sim.learning.senses import SENSES, SenseHistory, checked_senses
 
@@ -36,8 +40,8 @@ __all__ = [
     "normalised",
 ]
 
-POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 1
-"""What a file says it is, and the version of its contents."""
+POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 2
+"""What a file says it is, and the version of its contents. Version 1 had no ``estimator``."""
 
 RATE_HZ = 100.0
 """Decisions per second."""
@@ -48,6 +52,9 @@ need for their whole torque (0.7 N m at 3 N m/rad)."""
 
 FAR = 5.0
 """Largest deviation of a sense from its mean, in standard deviations: beyond, it is clipped."""
+
+SAME_TURN = 0.01
+"""Turns (degrees) that differ by less are the same."""
 
 MOST_BYTES = 64 * 2**20
 """Largest file (bytes) that is read."""
@@ -72,6 +79,7 @@ class PolicyFor:
         senses: What it is told beside the plan.
         action_scale: Change of a joint target by an action of 1, rad.
         aim: Turn beyond the asked one at which its playback ends, rad.
+        estimator: What tells it where the object is, a name out of ``sim.estimation``.
         command: What made it.
         written_by: Version that made it.
     """
@@ -87,6 +95,7 @@ class PolicyFor:
     senses: tuple[str, ...] = SENSES
     action_scale: float = ACTION_SCALE
     aim: float = AIM
+    estimator: str = NONE
     command: str = ""
     written_by: str = field(default_factory=written_by)
 
@@ -119,6 +128,28 @@ class PolicyFor:
                     f"{_listed(given)}; give a plan of {self.hand}, or a policy that was trained "
                     f"for {hand.name}: opposable learn {hand.name} {self.objects}"
                 )
+
+    def beyond(self, item: GraspObject, angle_deg: float | None) -> str:
+        """In one line what it was not trained for, "" if there is nothing.
+
+        Args:
+            item: The object.
+            angle_deg: Turn about the vertical that is asked for, degrees; None for a movement of
+                another kind, or none.
+        """
+        beyond = []
+        if not ObjectRange(self.objects).holds(item):
+            beyond.append(f"the object is {item.name}")
+        if angle_deg is None:
+            beyond.append("the movement is no turn about the vertical")
+        elif abs(angle_deg - self.angle_deg) > SAME_TURN:
+            beyond.append(f"the turn is {angle_deg:g} degrees")
+        if not beyond:
+            return ""
+        return (
+            f"the policy was trained for {self.objects} turned by {self.angle_deg:g} degrees, and "
+            f"{' and '.join(beyond)}: expect less of it"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,6 +190,14 @@ class Policy:
         if not all(np.isfinite(a).all() for a in every) or not (self.scale > 0).all():
             raise TaskError("weights that are not finite, or a scale that is not above 0")
 
+    @property
+    def digest(self) -> str:
+        """SHA-256 of weights and normalisation: tells two policies apart, whatever their files."""
+        content = hashlib.sha256()
+        for array in (self.mean, self.scale, *self.weights, *self.biases):
+            content.update(np.ascontiguousarray(array).tobytes())
+        return content.hexdigest()
+
     def act(self, senses: NDArray[Any]) -> FloatArray:
         """Actions (..., nu) for senses (..., m), each in [-1, 1]."""
         x = normalised(senses, self.mean, self.scale)
@@ -197,8 +236,6 @@ class Policy:
             HandError: It is for another hand.
         """
         file = Path(path)
-        if not str(path):
-            raise FileFormatError("no file of a policy is named; give policy:FILE")
         if file.is_dir():
             raise FileFormatError(f"{path} is a folder; give the file policy.npz in it")
         try:
@@ -221,7 +258,7 @@ class Policy:
                 f"{path} is no policy, or damaged ({_why(error)}); give a file that "
                 "'opposable learn' wrote"
             ) from error
-        if kind != POLICY_FORMAT or version != POLICY_VERSION:
+        if kind != POLICY_FORMAT or version not in (1, POLICY_VERSION):
             raise FileFormatError(
                 f"{path} is of format {kind!r}, version {version!r}; this version reads "
                 f"{POLICY_FORMAT!r}, version {POLICY_VERSION}; train the policy anew"

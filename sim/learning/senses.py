@@ -1,4 +1,7 @@
-"""``SenseHistory``: what a policy is told, as one vector; nothing of it comes from a camera.
+"""``SenseHistory``: what a policy is told, as one vector.
+
+The pose of the object is told by the estimator that the policy was trained with; with ``touch``
+nothing of the vector comes from a camera once the hand has closed.
 
 joints    joints as read less the playback's posture (nq,), of each of the last decisions
 touch     normal force per finger of the hand (fingers,), N, likewise
@@ -6,6 +9,7 @@ targets   offset from the playback's commands at the last decision, as an action
 plan      the playback's posture (nq,), what pressing adds to its commands (nu,), the posture at
           the first touch less the planned one (nq,), and which fingers take part (fingers,)
 clock     place on the path, rate, share of the planned forces, whether the object stands (4,)
+object    its deviation from the plan as joints (2 nq,), degrees: ``sim.learning.lag``; as joints
 """
 
 from __future__ import annotations
@@ -14,20 +18,26 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.errors import NotFoundError, TaskError
+from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation
 from sim.learning.playback import Playback
 
-__all__ = ["LAGS", "SENSES", "SenseHistory", "checked_senses"]
+__all__ = ["LAGS", "SENSES", "SenseHistory", "checked_senses", "columns"]
 
-SENSES: tuple[str, ...] = ("joints", "touch", "targets", "plan", "clock")
+SENSES: tuple[str, ...] = ("joints", "touch", "targets", "plan", "clock", "object")
 """Senses that a policy may have."""
 
 LAGS: tuple[int, ...] = (0, 2, 6)
 """Ages of joint readings and forces that a policy sees, in decisions."""
+
+
+_NOTHING = np.zeros(0)
+"""Of a sense that is not told."""
 
 
 def checked_senses(names: Sequence[str]) -> tuple[str, ...]:
@@ -43,6 +53,35 @@ def checked_senses(names: Sequence[str]) -> tuple[str, ...]:
     if not names:
         raise TaskError(f"a policy needs a sense; give some of {', '.join(SENSES)}")
     return tuple(name for name in SENSES if name in names)
+
+
+def columns(hand: Hand, senses: Sequence[str]) -> NDArray[np.intp]:
+    """Where some senses stand in a vector of all: what a policy of these alone is told.
+
+    Raises:
+        NotFoundError: There is none of a name.
+        TaskError: None is given.
+    """
+    wanted, at, found = checked_senses(senses), 0, []
+    for name, size in _sizes(hand).items():
+        if name in wanted:
+            found.append(np.arange(at, at + size))
+        at += size
+    return np.concatenate(found)
+
+
+def _sizes(hand: Hand) -> dict[str, int]:
+    """Numbers of each sense, in order."""
+    nq, nu, n = hand.nq, len(hand.actuation.names), len(hand.fingers)
+    each = {
+        "joints": len(LAGS) * nq,
+        "touch": len(LAGS) * n,
+        "targets": nu,
+        "plan": 2 * nq + nu + n,
+        "clock": 4,
+        "object": len(LAGS) * 2 * nq,
+    }
+    return {name: each[name] for name in SENSES}
 
 
 class SenseHistory:
@@ -65,15 +104,8 @@ class SenseHistory:
         self._columns = [all_fingers.index(name) for name in task.finger_names]
         self._part = np.zeros(len(all_fingers))
         self._part[self._columns] = 1.0
-        self._kept: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=max(LAGS) + 1)
-        nq, nu, n = hand.nq, len(hand.actuation.names), len(all_fingers)
-        each = {
-            "joints": len(LAGS) * nq,
-            "touch": len(LAGS) * n,
-            "targets": nu,
-            "plan": 2 * nq + nu + n,
-            "clock": 4,
-        }
+        self._kept: deque[tuple[FloatArray, ...]] = deque(maxlen=max(LAGS) + 1)
+        each = _sizes(hand)
         self.size = sum(each[name] for name in self._senses)
 
     def vector(
@@ -88,15 +120,19 @@ class SenseHistory:
         """
         forces = np.zeros(len(self._part))
         forces[self._columns] = observation.normal_forces
-        self._kept.appendleft((observation.q - playback.q, forces))
+        lag = _NOTHING
+        if "object" in self._senses:
+            lag = playback.lag.told(observation, playback.place)
+        self._kept.appendleft((observation.q - playback.q, forces, lag))
         last = len(self._kept) - 1
-        past = [self._kept[min(lag, last)] for lag in LAGS]
+        past = [self._kept[min(age, last)] for age in LAGS]
         play = playback
         told: dict[str, list[FloatArray]] = {
-            "joints": [joints for joints, _ in past],
-            "touch": [force for _, force in past],
+            "joints": [joints for joints, _, _ in past],
+            "touch": [force for _, force, _ in past],
             "targets": [action],
             "plan": [play.q, play.press, play.bent, self._part],
             "clock": [np.array([play.place, play.rate, play.share, float(play.standing)])],
+            "object": [lag for _, _, lag in past],
         }
         return np.concatenate([part for name in self._senses for part in told[name]])

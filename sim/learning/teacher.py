@@ -12,7 +12,6 @@ policy gets into and asks the teacher there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -30,9 +29,10 @@ from sim.controllers import (
     Target,
 )
 from sim.controllers.impedance import felt_inertia
+from sim.estimation import NONE
 from sim.learning.controller import PolicyController
 from sim.learning.policy import Policy
-from sim.learning.senses import SENSES, SenseHistory
+from sim.learning.senses import SENSES, SenseHistory, columns
 from sim.simulation import Simulation
 
 __all__ = ["ByTheClock", "Demonstrator"]
@@ -86,7 +86,7 @@ class Demonstrator(PolicyController):
     Attributes:
         simulation: Of which it tells the teacher the truth.
         teacher: The closed loop.
-        senses: What the policy was told at each decision, (m,) each.
+        senses: All that a policy can be told (``SENSES``), at each decision, (m,) each.
         wanted: The actions that the teacher wanted then, (nu,) each.
     """
 
@@ -99,7 +99,7 @@ class Demonstrator(PolicyController):
         noise: float,
         rng: np.random.Generator,
         max_normal: float,
-        senses: Sequence[str] = SENSES,
+        estimator: str = NONE,
     ) -> None:
         """Prepare for a plan.
 
@@ -111,11 +111,13 @@ class Demonstrator(PolicyController):
                 (-): it then visits states beside its path too.
             rng: Draws.
             max_normal: Largest normal force that the teacher asks of a finger, N.
-            senses: What a policy is told, where there is none yet.
+            estimator: What tells where the object is, a name, where there is no policy yet.
         """
         super().__init__(plan, policy)
         if policy is None:
-            self.history = SenseHistory(plan.task, senses)
+            self.estimator = estimator
+        self.history = SenseHistory(plan.task)
+        self._columns = columns(plan.task.hand, SENSES if policy is None else policy.about.senses)
         self.simulation: Simulation | None = None
         mass, inertia = felt_inertia(plan, plan.task.object.mass)
         gains = ImpedanceGains.of_body(
@@ -171,7 +173,9 @@ class Demonstrator(PolicyController):
         if self._teaches:
             noise = self._noise * self._rng.standard_normal(len(wanted))
             return np.asarray(np.clip(wanted + noise, -1.0, 1.0))
-        return np.zeros(len(wanted)) if self.policy is None else self.policy.act(told)
+        return (
+            np.zeros(len(wanted)) if self.policy is None else self.policy.act(told[self._columns])
+        )
 
     def _apart(self, q: FloatArray) -> FloatArray:
         """Change of the commands (nu,) that keeps the fingers off each other at joints q (nq,)."""

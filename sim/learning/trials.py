@@ -20,6 +20,7 @@ from planner.files.manipulations import manipulation_from_dict, manipulation_to_
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.motion.manipulation import ManipulationPlan, manipulation_task, plan_manipulation
+from planner.motion.manipulation.search import ONE_STROKE
 from planner.objects import parse_object
 from planner.spatial import SE3
 from sim.learning.objects import ObjectRange
@@ -74,14 +75,20 @@ class TurnTask:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check objects and angle.
+        """Check objects, angle and seed.
 
         Raises:
-            PlannerError: No object, or no turn.
+            PlannerError: No object, no turn that one stroke can make, or no seed.
         """
         ObjectRange(self.objects)
-        if not (math.isfinite(self.angle) and self.angle != 0.0):
-            raise TaskError(f"the turn is {self.angle} rad; give a finite one that is not 0")
+        if not 0.0 < abs(self.angle) <= ONE_STROKE:
+            raise TaskError(
+                f"the turn is {math.degrees(self.angle):g} degrees, and a policy is trained for "
+                f"turns without a regrasp; give up to {math.degrees(ONE_STROKE):.0f} degrees "
+                "either way, not 0"
+            )
+        if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
+            raise TaskError(f"the seed is {self.seed!r}; give an integer >= 0")
 
 
 @dataclass(frozen=True, kw_only=True)

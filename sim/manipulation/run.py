@@ -81,7 +81,7 @@ class ManipulationRun:
             physics=physics,
             push=push,
             reality=reality,
-            estimator=estimator,
+            estimator=estimator or getattr(holding, "estimator", None),
         )
         self._phases = Phases(plan, self.sim, self._timeline, self._criteria)
 

@@ -6,22 +6,17 @@ All loops execute the same plans against the same draws. A further column is one
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from planner.errors import NotFoundError, TaskError
 from sim.controllers import GraspController, MakeController, ObjectImpedance
 from sim.estimation import ESTIMATORS, NONE
 from sim.learning import open_loop, policy_controller
+from sim.learning.controller import POLICY
 from sim.reality import Reality
 
 __all__ = ["LOOPS", "Loop", "named_loop", "register_loop"]
-
-
-POLICY = "policy:"
-"""What a name begins with that is a policy's file."""
 
 
 def _as_it_is(reality: Reality) -> Reality:
@@ -104,17 +99,16 @@ def _policy(name: str) -> Loop:
     Raises:
         FileFormatError: It cannot be read.
     """
-    path = name.removeprefix(POLICY)
-    make = policy_controller(path)
+    make = policy_controller(name.removeprefix(POLICY))
     about = make.policy.about
-    digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()
     return Loop(
         name=name,
         about=f"policy for {about.objects}, trained in the reality {about.reality}: joints and "
         "touch",
-        driver=f"policy {digest}",
+        driver=f"policy {make.policy.digest}",
         holding=make,
         turning=make,
+        estimator=about.estimator,
         tasks=("turn",),
     )
 

@@ -86,6 +86,13 @@ def manipulate(
     physics: PhysicsOption = "ours",
     reality: RealityOption = "ideal",
     estimate: EstimateOption = None,
+    controller: Annotated[
+        str,
+        typer.Option(
+            help="feedforward, impedance, or policy:FILE; the closed loop if not given.",
+            metavar="NAME",
+        ),
+    ] = "",
     seed: SeedOption = 0,
     samples: SamplesOption = Path("manipulate.jsonl"),
     *,
@@ -118,5 +125,6 @@ def manipulate(
             physics=computed,
             reality=errors,
             estimator=estimator,
+            controller=controller,
         )
     result.give(measured, manipulate_table)
