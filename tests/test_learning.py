@@ -566,7 +566,7 @@ def test_another_hand_or_object_is_told_before_anything_is_planned(
 
     def plan(*_: object) -> None:
         assert told in " ".join(capsys.readouterr().err.split()), "it was not told before"
-        raise NoGraspFoundError("planned", [])
+        raise NoGraspFoundError("planned", ())
 
     monkeypatch.setattr(TurnOptions, "plan", plan)
     policy.save(tmp_path / "p.npz")
