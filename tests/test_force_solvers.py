@@ -25,6 +25,7 @@ from planner.forces import (
     turning_wrenches,
 )
 from planner.forces.infeasible import outlined
+from planner.numerics import qp_workspace as workspaces
 from planner.numerics.dense_qp import DenseQp
 from planner.numerics.qp_workspace import qp_workspace
 from planner.spatial import FloatArray
@@ -153,7 +154,9 @@ def test_answers_called_solved_are_within_the_tolerance_asked_for(
 
 GIVEN_UP = {"highs": 2}
 """Of these 60 strictly convex programmes HiGHS 1.15.1 calls one unbounded and fails on another,
-with any of its options and tolerances; the solution is unique, and all other solvers find it."""
+with any of its options and tolerances; the solution is unique, and all other solvers find it. In
+the comparison it solves all 40, but twice, after thousands of other tests in one process, it did
+not end; since then its steps are limited."""
 
 
 def test_every_refusal_is_proven_by_a_linear_programme() -> None:
@@ -231,7 +234,8 @@ def test_solvers_are_compared_on_one_sequence() -> None:
     assert report.unknowns == 15
     assert report.rows == 5 + 6 + 40  # bounds of normal forces, balance, faces
     for r in report.records:
-        assert (r.solved, r.refused, r.failed) == (40, 0, 0), r.solver
+        assert (r.solved + r.failed, r.refused) == (40, 0), r.solver
+        assert r.failed <= GIVEN_UP.get(r.solver, 0)
         assert 0 < r.solver_median_us < r.median_us <= r.p99_us
         assert r.primal <= 2e-5
         assert r.off < 0.02
@@ -260,6 +264,19 @@ def test_the_sequence_turns_through_all_directions() -> None:
     assert octants.any(axis=0).all()
     with pytest.raises(ContactError, match="at least 1 step"):
         turning_wrenches(1.0, 0.03, 0)
+
+
+def test_highs_gives_up_where_its_active_sets_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has looped for ever on a programme of the comparison; a limit of one step stands in."""
+    pytest.importorskip("highspy")
+    options = workspaces._OPTIONS["highs"]
+    assert 100 < options["qp_iteration_limit"] < 1e5
+    loop = ForceLoop(around(), solver="highs", min_normal=0.1)
+    wrench = turning_wrenches(1.0, 0.03, 1)[0]
+    assert loop.step(wrench).balanced
+    monkeypatch.setitem(options, "qp_iteration_limit", 1)
+    assert not loop.step(wrench).balanced
+    assert np.isnan(loop.solver.x).all()
 
 
 def test_unknown_solver_lists_what_is_installed() -> None:

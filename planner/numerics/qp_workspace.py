@@ -38,11 +38,13 @@ _DAQP_EQUALITY = 5
 
 _OPTIONS: dict[str, dict[str, Any]] = {
     "clarabel": {"tol_feas": 1e-9, "tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10},
+    "highs": {"qp_iteration_limit": 1000},
     "osqp": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000, "polishing": True},
     "piqp": {"eps_abs": 1e-9, "eps_rel": 0.0},
 }
 """Options of solvers that stop too far from the answer by default (OSQP at 1e-3, Clarabel's forces
-are 9 mN off where the cost is flat)."""
+are 9 mN off where the cost is flat), and a limit for HiGHS, whose active sets may repeat for ever
+(ERGO-Code/HiGHS issue 1583): where it finds an answer, it takes fewer than a hundred steps."""
 
 _PROXQP_TOL = 1e-9
 """ProxQP's largest residuals (-)."""
