@@ -14,6 +14,7 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.cli.common import reality_of
+from sim.preset_files import SUFFIXES, PresetFiles
 from sim.protocols import Settings, run_protocol
 from sim.reality import (
     REALITIES,
@@ -49,6 +50,16 @@ def test_a_file_changes_a_preset(tmp_path: Path) -> None:
     found = reality_for(str(written(tmp_path, "mine.toml", text)))
     lab = REALITIES["lab"]
     assert found == replace(lab, name="mine.toml", encoder_offset=0.05, touch="effort", seed=4)
+
+
+def test_a_preset_is_a_name_and_a_file_is_a_path(tmp_path: Path) -> None:
+    kept = PresetFiles(kind="reality", presets=REALITIES, usual="ideal")
+    assert kept.given("rough") is REALITIES["rough"]
+    for suffix, text in zip(SUFFIXES, ('preset = "rough"', '{"preset": "rough"}'), strict=True):
+        path = written(tmp_path, f"mine{suffix}", text)
+        assert kept.given(str(path)) == replace(REALITIES["rough"], name=path.name)
+    with pytest.raises(NotFoundError, match=r"'rogh'.*lab.*TOML or JSON"):
+        kept.given("rogh")
 
 
 def test_a_file_without_preset_changes_ideal_and_may_have_a_name(tmp_path: Path) -> None:

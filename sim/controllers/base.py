@@ -184,6 +184,16 @@ class ClosesAgain(Protocol):
 
 
 @runtime_checkable
+class HasOwnAim(Protocol):
+    """A controller that turns further than asked by a margin of its own, however sure a pose is."""
+
+    @property
+    def aim(self) -> float:
+        """Turn beyond the asked one at which it ends, rad."""
+        ...
+
+
+@runtime_checkable
 class NeedsSenses(Protocol):
     """A controller that says what it reads beside joints.
 

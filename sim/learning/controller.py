@@ -95,6 +95,11 @@ class PolicyController:
         self._told = self._time
 
     @property
+    def aim(self) -> float:
+        """Turn beyond the asked one at which its clock ends, rad."""
+        return self.playback.aim
+
+    @property
     def gave_up(self) -> str:
         """Never: nothing tells it."""
         return ""

@@ -44,6 +44,7 @@ class Playback:
 
     Attributes:
         plan: The grasp.
+        aim: Turn beyond the asked one at which it ends, rad.
         shift: K (nu, nq): change of a servo's command per change of its joint's reading.
         place: Where on the path it is, 0 to 1.
         rate: Rate of the turn now, rad/s.
@@ -66,7 +67,7 @@ class Playback:
         Raises:
             HandError: An actuator of the hand is no position servo.
         """
-        self.plan, self._aim = plan, aim
+        self.plan, self.aim = plan, aim
         self.shift = servo_shift(plan.task.hand)
         self._reference: MotionReference | None = None
         self._table = _tabulated(plan, None)
@@ -91,7 +92,7 @@ class Playback:
         self._table = _tabulated(self.plan, motion)
         self.lag.follow(motion)
         self._whole = abs(motion.path.angle)
-        self._end = min(abs(reference.goal) + self._aim, self._whole)
+        self._end = min(abs(reference.goal) + self.aim, self._whole)
         self._gone, self.rate = 0.0, 0.0
         self._turn_to(0.0)
 

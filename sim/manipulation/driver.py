@@ -19,7 +19,7 @@ from planner.motion.manipulation.idle_fingers import out_of_the_way
 from planner.motion.path import tilts
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
-from sim.controllers import ClosesAgain, Event, Observation, Phase
+from sim.controllers import ClosesAgain, Event, HasOwnAim, Observation, Phase
 from sim.controllers.follow import MotionReference
 from sim.controllers.motors import MotorServo
 from sim.gantry import Gantry
@@ -72,6 +72,11 @@ class ManipulationDriver:
     def closing(self) -> bool:
         """Whether the fingers close a second time."""
         return isinstance(self.holding, ClosesAgain) and self.holding.closing
+
+    @property
+    def aims_by_belief(self) -> bool:
+        """Whether a turn that is not known well goes further."""
+        return not isinstance(self.holding, HasOwnAim)
 
     def begin_stroke(self, left: float, deviation: float = 0.0) -> MotionReference:
         """Begin a stroke: a reference along the planned motion, from where the object is.

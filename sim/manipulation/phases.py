@@ -160,6 +160,11 @@ class Phases:
         """How far the object has come since the turn began, as it is read, rad, with its sign."""
         return self._run.reading.turned()
 
+    def _deviation(self) -> float:
+        """Standard deviation (rad) of the turn by which the next one aims further."""
+        run = self._run
+        return run.reading.deviation() if run.driver.aims_by_belief else 0.0
+
     def _turn(self) -> Measured:
         """The turn, or its next stroke, from the measured pose."""
         first, self._turn_begun = not self._turn_begun, True
@@ -167,7 +172,7 @@ class Phases:
             self._run.reading.mark_reference()
         if self._plan.gait is not None:
             return self._stroke()
-        deviation = self._run.reading.deviation()
+        deviation = self._deviation()
         if not first or deviation:  # not first: fingers went back to where the motion began
             self._run.driver.begin_stroke(self._plan.angle - self._turned, deviation)
         fault = self._follow("turn")
@@ -212,7 +217,7 @@ class Phases:
 
     def _stroke(self) -> Measured:
         before = self._turned
-        deviation = self._run.reading.deviation()
+        deviation = self._deviation()
         asked = abs(self._run.driver.begin_stroke(self._plan.angle - before, deviation).goal)
         fault = self._follow("turn")
         numbers = self._in_hand()
