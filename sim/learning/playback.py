@@ -31,9 +31,10 @@ from sim.learning.lag import PLACES, ObjectLag, interpolated
 
 __all__ = ["AIM", "Playback", "servo_shift"]
 
-AIM = float(np.deg2rad(2.5))
-"""Turn (rad) beyond the asked one at which the clock ends: the middle of what the protocol accepts,
-from the asked turn to 5 degrees more. Without a camera nothing tells the last degree."""
+AIM = float(np.deg2rad(2.0))
+"""Turn (rad) beyond the goal at which the clock ends. With the half degree by which every goal lies
+beyond the asked turn (``sim.manipulation.driver.BEYOND``) that is the middle of what the protocol
+accepts, up to 5 degrees more. Without a camera nothing tells the last degree."""
 
 STANDING: frozenset[Phase] = frozenset({"squeeze", "settle", "lower", "release"})
 """Phases in which the table carries the object, or may."""

@@ -45,8 +45,8 @@ LEARNING_RATE = 0.0
 """Rate (1/s) at which the teacher's loop learns a constant load: not at all, since a policy cannot
 imitate what depends on a memory that it does not have."""
 
-AIM_TAUGHT = float(np.deg2rad(1.5))
-"""Turn (rad) beyond the asked one that the teacher aims at; dry friction, against which its loop
+AIM_TAUGHT = float(np.deg2rad(1.0))
+"""Turn (rad) beyond the goal that the teacher aims at; dry friction, against which its loop
 has learned a load, adds a degree at the end."""
 
 APART, PUSH_APART = 0.003, 500.0
