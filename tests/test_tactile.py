@@ -488,7 +488,7 @@ def test_a_reading_of_four_pads_takes_less_than_two_milliseconds(plan: GraspPlan
     sense, truth = simulation.reality.touch, simulation.observe("squeeze", 1.0)
     assert sense is not None
     best = math.inf
-    for k in range(20):
+    for k in range(200):  # the quickest, whatever else the machine does
         later = replace(truth, time=truth.time + 0.002 * (k + 1))
         begin = time.process_time()
         sense.read(later)
