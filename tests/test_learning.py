@@ -216,7 +216,7 @@ def moved(plan: ManipulationPlan, twist: Any, at: int = 0) -> Observation:
 
 
 def test_the_lag_of_the_object_is_the_torque_that_moves_it_back(plan: ManipulationPlan) -> None:
-    """The work of what is told in any rigid motion of the contacts: by differences of postures."""
+    """In motions that the contacts allow, torques do as much work as the deviation by its twist."""
     rng, knot = np.random.default_rng(2), plan.motion.knots[0]
     T_base_world = plan.motion.T_world_base.inverse()
     points = knot.contacts.transformed(T_base_world).positions
