@@ -22,10 +22,11 @@ from planner.finishing import finished, true_geometry, true_links
 from planner.plan import GraspPlan
 from planner.refine import refine_grasp
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.optimize import optimize_grasp
+from planner.synthesis.optimize import NEARLY, optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions
-from planner.synthesis.problem import Candidate, GraspProblem
+from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.problem_cache import Problems, problems_for
+from planner.synthesis.room import with_room
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.system.stage_times import stage
@@ -309,10 +310,18 @@ class _GraspContext:
             start = self.seeder.draw(rng)
         if isinstance(start, Failure):
             return start
-        parameters = problem.parameters(task, start, self.seeder.posture, options)
+        roomy = with_room(options, task)
         with stage("solve"):
-            candidate = optimize_grasp(problem, task, start, parameters, options, self.links)
+            candidate = self._solved(start, roomy)
+            if roomy is not options and problem.worst_violation(candidate.violation)[1] > NEARLY:
+                candidate = self._solved(start.at(candidate), options)
         return self.verified(candidate)
+
+    def _solved(self, start: Start, margins: SynthesisOptions) -> Candidate:
+        """Where the solver comes to from a start with margins; true links keep theirs."""
+        problem = self.grasp_problem
+        parameters = problem.parameters(self.task, start, self.seeder.posture, margins)
+        return optimize_grasp(problem, self.task, start, parameters, self.options, self.links)
 
     def verified(self, candidate: Candidate) -> GraspPlan | Failure:
         """Project a candidate onto the true surface and verify it."""

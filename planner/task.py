@@ -40,6 +40,9 @@ friction alone if all fingers shared the load, never less than ``MIN_GRIP``."""
 MIN_GRIP = 1.5
 """Smallest default normal force per finger, N: well above the joint friction of a real finger."""
 
+MOST_JOINT_ERROR = 0.2
+"""Largest ``joint_error``, rad: 11 degrees, with which no finger finds what it is sent to."""
+
 FINGERS_NEEDED = {"frictionless": 7, "point": 3, "soft": 2}
 """Fewest contacts that can close a grasp of a solid body: rank 6 of the grasp map with forces that
 can balance each other (Murray, Li, Sastry 1994, section 5.3)."""
@@ -98,6 +101,9 @@ class GraspTask:
         grip_force: Smallest normal force per finger in the planned grasp, N.
         expected_load: What ``grip_force`` was sized for beside the weight. Fewer fingers then grip
             harder. A plan file keeps the grip alone.
+        joint_error: Standard deviation of the constant error of each joint's encoder, rad: the
+            search leaves room for it where there is room (``planner.synthesis.room``). A plan file
+            keeps the plan alone.
         T_world_base: Pose of the hand's base if it is fixed; None if it is free. The base of a hand
             on an arm is the arm's root, which is fixed.
         wrist_free: Whether the wrist joints may move; they stay at ``wrist_q`` otherwise.
@@ -117,6 +123,7 @@ class GraspTask:
     may_spare_fingers: bool = False
     grip_force: float
     expected_load: ExpectedLoad = field(default_factory=ExpectedLoad)
+    joint_error: float = 0.0
     T_world_base: SE3 | None = None
     wrist_free: bool = False
     wrist_q: FloatArray
@@ -137,6 +144,7 @@ class GraspTask:
         fingers: Sequence[str] | None = None,
         grip_force: float | None = None,
         expected_load: ExpectedLoad | None = None,
+        joint_error: float = 0.0,
         T_world_base: SE3 | None = None,
         wrist_free: bool = False,
         wrist_q: Sequence[float] | FloatArray | None = None,
@@ -160,6 +168,7 @@ class GraspTask:
             expected_load: The largest disturbance that the object is to bear in the hand; none if
                 None. It sizes the grip (``planner.forces.grip_for_load``), so it goes without
                 ``grip_force``.
+            joint_error: Standard deviation of each joint's encoder error, rad.
             T_world_base: Pose of the hand's base if it is fixed. A hand on an arm has its arm stand
                 where its description says, seen from the object, if None.
             wrist_free: Whether the wrist joints may move.
@@ -205,6 +214,7 @@ class GraspTask:
             may_spare_fingers=fingers is None,
             grip_force=grip_force,
             expected_load=load,
+            joint_error=joint_error,
             T_world_base=T_world_base,
             wrist_free=wrist_free,
             wrist_q=_numbers(
@@ -244,6 +254,10 @@ class GraspTask:
             _check_number(name, value)
             most = np.inf if name == "grip_force" else MOST_FRICTION
             checked_number(name, value, least=0.0, most=most, error=TaskError)
+        _check_number("joint_error", self.joint_error)
+        checked_number(
+            "joint_error", self.joint_error, least=0.0, most=MOST_JOINT_ERROR, error=TaskError
+        )
         gravity = _numbers("gravity", self.gravity, "three finite numbers in m/s2")
         if gravity.shape != (3,) or not np.isfinite(gravity).all():
             raise TaskError(f"gravity is {self.gravity}; give three finite numbers in m/s2")

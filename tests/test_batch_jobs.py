@@ -235,9 +235,11 @@ def test_a_task_is_made_again_to_the_last_bit(allegro: Hand) -> None:
             obstacles=[wall],
             T_world_base=SE3(turn.T, np.ones(3)),
             expected_load=ExpectedLoad(force=3.0, torque=0.1),
+            joint_error=0.05,
         )
         again = task_of(recipe_of(task))
         assert again.expected_load == task.expected_load
+        assert again.joint_error == task.joint_error
         assert again.grip_force == task.grip_force
         assert (again.T_world_object.homogeneous == task.T_world_object.homogeneous).all()
         assert again.T_world_base is not None

@@ -13,9 +13,13 @@ from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.spatial import FloatArray
 from planner.synthesis.link_capsules import collision_pairs, finger_capsules, rooms_at_rest
+from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import build_problem
 from planner.synthesis.terms import clearance
 from planner.synthesis.terms.clearance import FINGERS
+
+CLEAR = SynthesisOptions().clear_fingers
+"""Distance between fingers that is asked for if nothing is said, m."""
 
 PITCH, WIDE, THIN = 0.0165, 0.008, 0.005
 """Distance of the fingers' middles, and half sizes of their links, m: 0.5 mm between the links."""
@@ -59,20 +63,24 @@ def test_neighbours_have_less_room_than_is_asked_for(narrow: Hand) -> None:
     tight = {
         frozenset((capsules[i].finger, capsules[j].finger))
         for (i, j), room in zip(collision_pairs(narrow), rooms, strict=True)
-        if room < clearance.AMPLE
+        if room < CLEAR
     }
     assert tight
     assert all(len(pair) == 2 and "thumb" not in pair for pair in tight)
 
 
 def test_the_hands_own_posture_is_allowed(narrow: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert margins(narrow, 0.002).min() > 0.0
-    assert margins(narrow, 0.0).min() > 0.0
-    monkeypatch.setattr(clearance, "AMPLE", -np.inf)  # as if every pair had room
-    assert margins(narrow, 0.002).min() < -1e-6
+    for clear in (CLEAR, 0.0, 0.02):  # however much is asked
+        assert margins(narrow, clear).min() > 0.0
+    monkeypatch.setattr(clearance, "rooms_at_rest", as_if_every_pair_had_room)
+    assert margins(narrow, CLEAR).min() < -1e-6
+
+
+def as_if_every_pair_had_room(hand: Hand) -> FloatArray:
+    return np.full(len(collision_pairs(hand)), np.inf)
 
 
 @pytest.mark.parametrize("name", hand_names())
 def test_hands_that_ship_have_room(name: str) -> None:
     """So their problems ask of all pairs what the options say."""
-    assert rooms_at_rest(load_hand(name)).min() >= clearance.AMPLE
+    assert rooms_at_rest(load_hand(name)).min() >= CLEAR

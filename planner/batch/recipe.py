@@ -35,12 +35,14 @@ class Recipe(StrictData):
         task: As in plan files.
         may_spare_fingers: Whether the search may go on with fewer fingers.
         expected_load: Force (N) and torque (N m) that fewer fingers are to bear too.
+        joint_error: Standard deviation of each joint's encoder error, rad.
         rotations: Rotation matrices, row by row, of poses that quaternions give to rounding alone.
     """
 
     task: TaskData
     may_spare_fingers: bool = False
     expected_load: tuple[Finite, Finite] = (0.0, 0.0)
+    joint_error: Finite = 0.0
     rotations: dict[str, list[Finite]] = Field(default_factory=dict)
 
     @classmethod
@@ -54,6 +56,7 @@ class Recipe(StrictData):
             task=task_data(task),
             may_spare_fingers=task.may_spare_fingers,
             expected_load=(task.expected_load.force, task.expected_load.torque),
+            joint_error=task.joint_error,
             rotations={
                 name: pose.rotation.ravel().tolist()
                 for name, pose in _poses(task).items()
@@ -80,6 +83,7 @@ class Recipe(StrictData):
             obstacles=obstacles,
             may_spare_fingers=self.may_spare_fingers,
             expected_load=ExpectedLoad(force=force, torque=torque),
+            joint_error=self.joint_error,
             **exact,
         )
 
@@ -98,7 +102,9 @@ def recipe_of(task: GraspTask) -> str:
     Raises:
         TaskError: The hand was made in Python, so that no text can name it.
     """
-    return Recipe.of(task).model_dump_json()
+    # without an error the text is that of batches made before there was one
+    left_out = None if task.joint_error else {"joint_error"}
+    return Recipe.of(task).model_dump_json(exclude=left_out)
 
 
 @made_once(64)

@@ -34,6 +34,7 @@ from planner.synthesis.objectives.registry import EPSILON
 from planner.synthesis.optimize import NEARLY, GraspRun
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
+from planner.synthesis.room import with_room
 from planner.synthesis.seeds.draw import Seeder
 from planner.system.stage_times import stage
 from planner.task import GraspTask
@@ -166,10 +167,14 @@ def _climbed(
     """The best grasp near a start, and its value; a failure if it would not beat the best."""
     task, problem, options = context.task, context.grasp_problem, context.options
     begin = time.process_time()
-    posture = context.seeder.posture
+    posture, margins = context.seeder.posture, with_room(options, task)
     with stage("solve"):
-        run = GraspRun(problem, task, start, problem.parameters(task, start, posture, options))
+        run = GraspRun(problem, task, start, problem.parameters(task, start, posture, margins))
         run.solve(MAX_ITERATIONS)
+        if run.end.worst > NEARLY and margins is not options:
+            margins = options
+            run.set_parameters(problem.parameters(task, start, posture, margins))
+            run.solve(MAX_ITERATIONS)
     status = run.end.status
     if run.end.worst > NEARLY:
         return run.candidate(status, begin), -np.inf
@@ -181,7 +186,8 @@ def _climbed(
 
     if options.weights and options.rounds:
         light = with_light_costs(options)
-        run.set_parameters(problem.parameters(task, start, posture, light))
+        light_margins = with_light_costs(margins)
+        run.set_parameters(problem.parameters(task, start, posture, light_margins))
         floor = -np.inf if best is None else best.climbed
         with stage("climb"):
             raised = climb(run, light, value=value, best=floor, world=context.links)

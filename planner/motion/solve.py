@@ -22,7 +22,7 @@ import numpy as np
 from planner.failure import Failure
 from planner.motion.limits import Limit, what_limits, worst_term
 from planner.motion.path import ObjectPath
-from planner.motion.problem import MotionProblem
+from planner.motion.problem import MotionNumbers, MotionProblem
 from planner.motion.residuals import MotionResiduals
 from planner.motion.terms import REACH
 from planner.motion.unknowns import SHARE
@@ -40,6 +40,7 @@ from planner.synthesis.optimize import (
 )
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
+from planner.synthesis.room import with_room
 from planner.task import GraspTask
 
 __all__ = ["MotionCandidate", "MotionSolver"]
@@ -131,7 +132,8 @@ class MotionSolver:
         self.problem, self.task, self.path = problem, task, path
         self.path_tolerance = path_tolerance
         self._options, self._posture = options, posture
-        self._first = replace(options, rounds=0)
+        self._roomy = with_room(options, task)
+        self._first = replace(self._roomy, rounds=0)
         self._rounds = rounds
         self._field = problem.grasp.surface.field_of(task.object.shape)
         hand, u = task.hand, problem.unknowns
@@ -158,6 +160,9 @@ class MotionSolver:
         run.in_haste = not self.problem.stances
         run.fix(1.0)
         run.descend(REACHING)
+        if run.worst > WORTH_A_LOOK and run.has_room:
+            run.give_up_room()
+            run.descend(HOLDING)
         if (
             run.worst > WORTH_A_LOOK and run.residuals.numbers.pivoting_costs
         ):  # pivoting is a cost that need not hold: try again without it
@@ -174,6 +179,8 @@ class MotionSolver:
     def maximise_path(self, start: Start) -> Iterator[MotionCandidate]:
         """As much of the path as there is, from a start in its middle; then less and less of it."""
         run = _Run(self, start)
+        if run.has_room:
+            run.give_up_room()
         run.residuals.pull = REACH.weight * run.residuals.length
         run.descend(REACHING)
         limits = what_limits(run.residuals, run.z, run.lower, run.upper)
@@ -188,33 +195,23 @@ class MotionSolver:
     def _grasped(self, start: Start) -> Start:
         """The same start with the grasp that it leads to."""
         one = self.problem.grasp
-        parameters = one.parameters(self.task, start, self._posture, self._options)
-        found = optimize_grasp(one, self.task, start, parameters, self._first)
-        return replace(
-            start,
-            T_object_base=found.T_object_base,
-            q=found.q,
-            points=found.points,
-            forces=found.forces,
-        )
+        parameters = one.parameters(self.task, start, self._posture, self._roomy)
+        return start.at(optimize_grasp(one, self.task, start, parameters, self._first))
 
 
 class _Run:
-    """Where a motion has come to, and within which bounds it may move on."""
+    """Where a motion has come to, and within which bounds it may move on.
+
+    Attributes:
+        has_room: Whether room for joints that are off is asked for (``planner.synthesis.room``).
+    """
 
     def __init__(self, solver: MotionSolver, start: Start) -> None:
         self._solver = solver
-        start = solver._grasped(start)
+        self._start = start = solver._grasped(start)
         problem = solver.problem
-        numbers = problem.numbers(
-            solver.task,
-            solver.path,
-            start,
-            solver._posture,
-            solver._options,
-            solver.path_tolerance,
-        )
-        self.residuals = MotionResiduals(problem, numbers, solver._field)
+        self.has_room = solver._roomy is not solver._options
+        self.residuals = MotionResiduals(problem, self._numbers(), solver._field)
         self.lower, self.upper = problem.bounds(
             start, solver.path_tolerance, exact_end=solver._exact_end
         )
@@ -222,6 +219,18 @@ class _Run:
         self.worst = np.inf
         self.in_haste = False  # whether small gains end a descent
         self._iterations = 0
+
+    def _numbers(self) -> MotionNumbers:
+        """The parameters, with room or without."""
+        s = self._solver
+        options = s._roomy if self.has_room else s._options
+        return s.problem.numbers(s.task, s.path, self._start, s._posture, options, s.path_tolerance)
+
+    def give_up_room(self) -> None:
+        """From now on ask for no more distance than if joints were exact."""
+        self.has_room = False
+        for one, knot in zip(self.residuals.grasped, self._numbers().knots, strict=True):
+            one.set_parameters(knot, self._solver._field)
 
     def fix(self, path_parameter: float) -> None:
         """From now on exactly up to this path parameter."""

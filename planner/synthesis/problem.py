@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -72,6 +72,16 @@ class Start:
     patches: tuple[Patch, ...]
     frozen: NDArray[np.bool_]
     base_fixed: bool = False
+
+    def at(self, candidate: Candidate) -> Start:
+        """The same start where a solver ended."""
+        return replace(
+            self,
+            T_object_base=candidate.T_object_base,
+            q=candidate.q,
+            points=candidate.points,
+            forces=candidate.forces,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

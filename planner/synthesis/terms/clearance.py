@@ -53,10 +53,6 @@ __all__ = [
     "clearance_of",
 ]
 
-AMPLE = 0.002
-"""Room (m) between two fingers in the hand's own postures from which on they are asked for all of
-``clear_fingers``: its default. Pairs with less are asked for the room that they have."""
-
 OBSTACLE_DIM = 15
 """Numbers of an obstacle among the parameters."""
 
@@ -244,8 +240,7 @@ class Clearances:
         """What the squared distance of each pair of capsules must be (n_pairs,), m2."""
         radii = np.array([c.radius for c in finger_capsules(self._hand)])
         rooms, clear = rooms_at_rest(self._hand), float(values["clear_fingers"][0])
-        asked = np.where(rooms >= AMPLE, clear, np.minimum(clear, rooms))
-        least = np.maximum(radii[self.pairs].sum(axis=1) + asked, 0.0)
+        least = np.maximum(radii[self.pairs].sum(axis=1) + np.minimum(clear, rooms), 0.0)
         out: FloatArray = least**2
         return out
 
@@ -343,7 +338,7 @@ def _between_fingers(g: GraspSymbols) -> list[Any]:
     clear = g.option["clear_fingers"]
     for (i, j), room in zip(collision_pairs(g.hand), rooms_at_rest(g.hand), strict=True):
         apart = way(*ends[i], *ends[j])
-        asked = clear if room >= AMPLE else ca.fmin(clear, float(room))
+        asked = ca.fmin(clear, float(room))
         least = ca.fmax(capsules[i].radius + capsules[j].radius + asked, 0.0)
         out.append(ca.sumsqr(apart) - least**2)
     return out
