@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cache
+
+import mujoco
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from test_sim_controllers import observe
 
+from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
@@ -17,6 +23,8 @@ from sim.controllers.closing import (
     SEARCH_REACH,
     SEARCH_SPEED,
     GuardedClosing,
+    SearchWay,
+    search_ways,
 )
 
 DT, STEPS = 0.002, 250
@@ -113,3 +121,102 @@ def test_a_late_finger_searches_slowly_then_faster_and_not_for_ever(plan: GraspP
     assert gone[0] == pytest.approx(EARLY, rel=0.2)
     assert gone[1] == pytest.approx(SEARCH_REACH, rel=0.2)
     assert gone[2] == pytest.approx(gone[1], abs=2e-4)
+
+
+BOTH = "allegro_hand", "shadow_hand"
+"""The Shadow-type hand has coupled joints."""
+
+
+@cache
+def planned(name: str) -> GraspPlan:
+    return plan_grasp(GraspTask.create(name, "box"), seed=2)
+
+
+@pytest.mark.parametrize("name", BOTH)
+def test_a_search_moves_the_pad_along_its_normal_as_the_joints_can(name: str) -> None:
+    either = planned(name)
+    couplings, _ = either.task.hand.coupling_matrix
+    far = 1e-5
+    for i, way in enumerate(search_ways(either)):
+        step = np.zeros(either.task.hand.nq)
+        step[way.index] = way.straight
+        # contacts are fixed in their links; their motion along the normal by differences
+        moved = contact(either, i, either.q + far * step) - contact(either, i, either.q)
+        assert float(moved @ inwards(either)[i]) == pytest.approx(far, rel=1e-3)
+        np.testing.assert_allclose(couplings @ step, 0.0, atol=1e-9)
+
+
+def contact(plan: GraspPlan, i: int, q: FloatArray) -> FloatArray:
+    """The point of a link that touches in the plan, at joints q, base, m."""
+    joint = plan.task.fingers[i].pad.joint_id
+    planned = HandState(plan.task.hand, plan.q).joint_pose(joint)
+    point = plan.T_world_base.inverse().act(plan.contacts.positions[i])
+    return np.array(HandState(plan.task.hand, q).joint_pose(joint).act(planned.actInv(point)))
+
+
+def inwards(plan: GraspPlan) -> FloatArray:
+    return np.asarray(plan.contacts.normals @ plan.T_world_base.rotation)
+
+
+@pytest.mark.parametrize("name", BOTH)
+@given(slope=st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
+@settings(deadline=None)  # the first example plans a grasp
+def test_a_way_past_a_neighbour_goes_as_far_and_comes_no_nearer(
+    name: str, slope: list[float]
+) -> None:
+    for way in search_ways(planned(name)):
+        off = np.array((slope * 2)[: len(way.index)])
+        found = way.past(off)
+        if found is None:
+            continue
+        assert way.along @ found == pytest.approx(way.along @ way.straight)
+        assert off @ found >= -1e-9
+        # of all such ways it costs least: none of the straight one's kind is cheaper
+        assert cost(way, found) >= cost(way, way.straight) - 1e-9
+
+
+def cost(way: SearchWay, v: FloatArray) -> float:
+    inner = way.free.T @ v
+    return float(inner @ way.cost @ inner)
+
+
+def test_a_search_does_not_run_into_a_neighbour() -> None:
+    """A finger leans on its neighbour's side; MuJoCo measures between the links."""
+    plan = plan_grasp(GraspTask.create("shadow_hand", "cylinder"), seed=2)
+    hand, fingers = plan.task.hand, plan.task.fingers
+    ways, ahead = search_ways(plan), EARLY
+    tried = []
+    for i, finger in enumerate(fingers):
+        for turn in np.deg2rad(np.linspace(-15.0, 15.0, 61)):
+            lean = plan.q.copy()
+            lean[finger.q_index[0]] += turn
+            further = lean.copy()
+            further[finger.q_index] += ahead * ways[i].straight
+            now, then = gap(hand, finger.name, lean), gap(hand, finger.name, further)
+            if 5e-4 < now < 1.5e-3 and then < now - 8e-4:
+                tried.append((i, lean, now))
+    assert tried, "no finger of this plan searches towards its neighbour"
+    for i, lean, now in tried:
+        closing = GuardedClosing(plan)
+        touching = tuple(k for k in range(len(fingers)) if k != i)
+        close(closing, plan, range(STEPS + 1))
+        steps = round(ahead / SEARCH_SPEED / DT)
+        before = close(closing, plan, range(STEPS, STEPS + 1), touching=touching, q=lean)[-1]
+        after = close(closing, plan, range(STEPS, STEPS + steps), touching=touching, q=lean)[-1]
+        # as far as the reference went, so far the joints would have gone; they read the same all
+        # the while, so a way that is straight in joints bends by some tenths of a millimetre
+        assert gap(hand, fingers[i].name, lean + after - before) > now - 5e-4
+
+
+def gap(hand: Hand, name: str, q: FloatArray) -> float:
+    """Least distance (m) of a finger's links from those of others, as MuJoCo has it."""
+    model, data = hand.mj_model, mujoco.MjData(hand.mj_model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    of = [hand.finger_of_body.get(model.body(int(b)).name) for b in model.geom_bodyid]
+    solid = [bool(model.geom_contype[i] or model.geom_conaffinity[i]) for i in range(model.ngeom)]
+    mine = [i for i in range(model.ngeom) if of[i] == name and solid[i]]
+    others = [i for i in range(model.ngeom) if of[i] not in (name, None) and solid[i]]
+    return float(
+        min(mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in mine for b in others)
+    )

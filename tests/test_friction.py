@@ -15,7 +15,7 @@ from planner.task import GraspTask
 from sim.controllers import GraspController, Observation
 from sim.controllers.friction import FAST, LEAST_TIME, FoundFriction
 from sim.controllers.motors import joint_drag
-from sim.controllers.torques import HoldingTorques
+from sim.controllers.torques import LEVER, HoldingTorques
 from sim.reality import Reality
 from sim.timeline import Timeline
 from sim.trial import simulate
@@ -109,3 +109,54 @@ def test_what_is_found_is_made_up_for_along_the_motion(plan: GraspPlan) -> None:
 
     expected = 0.02 * np.sign(rate) * of_fingers(plan.task.hand)
     np.testing.assert_allclose(torque(0.02) - torque(0.0), expected, atol=1e-12)
+
+
+def test_a_finger_that_looks_for_the_object_overcomes_what_was_found(plan: GraspPlan) -> None:
+    """Half a newton at its tip would not: joints of 0.02 N m stay where they are."""
+    n, nq = len(plan.task.fingers), len(plan.q)
+    contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+    searching = np.arange(n) == 1
+
+    def torque(friction: float) -> FloatArray:
+        torques = HoldingTorques(plan)
+        torques.make_up_for(np.full(nq, friction))
+        torques.move(plan.q, np.zeros(nq), GRAVITY)
+        torques.touch(contacts.positions, contacts.center, ~searching)
+        ctrl = torques.commands(np.zeros((n, 3)), contacts.normals, ~searching, searching)
+        actuation = plan.task.hand.actuation
+        return np.asarray(actuation.moment.T @ (actuation.gain * ctrl))
+
+    def along(q: FloatArray) -> float:
+        joint = plan.task.fingers[1].pad.joint_id
+        fixed = HandState(plan.task.hand, plan.q).joint_pose(joint).actInv(contacts.positions[1])
+        return float(
+            HandState(plan.task.hand, q).joint_pose(joint).act(fixed) @ contacts.normals[1]
+        )
+
+    step = 1e-6
+    lever = np.array([(along(plan.q + step * e) - along(plan.q)) / step for e in np.eye(nq)])
+    mine = np.zeros(nq)
+    mine[plan.task.fingers[1].q_index] = 1.0
+    expected = 0.02 * mine * np.clip(lever / LEVER, -1.0, 1.0)
+    # a tendon shares it between its joints
+    moment = plan.task.hand.actuation.moment
+    np.testing.assert_allclose(moment @ (torque(0.02) - torque(0.0)), moment @ expected, atol=1e-6)
+    assert np.abs(expected).max() == pytest.approx(0.02)
+
+
+def test_what_stuck_joints_may_keep_from_a_finger(plan: GraspPlan) -> None:
+    """On paper: the joint with the longest lever along the normal bears least force."""
+    n, nq = len(plan.task.fingers), len(plan.q)
+    contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+    torques = HoldingTorques(plan)
+    torques.move(plan.q, np.zeros(nq), GRAVITY)
+    torques.touch(contacts.positions, contacts.center, np.ones(n, dtype=bool))
+    np.testing.assert_array_equal(torques.held_back(contacts.normals), 0.0)
+    torques.make_up_for(np.full(nq, 0.02))
+    state = HandState(plan.task.hand, plan.q)
+    for i, finger in enumerate(plan.task.fingers):
+        at = state.point_jacobian(finger.pad.joint_id, contacts.positions[i])[:3]
+        lever = np.abs(contacts.normals[i] @ at[:, finger.q_index])
+        force = torques.held_back(contacts.normals)[i]
+        assert (lever * force <= 0.02 + 1e-12).all()
+        assert (lever * force).max() == pytest.approx(0.02)

@@ -8,20 +8,25 @@ object's place, a touch more than ``EARLY`` before the planned one, tells of tha
 closing is careful: a finger that touched holds still where it is, a wall rather than a push, and
 follows the object slowly along its normal if that moves off; the others come at
 ``CAREFUL_SPEED``, and search at it. So does a finger that is ``EARLY`` beyond its planned contact.
+None searches on where that leads it into its neighbour.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import null_space
 
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray, minimum_jerk
+from planner.spatial import FloatArray, IntArray, minimum_jerk
 from sim.controllers.base import Observation
+from sim.controllers.neighbours import Neighbours
 from sim.controllers.schedule import TOUCH_FORCE
 
-__all__ = ["SEARCH_DAMPING", "GuardedClosing"]
+__all__ = ["SEARCH_DAMPING", "GuardedClosing", "SearchWay", "search_ways"]
 
 CLOSE_RATE = 4.0
 """Fastest change (1/s) of a finger's share of the closing motion, for one that lost touch."""
@@ -43,9 +48,24 @@ SEARCH_REACH = 0.02
 of 0.1 + 0.06 + 0.03 m of joints that are off by 3 degrees each are 12 mm, and the object is off as
 well."""
 
-SEARCH_DAMPING = 0.01
-"""Damping (m/rad) of the inverse that turns the search into joint motion; keeps a straight finger
-from swinging."""
+LEAST_GAP = 0.002
+"""Distance (m) from its neighbour, by the joints, within which a finger does not search towards it:
+what plans leave between fingers."""
+
+LOOK = 1e-4
+"""Step of a joint (rad) of the differences that tell how it changes that distance."""
+
+SEARCH_DAMPING = 0.05
+"""Cost of joint motion in a search, as the lever (m/rad) at which a pad's motion across its normal
+costs as much. Without it a curled finger, of which hardly a joint moves the pad along its normal,
+swings to the side by 8 degrees and comes no nearer."""
+
+
+STUCK = 1e-2
+"""Least a M^-1 a (-) that is divided by: a pad that no joint moves along its normal stays."""
+
+MOST_AROUND = 3.0
+"""Most by which a way past a neighbour may be longer than the straight one, in joint motion (-)."""
 
 
 class GuardedClosing:
@@ -59,12 +79,17 @@ class GuardedClosing:
         """Prepare search directions for a plan."""
         self._plan, self._fingers = plan, plan.task.fingers
         n = len(self._fingers)
-        self._search, self._along = _search_directions(plan)
+        self._ways = search_ways(plan)
+        self._search, self._along = np.zeros((2, n, plan.task.hand.nq))
+        for i, one in enumerate(self._ways):
+            self._search[i, one.index], self._along[i, one.index] = one.straight, one.along
         self._share, self._reach, self._follows = np.zeros((3, n))
+        self._moved = np.zeros_like(self._search)  # by searching, rad
         way = np.abs(self._along @ (plan.q - plan.q_pregrasp))
         self._careful_rate = CAREFUL_SPEED / np.maximum(way, CAREFUL_SPEED / CLOSE_RATE)
         self._touched: NDArray[np.bool_] = np.zeros(n, dtype=bool)
         self._held: dict[int, FloatArray] = {}
+        self._neighbours = Neighbours(plan.task.hand, self._fingers)
         self.careful = False
 
     def step(self, elapsed: float, observation: Observation) -> FloatArray:
@@ -78,8 +103,8 @@ class GuardedClosing:
         self._share[free] = np.minimum(goal, self._share + rate * elapsed)[free]
         off = self.careful | (self._reach >= EARLY)
         speed = np.where(off, CAREFUL_SPEED, SEARCH_SPEED)
-        self._reach[free & arrived] += speed[free & arrived] * elapsed
-        self._reach = np.minimum(self._reach, SEARCH_REACH)
+        for i in np.flatnonzero(free & arrived).tolist():
+            self._go_on(i, speed[i] * elapsed, observation.q)
         q = plan.q_pregrasp + goal * (plan.q - plan.q_pregrasp)
         for i, (finger, share) in enumerate(zip(self._fingers, self._share, strict=True)):
             k = finger.q_index
@@ -87,10 +112,29 @@ class GuardedClosing:
                 if free[i]:
                     self._follows[i] = min(SEARCH_REACH, self._follows[i] + SEARCH_SPEED * elapsed)
                 q[k] = self._held[i] + self._follows[i] * self._search[i, k]
-                self._reach[i] = 0.0
+                self._reach[i], self._moved[i] = 0.0, 0.0
             else:
                 q[k] = plan.q_pregrasp[k] + share * (plan.q[k] - plan.q_pregrasp[k])
-        return np.asarray(q + self._reach @ self._search)
+        return np.asarray(q + self._moved.sum(axis=0))
+
+    def _go_on(self, i: int, step: float, q: FloatArray) -> None:
+        """Search on with a finger, by a step (m) along its normal, at joints as read (nq,).
+
+        Near a neighbour it goes past it, or stays where there is no way past.
+        """
+        step = min(step, SEARCH_REACH - self._reach[i])
+        way: FloatArray | None = self._ways[i].straight
+        gap, k = self._neighbours.gap(i, q), self._ways[i].index
+        if gap < LEAST_GAP:
+            slope = np.zeros(len(k))
+            for at, joint in enumerate(k.tolist()):
+                ahead = q.copy()
+                ahead[joint] += LOOK
+                slope[at] = (self._neighbours.gap(i, ahead) - gap) / LOOK
+            way = self._ways[i].past(slope)
+        if way is not None:
+            self._reach[i] += step
+            self._moved[i, k] += step * way
 
     def _notice(self, new: NDArray[np.bool_], q: FloatArray) -> None:
         """Judge the first touches of fingers (n,) at joints as read (nq,)."""
@@ -104,23 +148,66 @@ class GuardedClosing:
                 self._held[i] = q[self._fingers[i].q_index].copy()
 
 
-def _search_directions(plan: GraspPlan) -> tuple[FloatArray, FloatArray]:
-    """Joint motion (n, nq), rad/m, that moves each pad along its normal; and motion along it.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SearchWay:
+    """How a finger of k joints moves its pad along the contact normal.
 
-    The second (n, nq), m/rad, is the pad's motion along the normal per joint.
+    With a = J^T n, the pad's motion along the normal per joint, and T its motion across it, the
+    straight way is the joint motion v with
+
+        minimise v^T M v   subject to   a v = 1,   couplings v = 0,   M = T^T T + SEARCH_DAMPING^2 I
+
+    which is M^-1 a / (a M^-1 a) in a basis of what the couplings let.
+
+    Attributes:
+        index: The finger's joints (k,).
+        along: a (k,), m/rad.
+        straight: v (k,), rad/m.
+        free: Basis (k, m) of what couplings let.
+        cost: M in that basis (m, m).
     """
+
+    index: IntArray
+    along: FloatArray
+    straight: FloatArray
+    free: FloatArray
+    cost: FloatArray
+
+    def past(self, slope: FloatArray) -> FloatArray | None:
+        """The way (k,), rad/m, that does not lessen a distance that changes by ``slope`` (k,).
+
+        None where there is none, or it is too long.
+        """
+        if slope @ self.straight >= 0.0:
+            return self.straight
+        rows = np.vstack([self.along, slope]) @ self.free
+        inverse = np.linalg.solve(self.cost, rows.T)
+        gram = rows @ inverse
+        if np.linalg.det(gram) <= STUCK * gram[0, 0] * gram[1, 1]:
+            return None
+        way = self.free @ (inverse @ np.linalg.solve(gram, np.array([1.0, 0.0])))
+        if np.linalg.norm(way) > MOST_AROUND * np.linalg.norm(self.straight):
+            return None
+        return np.asarray(way)
+
+
+def search_ways(plan: GraspPlan) -> list[SearchWay]:
+    """The ways of a plan's fingers, in their order."""
     state = HandState(plan.task.hand, plan.q)
     inverse = plan.T_world_base.inverse()
-    fingers = plan.task.fingers
-    search, along = np.zeros((2, len(fingers), plan.task.hand.nq))
-    for i, (finger, point, normal) in enumerate(
-        zip(fingers, plan.contacts.positions, plan.contacts.normals, strict=True)
+    couplings, _ = plan.task.hand.coupling_matrix
+    ways = []
+    for finger, point, normal in zip(
+        plan.task.fingers, plan.contacts.positions, plan.contacts.normals, strict=True
     ):
         k = finger.q_index
-        jacobian = state.point_jacobian(finger.pad.joint_id, inverse.act(point))[:3]
-        jacobian = jacobian[:, k]
-        gram = jacobian @ jacobian.T + SEARCH_DAMPING**2 * np.eye(3)
+        jacobian = state.point_jacobian(finger.pad.joint_id, inverse.act(point))[:3, k]
         inwards = inverse.rotation @ normal
-        search[i, k] = jacobian.T @ np.linalg.solve(gram, inwards)
-        along[i, k] = jacobian.T @ inwards
-    return search, along
+        along = jacobian.T @ inwards
+        free = null_space(couplings[:, k])
+        across = (jacobian - np.outer(inwards, along)) @ free
+        cost = across.T @ across + SEARCH_DAMPING**2 * np.eye(free.shape[1])
+        way = np.linalg.solve(cost, free.T @ along)
+        straight = free @ way / max(float(along @ free @ way), STUCK)
+        ways.append(SearchWay(index=k, along=along, straight=straight, free=free, cost=cost))
+    return ways

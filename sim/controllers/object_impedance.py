@@ -17,7 +17,8 @@ What it notices and what it does then:
                     slipped at less friction than was believed, what it felt minus a margin is
                     believed of that finger from now on
     infeasible      the forces that come nearest within all limits are given, and fingers that only
-                    press on each other ease off: the wrench comes before the grip
+                    press on each other ease off: the wrench comes before the grip, unless it comes
+                    of an estimate and the object is only held
     gave up         fewer fingers than can hold the object, or infeasible, for too long
                     (``InfeasibilityMonitor``): nothing is learned or tightened any more, and
                     the reason is kept, until it is over
@@ -35,6 +36,7 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Phase, Sense
 from sim.controllers.believed import BelievedJoints
+from sim.controllers.doubt import Doubt
 from sim.controllers.events import Event, EventKind
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw, felt_inertia
@@ -152,6 +154,7 @@ class ObjectImpedance:
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
         self._believed = BelievedJoints(task.hand.actuation, plan.q)
+        self._doubt = Doubt()
         self._calibrated = self._moved = False
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
@@ -233,13 +236,15 @@ class ObjectImpedance:
         if self._moved:
             self._moved, self.T_palm_wanted = False, in_palm
             self._torques.latch()
+            self._doubt.forget()
         if self.T_palm_wanted is None:
             self.T_palm_wanted = in_palm
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
             self._torques.latch()
             self._torques.make_up_for(self._opening.friction.extra)
         wanted_twist = np.zeros(6)
-        if observation.phase in REFERENCE_PHASES and self.reference is not None:
+        follows = observation.phase in REFERENCE_PHASES and self.reference is not None
+        if self.reference is not None and follows:
             wanted_twist = self._follow(self.reference, elapsed, in_palm, observation.q)
         self._feel(elapsed, pads, T_base_world)
         believed = self._believed.believe(observation.q)
@@ -253,12 +258,28 @@ class ObjectImpedance:
         scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(minimum_jerk(np.asarray(ramp)))
         holding = self.schedule.holding
         pose = T_base_palm * in_palm
-        twist = self._torques.touch(self._points, pose.translation, holding) - wanted_twist
+        moving = self._torques.touch(self._points, pose.translation, holding)
+        held_back = self._torques.held_back(self._frames[:, :, 0])
+        if follows:
+            self._doubt.forget()
+        elif observation.belief is not None:
+            self.T_palm_wanted = self._doubt.gone_along(
+                self.T_palm_wanted,
+                in_palm,
+                (T_base_palm.rotation.T @ moving.reshape(2, 3).T).T.ravel(),
+                elapsed,
+                observation.belief,
+            )
+        twist = moving - wanted_twist
         if self._believed.acts:
             self._feel_stops(elapsed, observation, pads.force @ T_base_world.rotation.T)
         wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
-        missed = self._distribute(scale * wrench, pose.translation, believed, scale)
+        # where it only holds, a wrench that is in doubt is no reason to press less
+        eases = follows or observation.belief is None
+        missed = self._distribute(
+            scale * wrench, pose.translation, believed, scale, held_back=held_back, eases=eases
+        )
         if carries:
             self._judge(elapsed, wrench, missed)
         if carries and not self.gave_up:
@@ -330,11 +351,28 @@ class ObjectImpedance:
             self._note("slip", i, f"{1e3 * self._slips.speed[i]:.0f} mm/s; {did}")
 
     def _distribute(
-        self, wrench: FloatArray, center: FloatArray, q: FloatArray, scale: float
+        self,
+        wrench: FloatArray,
+        center: FloatArray,
+        q: FloatArray,
+        scale: float,
+        *,
+        held_back: FloatArray,
+        eases: bool,
     ) -> FloatArray:
-        """Find the contact forces for a wrench (6,); returns theirs minus it (6,)."""
+        """Find the contact forces for a wrench (6,); returns theirs minus it (6,).
+
+        Args:
+            wrench: (6,), about the object's centre, base axes.
+            center: (3,), that centre, m.
+            q: Joints as they are believed (nq,).
+            scale: How much of the grip is asked for (-).
+            held_back: (n,), what joint friction may take from each finger's force, N.
+            eases: Whether fingers press less while a wrench is missed.
+        """
         share = np.where(self.schedule.holding, self.schedule.share, 0.0)
-        grip = self.grip * max(LEAST_GRIP, self._grip * self._infeasibility.given)
+        given = self._infeasibility.given if eases else 1.0
+        grip = self.grip * max(LEAST_GRIP, self._grip * given)
         # actuators of a finger without force do not limit the others
         loaded = np.where((share > 0.0)[:, None, None], self._torques.jacobians, 0.0)
         step = self._loop.step(
@@ -345,7 +383,7 @@ class ObjectImpedance:
             jacobians=loaded,
             q=q,
             gravity_torque=self._torques.own_torque,
-            min_normal=np.minimum(scale * grip, self._max_normal) * share,
+            min_normal=np.minimum(scale * (grip + held_back), self._max_normal) * share,
             max_normal=self._max_normal * share,
             previous=self.forces,
         )

@@ -35,6 +35,11 @@ JOINT_DAMPING = 0.02
 """Damper (N m s/rad) on every joint of the fingers."""
 
 
+LEVER = 0.02
+"""Motion of a pad along its normal per joint (m/rad) from which on all of the joint's dry friction
+is made up for in a search: half a newton at the tip alone moves no joint of 0.02 N m."""
+
+
 class HoldingTorques:
     """Kinematics of the fingers that take part, and the commands for wanted contact forces.
 
@@ -56,6 +61,7 @@ class HoldingTorques:
         self.jacobians = np.zeros((n, 3, nq))
         self.own_torque = np.zeros(nq)
         self._drag, self._stiction = joint_drag(self._hand)
+        self._found = np.zeros(nq)
         self._v_ref = np.zeros(nq)
         self._own = np.zeros((n, nq), dtype=bool)
         for row, finger in zip(self._own, self._fingers, strict=True):
@@ -78,6 +84,7 @@ class HoldingTorques:
     def make_up_for(self, friction: FloatArray) -> None:
         """Take joints to have dry friction (nq,) beyond the model's, N m, from now on."""
         self._stiction = self._stiction + friction
+        self._found = self._found + friction
 
     def move(self, q: FloatArray, v: FloatArray, gravity: FloatArray) -> None:
         """Go to joints (nq,) and rates (nq,), with gravity (3,) in the base's axes, m/s2."""
@@ -175,6 +182,8 @@ class HoldingTorques:
             self._damping,
             self.own_torque,
         )
+        if searching.any() and self._found.any():
+            torque += self._to_search(normals, searching)
         self._torque = torque
         self._law_q = np.where(self._moving, self._q, self._q_ref)
         encoders = self._law_q
@@ -183,6 +192,26 @@ class HoldingTorques:
         if believed is not None and believed is not self._q:
             self._law_q = np.where(self._moving, believed, self._q_ref)
         return servo_commands(self._hand.actuation, encoders, self._law_q, self._v_moving, torque)
+
+    def held_back(self, normals: FloatArray) -> FloatArray:
+        """What the friction found may take from each finger's normal force at rest, (n,), N.
+
+        A finger whose joints are stuck presses with any force F along n for which every joint j
+        bears the difference to the torque that it gets: |J_j^T n| |F - F_wanted| <= friction_j.
+        The joint with the longest lever bears least. Fingers that nothing moves along n give 0.
+        """
+        if not self._found.any():
+            return np.zeros(len(normals))
+        levers = np.where(self._own, np.abs((normals[:, None] @ self.jacobians)[:, 0]), 0.0)
+        ends = levers.argmax(axis=1)
+        longest = levers[np.arange(len(levers)), ends]
+        return np.where(longest > LEVER, self._found[ends] / np.maximum(longest, LEVER), 0.0)
+
+    def _to_search(self, normals: FloatArray, searching: NDArray[np.bool_]) -> FloatArray:
+        """Joint torques (nq,) that overcome the friction found, for fingers that search."""
+        levers = (normals[:, None] @ self.jacobians)[:, 0] * searching[:, None]  # m/rad
+        lean = np.where(self._own, np.clip(levers / LEVER, -1.0, 1.0), 0.0).sum(axis=0)
+        return np.asarray(lean * self._found)
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last command wanted."""

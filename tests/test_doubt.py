@@ -1,0 +1,94 @@
+"""What an estimate takes back is no motion: the wanted pose goes along, as far as it was unsure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
+from sim import simulate
+from sim.controllers import ObjectImpedance
+from sim.controllers.belief import PoseBelief
+from sim.controllers.doubt import DEVIATIONS, Doubt
+from sim.reality import Reality
+
+DT = 0.002
+
+
+def belief(position: float, rotation: float) -> PoseBelief:
+    """Standard deviations (m, rad) along every axis."""
+    variances = np.repeat([position**2, rotation**2], 3)
+    return PoseBelief(covariance=np.diag(variances), known=True)
+
+
+def pose(x: FloatArray) -> SE3:
+    return SE3(pin.exp3(x[3:]), x[:3])
+
+
+def error(wanted: SE3, estimate: SE3) -> FloatArray:
+    turn = pin.log3(wanted.rotation @ estimate.rotation.T)
+    return np.concatenate([wanted.translation - estimate.translation, turn])
+
+
+numbers = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array)
+
+
+@given(way=numbers, jump=numbers)
+@settings(max_examples=50)
+def test_a_motion_with_the_fingertips_is_all_seen(way: FloatArray, jump: FloatArray) -> None:
+    """Whatever is in doubt, the loop answers to what the fingertips did."""
+    doubt, known = Doubt(), belief(0.01, 0.1)
+    start, twist = pose(0.01 * jump), 0.02 * way
+    wanted = doubt.gone_along(start, start, np.zeros(6), DT, known)
+    now = start
+    for _ in range(50):
+        turn = pin.exp3(DT * twist[3:])
+        now = SE3(turn @ now.rotation, now.translation + DT * twist[:3])
+        wanted = doubt.gone_along(wanted, now, twist, DT, known)
+    np.testing.assert_allclose(error(wanted, now), -50 * DT * twist, atol=1e-9)
+
+
+@given(jump=numbers)
+@settings(max_examples=50)
+def test_what_is_taken_back_within_the_doubt_is_no_error(jump: FloatArray) -> None:
+    size = np.array([0.002] * 3 + [0.03] * 3)  # within 3 standard deviations, however it points
+    doubt, known, start = Doubt(), belief(0.001, 0.015), SE3.Identity()
+    wanted = doubt.gone_along(start, start, np.zeros(6), DT, known)
+    after = pose(size * jump / np.sqrt(3.0))
+    wanted = doubt.gone_along(wanted, after, np.zeros(6), DT, known)
+    np.testing.assert_allclose(error(wanted, after), 0.0, atol=1e-9)
+
+
+def test_beyond_the_doubt_the_object_moved() -> None:
+    doubt, known, start = Doubt(), belief(0.001, 0.01), SE3.Identity()
+    wanted = doubt.gone_along(start, start, np.zeros(6), DT, known)
+    after = SE3(np.eye(3), np.array([0.02, 0.0, 0.0]))
+    for _ in range(3):  # as often as one looks
+        wanted = doubt.gone_along(wanted, after, np.zeros(6), DT, known)
+    may = DEVIATIONS * np.sqrt(3.0) * 0.001
+    np.testing.assert_allclose(error(wanted, after)[:3], [may - 0.02, 0.0, 0.0], atol=1e-12)
+    doubt.forget()  # at another wanted pose nothing was taken back yet
+    assert doubt.gone_along(start, after, np.zeros(6), DT, known) is start
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("allegro_hand", "cylinder"), seed=3)
+
+
+def test_a_camera_that_drifts_moves_no_object(plan: GraspPlan) -> None:
+    """Five degrees and five millimetres of it: the loop that believed it turned the object."""
+    drifting = Reality(
+        name="drift", pose_drift=0.005, turn_drift=np.deg2rad(5.0), pose_rate=60.0, seed=4
+    )
+    report = simulate(plan, controller=ObjectImpedance(plan), reality=drifting)
+    assert report.success, report.reason
+    moved, turned = report.largest_slip
+    assert moved < 0.5
+    assert turned < 0.5
