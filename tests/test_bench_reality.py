@@ -31,6 +31,7 @@ from sim.bench.reality.tasks import ComparedTask, register_task
 from sim.bench.statistics import wilson
 from sim.cli import app
 from sim.controllers import GraspController, Observation
+from sim.estimation import EstimateLog
 from sim.learning import Policy, PolicyFor
 from sim.manipulation.results import undisturbed
 from sim.manipulation.timeline import SuccessCriteria
@@ -112,10 +113,10 @@ class Fake:
     """A task whose trials cost nothing: it notes what it was asked."""
 
     asked: list[tuple[str, str, int, str, Reality]]
-    planned: list[tuple[str, str, int]]
+    planned: list[tuple[str, str, int, float]]
 
-    def plan(self, hand: str, kind: str, seed: int) -> list[Any]:
-        self.planned.append((hand, kind, seed))
+    def plan(self, hand: str, kind: str, seed: int, reality: Reality) -> list[Any]:
+        self.planned.append((hand, kind, seed, reality.encoder_offset))
         if kind == "box" and seed == 1:
             raise TaskError("too large")
         return [hand, kind, seed]
@@ -179,8 +180,9 @@ def test_every_loop_meets_the_same_trials(fake: Fake, compare: Compare) -> None:
             by_loop.setdefault(loop, set()).add((hand, kind, seed))
     assert len(by_loop["open"]) == 6  # of 8, one object has no plan in either hand
     assert by_loop["truth"] == by_loop["readings"] == by_loop["open"]
-    # each is planned once, whatever number of loops executes it
-    assert len(fake.planned) == len(set(fake.planned)) == 8
+    # each is planned once for calibrated joints and once for LAB's, for any number of loops
+    assert len(fake.planned) == len(set(fake.planned)) == 16
+    assert {offset for *_, offset in fake.planned} == {0.0, LAB.encoder_offset}
     cells = {(c["reality"], c["loop"], c["hand"], c["object"]): c for c in result["cells"]}
     assert len(cells) == 2 * 3 * 2 * 2
     assert all(c["n"] == 2 for c in cells.values())
@@ -499,3 +501,21 @@ def test_pushes_are_felt_and_a_strong_one_loses_the_object(load: float, held: bo
     else:
         assert outcome.conditions["pushes_survived"] < len(made)
         assert outcome.reason in ("dropped", "slipped", "torque limit reached")
+
+
+def test_how_far_an_estimate_was_off_counts_the_turn_alone() -> None:
+    """On paper: 3 mm and 4 mm along two axes are 5 mm; of 12 errors 2 lie beyond two sigma."""
+    log = EstimateLog()
+    at_end = np.array([0.003, -0.004, 0.0, 0.0, 0.0, np.deg2rad(2.0)])
+    sigma = np.array([0.001, 0.001, 0.001, 0.1, 0.1, 0.1])
+    log._rows = [
+        (0.0, "lift", np.ones(6), sigma, True),
+        (0.1, "turn", np.zeros(6), sigma, True),
+        (0.2, "turn", at_end, sigma, True),
+        (0.3, "carry", np.ones(6), sigma, True),
+    ]
+    found = tasks_module._estimated(log)
+    assert found["pose_mm"] == pytest.approx(5.0)
+    assert found["pose_deg"] == pytest.approx(2.0)
+    assert found["within_two_sigma"] == pytest.approx(10 / 12)
+    assert tasks_module._estimated(EstimateLog()) == {}

@@ -7,12 +7,13 @@ import sys
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
 
 from planner.errors import TaskError
-from sim.cli.common import errors_for_people
+from sim.cli.common import errors_for_people, reckoning_with
 from sim.cli.options import PlanOptions, with_options
 
 RUN = CliRunner()
@@ -75,3 +76,12 @@ def test_the_command_line_loads_no_engine_before_a_command_runs() -> None:
     code = "import sim.cli, sys; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"mujoco", "pinocchio", "coal", "casadi", "numpy"} & set(run.stdout.split())
+
+
+def test_planning_reckons_with_the_encoders_of_the_reality_unless_it_is_told() -> None:
+    asked = reckoning_with(PlanOptions(), "rough")
+    assert asked.joint_error == pytest.approx(3.0)
+    assert asked.task("allegro_hand", "sphere").joint_error == pytest.approx(np.deg2rad(3.0))
+    assert reckoning_with(PlanOptions(joint_error=0.0), "rough").joint_error == 0.0
+    assert reckoning_with(PlanOptions(), "ideal").joint_error == 0.0
+    assert PlanOptions().task("allegro_hand", "sphere").joint_error == 0.0

@@ -67,7 +67,7 @@ class GraspJob(ObjectJob):
 
 def plan_and_execute(job: GraspJob, check: Check) -> Row:
     """Plan and execute one seed; ``check`` is called between attempts and may raise."""
-    task = task_for(job.hand, job.spec, Setting())
+    task = task_for(job.hand, job.spec, Setting(joint_error=job.reality.encoder_offset))
     if isinstance(task, str):
         return job.lost(task)
     build_s = problems_for(task).build_s

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -53,6 +53,7 @@ from sim.manipulation.in_hand import AnyTurningController
 from sim.physics import PhysicsOptions
 from sim.reality import Reality
 from sim.runner import Check, Runner
+from sim.simulation import Simulation
 from sim.tables import Row
 
 __all__ = ["Turn", "believed", "execute_turn", "plan_turn", "run_manipulate", "run_turn"]
@@ -163,7 +164,10 @@ def plan_turn(turn: Turn, task: GraspTask) -> ManipulationPlan:
 
 
 def execute_turn(
-    turn: Turn, plan: ManipulationPlan, controller: AnyTurningController | None = None
+    turn: Turn,
+    plan: ManipulationPlan,
+    controller: AnyTurningController | None = None,
+    on_step: Callable[[Simulation], None] | None = None,
 ) -> ManipulationReport:
     """Execute a plan of a trial under what there really is.
 
@@ -171,6 +175,7 @@ def execute_turn(
         turn: The trial.
         plan: Its plan.
         controller: What drives the fingers; the closed loop if None.
+        on_step: Called with the simulation after every time step.
     """
     there = turn.draw()
     task = plan.motion.grasp.task  # with the fingers that were chosen
@@ -191,6 +196,7 @@ def execute_turn(
         push=Push(force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME),
         reality=turn.reality.seeded(turn.seed + turn.number),
         estimator=turn.estimator,
+        on_step=on_step,
     )
 
 
@@ -232,6 +238,7 @@ def believed(turn: Turn) -> GraspTask:
     item = parse_object(turn.draw().spec, mass=REGRASP_MASS if turn.regrasps else MASS[1])
     mu = REGRASP_FRICTION[0] if turn.regrasps else BELIEVED_MU
     task = manipulation_task(turn.hand, item, mu=mu, fingers=turn.fingers)
+    task = replace(task, joint_error=turn.reality.encoder_offset)
     if turn.spec:
         task = replace(task, T_world_object=standing(item.shape))
     return settled(on_stand(task, turn.stand) if turn.stand else task)

@@ -60,6 +60,7 @@ class Setting:
         mu: Sliding friction that planning relies on (-).
         fingers: Fingers that take part; None for the hand's default, of which some may be spared.
         floating: Whether there is no table.
+        joint_error: Standard deviation of the encoders' errors that planning reckons with, rad.
         clearance: Distance (m) below which a found grasp counts as failed: of object and links
             that carry no pad, and between links. 0 asks for no more than that nothing penetrates.
         rounds: Rounds that strengthen a grasp; the planner's default if None.
@@ -70,6 +71,7 @@ class Setting:
     mu: float = DEFAULT_MU
     fingers: tuple[str, ...] | None = None
     floating: bool = False
+    joint_error: float = 0.0
     clearance: float = 0.0
     rounds: int | None = None
     max_attempts: int = DEFAULT_MAX_ATTEMPTS
@@ -287,6 +289,7 @@ def task_for(hand: str, spec: str, setting: Setting) -> GraspTask | str:
             table_height=None if setting.floating else 0.0,
             mu=setting.mu,
             fingers=setting.fingers,
+            joint_error=setting.joint_error,
         )
     except PlannerError as error:
         return str(error)

@@ -84,7 +84,8 @@ def _made(job: _WallJob, check: Check) -> Row:
     try:
         item = parse_object(job.spec)
         pose = item.shape.resting_pose(index=as_used(item.shape))
-        task = GraspTask.create(hand, item, T_world_object=pose, table_height=0.0)
+        off = job.reality.encoder_offset if job.execute else 0.0
+        task = GraspTask.create(hand, item, T_world_object=pose, table_height=0.0, joint_error=off)
         made = attempts(task, seed=grasp_seed(job.seed, shape_key(item.shape), job.k))
     except PlannerError as error:
         return job.lost(str(error))

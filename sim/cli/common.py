@@ -156,6 +156,17 @@ RealityOption = Annotated[
         rich_help_panel=TRIAL_PANEL,
     ),
 ]
+JointErrorOption = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0,
+        help="Standard deviation of the encoders' errors, for which fingers get room; that of "
+        "--reality if not given.",
+        metavar="DEG",
+        rich_help_panel=GRIP_PANEL,
+    ),
+]
+
 RealitySeedOption = Annotated[
     int | None,
     typer.Option(
@@ -275,6 +286,21 @@ def check_policy(driver: Any, hand: Any, item: Callable[[], Any], degrees: float
     beyond = about.beyond(item(), degrees)
     if beyond:
         say(err, escape(beyond))
+
+
+def reckoning_with(request: Any, reality: str) -> Any:
+    """A request that reckons with the encoders of a reality, unless it says how far they are off.
+
+    Args:
+        request: Options of planning, with ``joint_error``.
+        reality: As ``reality_of`` takes it.
+
+    Raises:
+        PlannerError: See ``reality_of``.
+    """
+    if request.joint_error is not None:
+        return request
+    return replace(request, joint_error=math.degrees(reality_of(reality).encoder_offset))
 
 
 def reality_of(

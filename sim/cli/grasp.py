@@ -26,6 +26,7 @@ from sim.cli.common import (
     make_folder,
     out,
     print_json,
+    reckoning_with,
     say,
     told_command,
 )
@@ -70,7 +71,7 @@ def run(
         make_folder(out_dir)
     execute = trial.trial()
     check_policy(controller_of(trial.controller), hand, lambda: parse_object(object), None)
-    plan = request.plan(hand, object)
+    plan = reckoning_with(request, trial.reality).plan(hand, object)
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
     make_folder(folder)

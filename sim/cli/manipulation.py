@@ -21,6 +21,7 @@ from sim.cli.common import (
     ControllerOption,
     EstimateOption,
     FingersOption,
+    JointErrorOption,
     JsonOption,
     MassOption,
     PadsOption,
@@ -47,6 +48,7 @@ from sim.cli.common import (
     physics_of,
     print_json,
     reality_of,
+    reckoning_with,
     say,
     told_command,
 )
@@ -101,6 +103,7 @@ class TurnOptions:
     repair: RepairOption = False
     strict: StrictOption = False
     stand: StandOption = 0.0
+    joint_error: JointErrorOption = None
     max_attempts: Annotated[
         int,
         typer.Option(
@@ -123,7 +126,8 @@ class TurnOptions:
     @property
     def tells_the_task(self) -> bool:
         """Whether anything is given that a plan file holds."""
-        given = any(option is not None for option in (self.rotate, self.fingers, self.mass))
+        options = (self.rotate, self.fingers, self.mass, self.joint_error)
+        given = any(option is not None for option in options)
         mended = self.repair or self.strict
         return given or mended or self.shift != NO_SHIFT or self.stand > 0.0 or self.gait
 
@@ -151,6 +155,7 @@ class TurnOptions:
             mu=self.mu,
             fingers=None if self.fingers is None else names(self.fingers),
         )
+        task = replace(task, joint_error=math.radians(self.joint_error or 0.0))
         task = settled(on_stand(task, self.stand) if self.stand else task)
         with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
             try:
@@ -249,7 +254,7 @@ def manipulate(
         driver = controller_of(execution.controller)
         check_policy(driver, hand, lambda: parse_object(object_name), degrees if upright else None)
         _execute(
-            lambda: request.plan(hand_name, object_name),
+            lambda: reckoning_with(request, execution.reality).plan(hand_name, object_name),
             request.mu,
             execution,
             out_dir,

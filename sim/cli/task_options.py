@@ -13,6 +13,7 @@ from sim.cli.common import (
     SCENE_PANEL,
     AvoidOption,
     FingersOption,
+    JointErrorOption,
     MassOption,
     MuOption,
     RepairOption,
@@ -117,6 +118,7 @@ class TaskOptions:
             rich_help_panel=GRIP_PANEL,
         ),
     ] = None
+    joint_error: JointErrorOption = None
     base: Annotated[
         str | None,
         typer.Option(
@@ -169,6 +171,7 @@ class TaskOptions:
             fingers=None if self.fingers is None else names(self.fingers),
             grip_force=self.grip_force,
             expected_load=self._load(),
+            joint_error=math.radians(self.joint_error or 0.0),
             T_world_base=None if self.base is None else pose_of("--base", self.base),
             **self._wrist(loaded),
         )

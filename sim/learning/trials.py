@@ -204,7 +204,8 @@ class Plans:
         sizes, failure = ObjectRange(self.task.objects), None
         for k in range(TRIES):
             item = parse_object(sizes.at((GOLDEN * (number + k / TRIES)) % 1.0), mass=MASS[1])
-            believed = settled(manipulation_task(self.hand, item, mu=BELIEVED_MU))
+            task = manipulation_task(self.hand, item, mu=BELIEVED_MU)
+            believed = settled(replace(task, joint_error=self.task.reality.encoder_offset))
             seed = PLAN_SEEDS + TRIES * (self.task.seed + number) + k
             try:
                 plan = plan_manipulation(believed, angle=self.task.angle, seed=seed, rests=rests)

@@ -8,7 +8,7 @@ ones; the controller knows of that only what it measures.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ from sim.manipulation.standing import rests
 from sim.manipulation.timeline import TURNING, ManipulationTimeline, SuccessCriteria
 from sim.physics import PhysicsOptions
 from sim.reality import AnyReality
+from sim.simulation import Simulation
 
 __all__ = ["ManipulationRun", "manipulate"]
 
@@ -249,6 +250,7 @@ def manipulate(
     push: Push | None = None,
     reality: AnyReality | None = None,
     estimator: AnyEstimator | None = None,
+    on_step: Callable[[Simulation], None] | None = None,
     pictures: Path | None = None,
     video: Path | None = None,
     arrows: bool = False,
@@ -270,6 +272,7 @@ def manipulate(
         reality: Errors of sensors, drives and object that the plan does not know; none if None.
         estimator: What tells the controller where the object is: a name, or what makes one; see
             ``sim.simulation.Simulation``.
+        on_step: Called with the simulation after every time step; may stop it.
         pictures: Folder for a picture at the end of each phase, which is where it went wrong if it
             failed; it must exist.
         video: Write a film here: ``.mp4``, ``.webp`` or ``.gif``.
@@ -291,7 +294,7 @@ def manipulate(
         there: GraspTask | None,
         push: Push | None,
     ) -> ManipulationRun:
-        return ManipulationRun(
+        made = ManipulationRun(
             plan,
             controller=controller,
             true_task=there,
@@ -302,6 +305,8 @@ def manipulate(
             reality=reality,
             estimator=estimator,
         )
+        made.sim.simulation.on_step = on_step
+        return made
 
     run = run_of(plan, controller, true_task, push)
     report = run.perform(pictures=pictures, video=video, arrows=arrows, retry=retry, view=view)

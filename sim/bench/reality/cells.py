@@ -17,6 +17,9 @@ CELL = ("task", "reality", "loop", "hand", "object")
 MEDIANS = (
     "off_deg",
     "tilt_deg",
+    "pose_mm",
+    "pose_deg",
+    "within_two_sigma",
     "slip_mm",
     "slip_deg",
     "pushes_survived",

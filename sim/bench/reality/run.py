@@ -99,7 +99,9 @@ def compared_trials(
 def compared_row(trial: ComparedTrial, check: Check) -> Row:
     """Plan and execute a trial: a row of plain data."""
     task, loop = named_task(trial.task), named_loop(trial.loop)
-    plan, planning_cpu_s = _planned(trial.task, trial.hand, trial.kind, trial.draw)
+    # realities with the same encoders have the same plans
+    known = Reality(encoder_offset=trial.reality.encoder_offset)
+    plan, planning_cpu_s = _planned(trial.task, trial.hand, trial.kind, trial.draw, known)
     check()
     told = {"driver": loop.driver, "planning_cpu_s": planning_cpu_s}
     if isinstance(plan, str):
@@ -187,11 +189,11 @@ def _lost(trial: ComparedTrial, reason: str) -> Row:
 
 
 @lru_cache(maxsize=2)
-def _planned(task: str, hand: str, kind: str, draw: int) -> tuple[Any, float]:
+def _planned(task: str, hand: str, kind: str, draw: int, known: Reality) -> tuple[Any, float]:
     """A plan, or why there is none, and its CPU time, s; made once for the loops that follow."""
     begin = time.process_time()
     try:
-        plan: Any = named_task(task).plan(hand, kind, draw)
+        plan: Any = named_task(task).plan(hand, kind, draw, known)
     except PlannerError as error:
         plan = str(error)
     return plan, time.process_time() - begin
@@ -210,5 +212,7 @@ def _number(task: str, hand: str, kind: str, draw: int, loop: Loop, reality: Rea
         loop.estimator,
         None if told.ideal else off,
     ]
+    if reality.encoder_offset:
+        what.append(reality.encoder_offset)  # planning reckons with it, whatever a loop is told
     digest = hashlib.blake2b(json.dumps(what).encode(), digest_size=8).digest()
     return int.from_bytes(digest) >> (64 - BITS)

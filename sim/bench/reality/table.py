@@ -15,6 +15,9 @@ __all__ = ["reality_tables"]
 NUMBERS = {
     "off_deg": ("off deg", 1),
     "tilt_deg": ("tilt deg", 1),
+    "pose_mm": ("estimate off mm", 1),
+    "pose_deg": ("estimate off deg", 1),
+    "within_two_sigma": ("within 2 sigma", 2),
     "slip_mm": ("slip mm", 1),
     "slip_deg": ("slip deg", 1),
     "pushes_survived": ("pushes", 0),
@@ -83,6 +86,6 @@ def _numbers(rows: list[Row]) -> Table:
         [head for head, _ in NUMBERS.values()],
     )
     for row in rows:
-        shown = [number(row[what], digits) for what, (_, digits) in NUMBERS.items()]
+        shown = [number(row.get(what), digits) for what, (_, digits) in NUMBERS.items()]
         table.add_row(row["task"], row["reality"], row["loop"], *shown)
     return table

@@ -24,6 +24,7 @@ from sim.bench.manipulate import Turn, believed, execute_turn, plan_turn
 from sim.bench.reality.loops import Loop
 from sim.bench.reality.reasons import class_of_turn
 from sim.bench.requests import Setting, task_for
+from sim.estimation import EstimateLog
 from sim.physics import PhysicsOptions
 from sim.protocols.cases import Conditions
 from sim.protocols.pushes import PushesCase
@@ -50,7 +51,8 @@ class ComparedTask:
         name: In tables and on the command line.
         about: What is tried and what counts, in one line.
         objects: Which take turns.
-        plan: Plans a trial: hand, object, seed; raises ``PlannerError`` where there is no plan.
+        plan: Plans a trial: hand, object, seed, and the reality, of which it knows how well joints
+            are calibrated; raises ``PlannerError`` where there is no plan.
         execute: Executes a plan: hand, object, seed, plan, loop, reality with its seed. The row has
             "success", and "reason", the class of what went wrong, "" if nothing did.
     """
@@ -58,7 +60,7 @@ class ComparedTask:
     name: str
     about: str
     objects: tuple[str, ...]
-    plan: Callable[[str, str, int], Any] = field(repr=False)
+    plan: Callable[[str, str, int, Reality], Any] = field(repr=False)
     execute: Callable[[str, str, int, Any, Loop, Reality], Row] = field(repr=False)
 
 
@@ -90,8 +92,8 @@ def named_task(name: str) -> ComparedTask:
     return TASKS[name]
 
 
-def _plan_grasp(hand: str, kind: str, seed: int) -> GraspPlan:
-    task = task_for(hand, kind, Setting())
+def _plan_grasp(hand: str, kind: str, seed: int, reality: Reality) -> GraspPlan:
+    task = task_for(hand, kind, Setting(joint_error=reality.encoder_offset))
     if isinstance(task, str):
         raise TaskError(task)
     return plan_grasp(task, seed=seed)
@@ -127,8 +129,8 @@ def _turn(hand: str, kind: str, seed: int, reality: Reality) -> Turn:
     )
 
 
-def _plan_turn(hand: str, kind: str, seed: int) -> ManipulationPlan:
-    turn = _turn(hand, kind, seed, Reality())
+def _plan_turn(hand: str, kind: str, seed: int, reality: Reality) -> ManipulationPlan:
+    turn = _turn(hand, kind, seed, reality)
     return plan_turn(turn, believed(turn))
 
 
@@ -136,7 +138,8 @@ def _execute_turn(
     hand: str, kind: str, seed: int, plan: ManipulationPlan, loop: Loop, reality: Reality
 ) -> Row:
     turn = replace(_turn(hand, kind, seed, reality), estimator=loop.estimator)
-    report = execute_turn(turn, plan, loop.turning)
+    estimate = EstimateLog()
+    report = execute_turn(turn, plan, loop.turning, on_step=estimate)
     numbers = report.numbers()
     off = abs(numbers["turned_deg"] - float(np.rad2deg(turn.angle)))
     return {
@@ -147,6 +150,20 @@ def _execute_turn(
         "complete": report.complete,
         "off_deg": off,
         "tilt_deg": numbers["largest_tilt_deg"],
+        **_estimated(estimate),
+    }
+
+
+def _estimated(log: EstimateLog) -> Row:
+    """How far the estimate was off when the turn ended, and how well it knew that during it."""
+    turning = [k for k, phase in enumerate(log.phase) if phase == "turn"]
+    if not turning:
+        return {}
+    error, deviation = log.error[turning], log.deviation[turning]
+    return {
+        "pose_mm": 1e3 * float(np.linalg.norm(error[-1, :3])),
+        "pose_deg": float(np.rad2deg(np.linalg.norm(error[-1, 3:]))),
+        "within_two_sigma": float((np.abs(error) < 2.0 * deviation).mean()),
     }
 
 
