@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -41,6 +43,7 @@ from sim.tactile import (
 )
 from sim.tactile.gains import GainTracker
 from sim.tactile.ideal import ExactSense
+from sim.tactile.patches import fit_patches
 from sim.tactile.pressure import CONTACT_MODULUS, contact_deviation, spread
 
 RADIUS = 0.012
@@ -335,7 +338,11 @@ def test_gains_are_those_of_the_texture_whatever_force_and_place_are() -> None:
 
     def look(force: float, u: float) -> dict[int, float]:
         image = contact_image(layout, press(layout, (u, 0.0005), force), texture.gains)
-        taxels, gains = tracker.look(0.002, image, estimator.estimate(image))
+        patch = tracker.look(image, estimator.estimate(image))
+        assert patch is not None
+        (change,) = fit_patches([patch])
+        assert change is not None
+        taxels, gains = tracker.learn(0.002, patch, change)
         return dict(zip(taxels.tolist(), gains.tolist(), strict=True))
 
     for _ in range(20):
@@ -481,16 +488,22 @@ def test_an_unknown_sense_is_refused_with_those_there_are() -> None:
     assert set(TOUCH_SENSES) == {"exact", "taxels", "effort", "binary"}
 
 
-def test_a_reading_of_four_pads_takes_less_than_two_milliseconds(plan: GraspPlan) -> None:
+def test_a_reading_of_four_pads_takes_less_than_36_steps_of_mujoco(plan: GraspPlan) -> None:
     simulation = Simulation(plan, reality=Reality(name="t", touch="taxels"))
     run(simulation, approach=0.8, close=1.0, squeeze=0.2)
     assert simulation.reality is not None
     sense, truth = simulation.reality.touch, simulation.observe("squeeze", 1.0)
     assert sense is not None
-    best = math.inf
-    for k in range(200):  # the quickest, whatever else the machine does
-        later = replace(truth, time=truth.time + 0.002 * (k + 1))
+    model, data = simulation.scene.model, copy.copy(simulation.data)
+    readings = [replace(truth, time=truth.time + 0.002 * (k + 1)) for k in range(200)]
+    reading, step = math.inf, math.inf
+    for k in range(0, 200, 10):  # ten by ten: asking some systems for the time takes 0.5 ms
         begin = time.process_time()
-        sense.read(later)
-        best = min(best, time.process_time() - begin)
-    assert best < 2e-3
+        for one in readings[k : k + 10]:
+            sense.read(one)
+        middle = time.process_time()
+        for _ in range(10):
+            mujoco.mj_step(model, data)
+        reading = min(reading, middle - begin)
+        step = min(step, time.process_time() - middle)
+    assert reading < 36 * step  # 28 when written, whatever the machine and its load

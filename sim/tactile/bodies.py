@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, skew
+from planner.spatial import SE3, FloatArray, cross, skew
 from sim.controllers import PadReading
 from sim.pads import body_twist
 from sim.scene import HAND_PREFIX, Scene
@@ -85,7 +85,7 @@ class PadBodies:
             return out
         at = points[rows] - points[rows].mean(axis=0)
         twists = np.array([body_twist(self.scene, self.data, self.bodies[k]) for k in rows])
-        velocity = twists[:, 3:] + np.cross(twists[:, :3], points[rows])
+        velocity = twists[:, 3:] - cross(points[rows], twists[:, :3])
         weight = np.maximum(stick[rows], NOT_HOLDING)
         motion = np.concatenate([np.tile(np.eye(3), (len(rows), 1, 1)), -skew(at)], axis=2)
         weighted = motion * weight[:, None, None]

@@ -67,11 +67,8 @@ class ContactEstimator:
         self.layout = layout
         self._least = least_force
         rows, columns = layout.shape
-        self._u = np.tile(layout.u, rows)
-        self._v = np.repeat(layout.v, columns)
-        frames = layout.frames.reshape(-1, 3, 3)
-        # image -> force in the body's frame
-        self._turn = frames.transpose(0, 2, 1).reshape(-1, 3)
+        self._places = np.array([np.tile(layout.u, rows), np.repeat(layout.v, columns)])
+        self._ones = np.ones(rows * columns)
         self._fill = _fill_of(layout)
         none = np.full(3, np.nan)
         self._nothing = ContactEstimate(
@@ -93,23 +90,22 @@ class ContactEstimator:
             taxels = taxels.copy()
             taxels[dead] = weights @ taxels
         pressure = np.maximum(taxels[:, 0], 0.0)
-        total = float(pressure.sum())
+        total = float(pressure @ self._ones)
         if total < self._least:
             return self._nothing
-        du, dv = self._u, self._v
-        place = np.array([pressure @ du, pressure @ dv]) / total
-        du, dv = du - place[0], dv - place[1]
+        place = self._places @ pressure / total
+        du, dv = self._places - place[:, None]
         square = du * du + dv * dv
         frame = self.layout.frame_at(place)
         normal = frame[:, 0]
-        force = taxels.reshape(-1) @ self._turn
+        force = taxels.reshape(-1) @ self.layout.image_axes
         along = float(force @ normal)
-        shear = taxels[:, 1:].sum(axis=0)
-        size = math.hypot(*shear.tolist())
+        _, *shear = (self._ones @ taxels).tolist()
+        size = math.hypot(*shear)
         sheared = math.nan
         if size > self._least:
             # the pressure's own tilt against the neighbours' axes has no part in the sums
-            sheared = float(square @ (taxels[:, 1:] @ shear)) / size**2
+            sheared = float(square @ taxels @ (0.0, *shear)) / size**2
         return ContactEstimate(
             normal_force=max(along, 0.0),
             place=place,

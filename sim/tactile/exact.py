@@ -120,36 +120,36 @@ def contact_image(
     place = layout.chart(contact.point)
     deviation = contact_deviation(contact.normal_force, layout.radius)
     across, along = layout.edges
-
-    def shares(size: float) -> FloatArray:
-        return np.outer(spread(along, place[1], size), spread(across, place[0], size))
-
-    pressure = shares(deviation)
-    stuck = shares(max(stick_ratio(contact.used), 0.05) * deviation)
+    sizes = np.array([[deviation], [max(stick_ratio(contact.used), 0.05) * deviation]])
+    in_rows, in_columns = spread(along, place[1], sizes), spread(across, place[0], sizes)
+    pressure, stuck = in_rows[:, :, None] * in_columns[:, None, :]
     shear = spread_of_shear(pressure, stuck, contact.used)
     if gains is not None:
-        pressure, shear = _textured(pressure, gains), _textured(shear, gains)
-    forces = (contact.normal_force * pressure)[..., None] * contact.normal
-    forces = forces + shear[..., None] * contact.shear
+        pressure, shear = _textured(np.stack([pressure, shear]), gains)
+    forces = [(contact.normal, contact.normal_force * pressure), (contact.shear, shear)]
     if contact.torsion:
         frame = layout.frame_at(place)
-        felt = max(float(pressure.sum()), NO_SHARE)
+        by_column, by_row = pressure.sum(axis=0), pressure.sum(axis=1)
+        felt = max(float(by_row.sum()), NO_SHARE)
         # about the centroid of what is felt, so that a torsion adds no force
-        du = (layout.u - pressure.sum(axis=0) @ layout.u / felt)[None, :]
-        dv = (layout.v - pressure.sum(axis=1) @ layout.v / felt)[:, None]
-        square = float((pressure * (du**2 + dv**2)).sum()) / felt
+        du = (layout.u - by_column @ layout.u / felt)[None, :]
+        dv = (layout.v - by_row @ layout.v / felt)[:, None]
+        square = float(by_column @ du[0] ** 2 + by_row @ dv[:, 0] ** 2) / felt
         least = LEAST_ARM * (2.0 * deviation**2 + layout.array.spacing**2 / 6.0)
         turned = contact.torsion / max(square, least) * pressure
-        forces = forces + (turned * du)[..., None] * frame[:, 2]
-        forces = forces - (turned * dv)[..., None] * frame[:, 1]
-    return np.asarray(np.einsum("rcik,rci->rck", layout.frames, forces))
+        forces += [(frame[:, 2], turned * du), (-frame[:, 1], turned * dv)]
+    vectors, sizes = (np.array(part) for part in zip(*forces, strict=True))
+    in_body = (sizes.reshape(len(vectors), -1).T @ vectors).reshape(*layout.shape, 3)
+    return np.asarray(np.einsum("rcik,rci->rck", layout.frames, in_body))
 
 
 def _textured(shares: FloatArray, gains: FloatArray) -> FloatArray:
-    """Shares of a force with the gains of a texture; their sum stays what it is."""
+    """Shares (n, rows, columns) of n forces with the gains of a texture; their sums stay."""
     changed = shares * gains
-    total = float(changed.sum())
-    return changed if abs(total) < NO_SHARE else changed * (float(shares.sum()) / total)
+    sums, before = changed.sum(axis=(1, 2)), shares.sum(axis=(1, 2))
+    kept = np.abs(sums) < NO_SHARE
+    factors = np.where(kept, 1.0, before / np.where(kept, 1.0, sums))
+    return np.asarray(changed * factors[:, None, None])
 
 
 def exact_images(

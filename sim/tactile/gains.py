@@ -3,15 +3,12 @@
 These gains are the texture under the taxels (``sim.tactile.texture``). While a pad sticks or rolls
 they stay what they are, whatever the force does. Called by ``SlipWatch`` once per image and pad.
 
-Gains and the place of the patch are found together: place and total force are fitted so that the
-known gains explain the image best, by Gauss-Newton steps on the logarithm of the forces, with the
-patch of ``sim.tactile.pressure``. What the fit cannot explain is a change of the gains. They are
-known from a slow average; a taxel that has just been loaded takes part once it is known.
+Place, force and width of the patch are fitted so that the known gains explain the image best
+(``sim.tactile.patches``). What the fit cannot explain is a change of the gains. They are known from
+a slow average; a taxel that has just been loaded takes part once it is known.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +16,10 @@ from numpy.typing import NDArray
 from planner.spatial import FloatArray
 from sim.tactile.estimate import ContactEstimate
 from sim.tactile.layout import TaxelLayout
-from sim.tactile.pressure import contact_deviation, spread_with_slopes
+from sim.tactile.patches import FITTED, Patch
+from sim.tactile.pressure import contact_deviation
 
-__all__ = ["FITTED", "GainTracker"]
-
-FITTED = 4
-"""Numbers that each image determines besides gains: force, place and width of the patch."""
+__all__ = ["GainTracker"]
 
 SLOW = 0.08
 """Time constant (s) of the average by which gains are known."""
@@ -36,17 +31,6 @@ magnifies noise at taxels that it leaves out."""
 LEAST_SHARE, LEAST_FORCE = 0.004, 1.4
 """Share of the normal force (-), and force in thresholds of the array (-), from which on a taxel is
 loaded: with noise of 5 % it then does not fall below the threshold by chance."""
-
-STEPS, LONGEST_STEP = 3, 0.5
-"""Corrections per image, and the longest, in deviations of the patch along each axis and in
-logarithms of the force: the centroid is off by a tenth of a deviation where taxels are coarse."""
-
-CONVERGED = 0.1
-"""Correction, in the same units, that is left where a fit has not converged: a patch that is much
-smaller than a taxel, at light loads. The image then says nothing of the gains."""
-
-RIDGE = 1e-9
-"""Added to the normal equations (-): taxels in a row leave the place across it open."""
 
 
 class GainTracker:
@@ -61,70 +45,54 @@ class GainTracker:
         count = layout.array.rows * layout.array.columns
         self.known = np.zeros(count)
         self._layout = layout
-        self._axes = layout.frames.reshape(-1, 3, 3).transpose(0, 2, 1)
         self._age = np.zeros(count)
 
     def forget(self) -> None:
         """The contact is another one from now on."""
         self._age[:] = 0.0
 
-    def look(
-        self, elapsed: float, image: FloatArray, seen: ContactEstimate
-    ) -> tuple[NDArray[np.intp], FloatArray]:
-        """Take over an image; taxels (n,) that are known, and the logarithms of their gains (n,).
-
-        Nothing where too few are loaded.
+    def look(self, image: FloatArray, seen: ContactEstimate) -> Patch | None:
+        """What is to be fitted to an image; None where too few taxels are loaded.
 
         Args:
-            elapsed: Since the last image, s.
             image: (rows, columns, 3), N.
             seen: Its contact.
         """
         array = self._layout.array
         # along the contact's normal, not along each taxel's: of that the shear has no part
-        pressure = ((self._axes @ seen.normal) * image.reshape(-1, 3)).sum(axis=1)
+        along = self._layout.image_axes @ seen.normal
+        pressure = (along * image.reshape(-1)).reshape(-1, 3) @ np.ones(3)
         least = max(LEAST_SHARE * seen.normal_force, LEAST_FORCE * array.threshold)
         loaded = pressure > least
         self._age = np.where(loaded, self._age + 1.0, 0.0)
-        rows = np.flatnonzero(loaded)
-        if len(rows) <= FITTED:
-            return rows[:0], np.zeros(0)
-        age = self._age[rows]
-        before = np.where(age > 1.0, self.known[rows], 0.0)
-        old = age > YOUNG
-        fitting = old if old.sum() > FITTED else np.ones(len(rows), dtype=bool)
-        change = self._unexplained(rows, np.log(pressure[rows]) - before, seen, fitting)
-        if change is None:
-            return rows[:0], np.zeros(0)
-        part = np.maximum(elapsed / (SLOW + elapsed), 1.0 / age)
-        self.known[rows] = before + part * change
-        return rows[old], (before + change)[old]
-
-    def _unexplained(
-        self,
-        rows: NDArray[np.intp],
-        pressures: FloatArray,
-        seen: ContactEstimate,
-        fitting: NDArray[np.bool_],
-    ) -> FloatArray | None:
-        """What the best place and force leave of the logarithms of forces (n,); None of no fit."""
-        across, along = self._layout.edges
-        i, j = np.divmod(rows, self._layout.array.columns)
-        deviation = contact_deviation(seen.normal_force, self._layout.radius)
-        u, v = seen.place.tolist()
-        basis = np.ones((FITTED, len(rows)))
-        for step in range(STEPS + 1):
-            in_columns, slopes_u, widths_u = spread_with_slopes(across, u, deviation)
-            in_rows, slopes_v, widths_v = spread_with_slopes(along, v, deviation)
-            left = pressures - np.log(in_columns[j] * in_rows[i])
-            basis[1], basis[2], basis[3] = slopes_u[j], slopes_v[i], widths_u[j] + widths_v[i]
-            part = basis[:, fitting]
-            gram = part @ part.T + RIDGE * np.eye(FITTED)
-            fit = np.linalg.solve(gram, part @ left[fitting])
-            if step < STEPS:
-                move = np.clip(fit[1:], -LONGEST_STEP, LONGEST_STEP)
-                u, v = u + deviation * float(move[0]), v + deviation * float(move[1])
-                deviation *= math.exp(move[2])
-        if np.abs(fit[1:]).max() > CONVERGED:
+        taxels = np.flatnonzero(loaded)
+        if len(taxels) <= FITTED:
             return None
-        return np.asarray(left - fit @ basis)
+        age = self._age[taxels]
+        old = age > YOUNG
+        return Patch(
+            layout=self._layout,
+            taxels=taxels,
+            forces=np.log(pressure[taxels]) - np.where(age > 1.0, self.known[taxels], 0.0),
+            fitting=old if old.sum() > FITTED else np.ones(len(taxels), dtype=bool),
+            place=seen.place,
+            deviation=contact_deviation(seen.normal_force, self._layout.radius),
+        )
+
+    def learn(
+        self, elapsed: float, patch: Patch, change: FloatArray
+    ) -> tuple[NDArray[np.intp], FloatArray]:
+        """Take over what the fit left; taxels (n,) that are known, and logarithms of their gains.
+
+        Args:
+            elapsed: Since the last image, s.
+            patch: What was fitted: the result of the last ``look``.
+            change: (taxels,), what was left.
+        """
+        taxels = patch.taxels
+        age = self._age[taxels]
+        old = age > YOUNG
+        before = np.where(age > 1.0, self.known[taxels], 0.0)
+        part = np.maximum(elapsed / (SLOW + elapsed), 1.0 / age)
+        self.known[taxels] = before + part * change
+        return taxels[old], (before + change)[old]

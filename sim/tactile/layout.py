@@ -108,6 +108,15 @@ class TaxelLayout:
         return np.array([self.frame_at(place) for place in grid]).reshape(rows, columns, 3, 3)
 
     @cached_property
+    def image_axes(self) -> FloatArray:
+        """Axis of every number of an image in the body's frame, (rows * columns * 3, 3).
+
+        A flat image times this is the force of all taxels; this times a force is that force in
+        the axes of every taxel.
+        """
+        return np.ascontiguousarray(self.frames.swapaxes(2, 3).reshape(-1, 3))
+
+    @cached_property
     def positions(self) -> FloatArray:
         """Middles of the taxels, (rows, columns, 3), m."""
         return np.asarray(self.center + self.radius * self.frames[..., 0])
@@ -117,23 +126,16 @@ class TaxelLayout:
 
         Those at the middle, carried along the great circle that leads there.
         """
-        first, second, outward = self.axes.T
-        arc = math.hypot(*place)
+        u, v = place.tolist()
+        arc = math.hypot(u, v)
         if arc < SMALL:
-            return np.column_stack([outward, first, second])
-        angle = arc / self.radius
-        towards = (place[0] * first + place[1] * second) / arc
-        aside = (place[0] * second - place[1] * first) / arc
-        c, s = math.cos(angle), math.sin(angle)
-        turned = c * towards - s * outward
-        share_u, share_v = place / arc
-        return np.column_stack(
-            [
-                c * outward + s * towards,
-                share_u * turned - share_v * aside,
-                share_v * turned + share_u * aside,
-            ]
-        )
+            return self.axes[:, (2, 0, 1)]
+        u, v = u / arc, v / arc
+        c, s = math.cos(arc / self.radius), math.sin(arc / self.radius)
+        # Rodrigues' formula about the axis (-v, u, 0) in the axes at the middle
+        mixed = (c - 1.0) * u * v
+        turned = ((s * u, c * u * u + v * v, mixed), (s * v, mixed, c * v * v + u * u))
+        return np.asarray(self.axes @ np.array((*turned, (c, -s * u, -s * v))))
 
     def chart(self, point: FloatArray) -> FloatArray:
         """Place (2,), m, in the chart of what lies above a point (3,) of the body's frame."""

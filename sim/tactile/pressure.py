@@ -47,7 +47,7 @@ LEAST_USED = 0.02
 LEAST_SPREAD = 1e-30
 """Share (-) that is as good as none: its logarithm is finite."""
 
-_ROOT = math.sqrt(0.5)
+_ROOT, _DENSITY = math.sqrt(0.5), 1.0 / math.sqrt(2.0 * math.pi)
 
 
 def contact_deviation(force: float, radius: float) -> float:
@@ -61,32 +61,36 @@ def contact_deviation(force: float, radius: float) -> float:
     return max(patch / math.sqrt(5.0), LEAST_DEVIATION)
 
 
-def spread(edges: FloatArray, middle: float, deviation: float) -> FloatArray:
-    """Shares (n,) of a Gaussian within n neighbouring cells.
+def spread(
+    edges: FloatArray, middle: float | FloatArray, deviation: float | FloatArray
+) -> FloatArray:
+    """Shares (..., n) of a Gaussian within n neighbouring cells.
 
     Args:
-        edges: Their borders, (n + 1,), m.
-        middle: Of the Gaussian, m.
-        deviation: Its standard deviation, m.
+        edges: Their borders, (..., n + 1), m.
+        middle: Of the Gaussian, m; a number, or one that broadcasts.
+        deviation: Its standard deviation, m; likewise.
     """
-    scale = _ROOT / deviation
-    below = [math.erf(scale * (edge - middle)) for edge in edges.tolist()]
-    values = np.array(below)
-    return np.asarray(0.5 * (values[1:] - values[:-1]))
+    below = erf((_ROOT / deviation) * (edges - middle))
+    return np.asarray(0.5 * (below[..., 1:] - below[..., :-1]))
 
 
 def spread_with_slopes(
-    edges: FloatArray, middle: float, deviation: float
+    edges: FloatArray, middle: FloatArray, deviation: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Shares (n,) as ``spread`` gives them, and how their logarithms grow (n,).
+    """Logarithms of the shares (..., n) that ``spread`` gives, and how they grow (..., n), (-).
 
     The second is with the middle, per deviation of the Gaussian; the third with the logarithm of
-    the deviation (-). Shares are at least ``LEAST_SPREAD``.
+    the deviation. Shares are at least ``LEAST_SPREAD``.
     """
     z = (edges - middle) / deviation
-    shares = np.maximum(np.diff(0.5 * erf(_ROOT * z)), LEAST_SPREAD)
-    density = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
-    return shares, -np.diff(density) / shares, -np.diff(z * density) / shares
+    below = 0.5 * erf(_ROOT * z)
+    density = _DENSITY * np.exp(-0.5 * z * z)
+    moment = z * density
+    shares = np.maximum(below[..., 1:] - below[..., :-1], LEAST_SPREAD)
+    slopes = (density[..., :-1] - density[..., 1:]) / shares
+    widths = (moment[..., :-1] - moment[..., 1:]) / shares
+    return np.log(shares), slopes, widths
 
 
 def spread_of_shear(pressure: FloatArray, stuck: FloatArray, used: float) -> FloatArray:

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 from sim.tactile.estimate import ContactEstimate
-from sim.tactile.gains import FITTED, GainTracker
+from sim.tactile.gains import GainTracker
 from sim.tactile.layout import TaxelLayout
+from sim.tactile.patches import FITTED, Patch, fit_patches
 
 __all__ = ["SlipWatch"]
 
@@ -96,14 +97,19 @@ class SlipWatch:
             images: n arrays (rows, columns, 3), N.
             seen: The contact of each.
         """
-        for k, (time, image) in enumerate(zip(times.tolist(), images, strict=True)):
-            elapsed, self._taken[k] = time - self._taken[k], time
-            if elapsed <= 0.0:
-                continue
-            self.shiver[k], alarm = self._pads[k].look(elapsed, image, seen[k])
-            if alarm:
-                self._told[k] = time
-            self.slipping[k] = time - self._told[k] <= HOLD
+        elapsed, self._taken = times - self._taken, times.copy()
+        new = np.flatnonzero(elapsed > 0.0).tolist()
+        patches = [self._pads[k].look(float(elapsed[k]), images[k], seen[k]) for k in new]
+        shown = [one for one in patches if one is not None]
+        changes = iter(fit_patches(shown))
+        for k, patch in zip(new, patches, strict=True):
+            pad = self._pads[k]
+            if patch is not None:
+                pad.learn(float(elapsed[k]), patch, next(changes))
+            self.shiver[k] = pad.blocks.shiver
+            if pad.blocks.alarm:
+                self._told[k] = times[k]
+            self.slipping[k] = times[k] - self._told[k] <= HOLD
 
 
 class _Pad:
@@ -112,18 +118,24 @@ class _Pad:
     def __init__(self, layout: TaxelLayout) -> None:
         self._gains = GainTracker(layout)
         taxels = layout.array.rows * layout.array.columns
-        self._blocks = _Blocks(taxels, max(layout.array.noise, LEAST_NOISE) ** 2)
+        self.blocks = _Blocks(taxels, max(layout.array.noise, LEAST_NOISE) ** 2)
 
-    def look(self, elapsed: float, image: FloatArray, seen: ContactEstimate) -> tuple[float, bool]:
-        """The shiver after an image, and whether it raises the alarm."""
+    def look(self, elapsed: float, image: FloatArray, seen: ContactEstimate) -> Patch | None:
+        """What of an image is to be fitted; None where it tells nothing."""
         lightly = seen.normal_force < LEAST_FORCE
         if lightly or elapsed > LONGEST:
             self._gains.forget()
-            self._blocks.forget()
-        if not lightly:
-            elapsed = min(elapsed, LONGEST)
-            self._blocks.add(elapsed, *self._gains.look(elapsed, image, seen))
-        return self._blocks.shiver, self._blocks.alarm
+            self.blocks.forget()
+        patch = None if lightly else self._gains.look(image, seen)
+        if patch is None and not lightly:
+            self.blocks.add(min(elapsed, LONGEST))
+        return patch
+
+    def learn(self, elapsed: float, patch: Patch, change: FloatArray | None) -> None:
+        """Take over what the fit left of an image; None of no fit."""
+        elapsed = min(elapsed, LONGEST)
+        told = None if change is None else self._gains.learn(elapsed, patch, change)
+        self.blocks.add(elapsed, told)
 
 
 class _Blocks:
@@ -147,10 +159,12 @@ class _Blocks:
         self._time, self._filled = 0.0, 0
         self.shiver, self.alarm = 0.0, False
 
-    def add(self, elapsed: float, taxels: NDArray[np.intp], gains: FloatArray) -> None:
-        """Take over gains (n,) of loaded taxels (n,)."""
-        self._sums[-1, taxels] += gains
-        self._loaded[-1, taxels] += 1.0
+    def add(self, elapsed: float, told: tuple[NDArray[np.intp], FloatArray] | None = None) -> None:
+        """Take over an image: its loaded taxels (n,) and their gains (n,), if it told any."""
+        if told is not None:
+            taxels, gains = told
+            self._sums[-1, taxels] += gains
+            self._loaded[-1, taxels] += 1.0
         self._images[-1] += 1.0
         self._time += elapsed
         if self._time < BLOCK - TIME_TOL:
