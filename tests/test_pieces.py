@@ -96,6 +96,21 @@ def test_a_cell_with_a_corner_in_the_solid_is_filled_to_that_corner() -> None:
     assert cell.hull.volume == pytest.approx(0.06**3)
 
 
+def test_a_cell_in_the_corner_of_a_bracket_holds_nothing_of_it_for_rounding() -> None:
+    """Six of its corners are 1e-12 m in the solid: a hull of them would have no surface in it."""
+    mesh = LBracket()
+    whole = hull_of(mesh.hull_vertices)
+    inner_corner = np.array([mesh.thickness, 0.0, mesh.thickness]) + mesh.vertices[0] * (1, 0, 1)
+    walls = hull_of(cube(-0.02, 0.02) + inner_corner + (0.02 - 1e-12, 0.0, 0.02 - 1e-12))
+    assert whole is not None and walls is not None
+    inside = mesh.signed_distance(walls.points) < 0
+    assert inside.sum() == 6
+    none = np.zeros((0, 3, 3))
+    cell = Cell(surface=none, walls=walls, hull=walls, bad=np.arange(0, dtype=np.int64))
+    guards = Guards(mesh, whole, TOLERANCE)
+    assert half_of(mesh, guards, cell, np.array([1.0, 0.0, 0.0]), 1.0) is None
+
+
 def test_cutting_ends_where_a_plane_cuts_nothing_off(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = LBracket()
     whole = hull_of(mesh.hull_vertices)

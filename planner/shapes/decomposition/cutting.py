@@ -67,6 +67,10 @@ THINNEST = 0.03
 ON_PLANE = 1e-6
 """Distance (m) up to which a point counts as on a plane: rounding."""
 
+ON_SURFACE = 1e-9
+"""Depth (m) up to which a corner of a cell is on the surface, not in the solid: rounding. Else a
+cell beside the solid, whose corners its face touches, has a hull without any surface."""
+
 
 class Guards:
     """Points at the tolerance off a mesh, where convex pieces must not reach.
@@ -176,7 +180,7 @@ def half_of(
     if walls is None:
         return None
     # the solid in a cell is spanned by the surface in it and by the cell's corners in the solid
-    corners = walls.points[mesh.signed_distance(walls.points) < 0]
+    corners = walls.points[mesh.signed_distance(walls.points) < -ON_SURFACE]
     hull = hull_of(np.concatenate([surface.reshape(-1, 3), corners]))
     if hull is None:
         return None
