@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -13,10 +15,11 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim import simulate
-from sim.controllers import ObjectImpedance
+from sim.controllers import ObjectImpedance, Phase
 from sim.controllers.belief import PoseBelief
 from sim.controllers.doubt import DEVIATIONS, Doubt
 from sim.reality import Reality
+from sim.simulation import Simulation
 
 DT = 0.002
 
@@ -80,6 +83,49 @@ def test_beyond_the_doubt_the_object_moved() -> None:
 @pytest.fixture(scope="module")
 def plan() -> GraspPlan:
     return plan_grasp(GraspTask.create("allegro_hand", "cylinder"), seed=3)
+
+
+def answered(plan: GraspPlan, phase: Phase, sliding: float, rates: float) -> float:
+    """How far the wanted pose goes along, mm, with an estimate that moves 2 mm upward.
+
+    Meanwhile the object slides upward over all pads, m/s, and all joints move, rad/s.
+    """
+    simulation = Simulation(plan, controller=ObjectImpedance(plan))
+    for kind, seconds in (("approach", 0.8), ("close", 1.0), ("squeeze", 0.4), ("hold", 0.1)):
+        for _ in simulation.run(kind, seconds):  # type: ignore[arg-type]
+            pass
+    now = simulation.observe(phase, 1.0)
+    controller, known = ObjectImpedance(plan), belief(0.005, 0.1)
+    pads = replace(now.pads, sliding=np.tile([0.0, 0.0, sliding], (len(now.pads.sliding), 1)))
+    begin = None
+    for k in range(51):
+        up = np.array([0.0, 0.0, 4e-5 * k])
+        pose = SE3(now.T_world_object.rotation, now.T_world_object.translation + up)
+        controller.step(
+            now.altered(
+                time=now.time + k * DT,
+                v=np.full_like(now.v, rates),
+                T_world_object=pose,
+                read_pads=lambda: pads,
+                belief=known,
+            )
+        )
+        begin = controller.T_palm_wanted if begin is None else begin
+    assert begin is not None and controller.T_palm_wanted is not None
+    went = controller.T_palm_wanted.translation - begin.translation
+    return 1e3 * float(np.linalg.norm(went))
+
+
+def test_an_object_that_slides_over_the_pads_is_brought_back(plan: GraspPlan) -> None:
+    """At 20 mm/s it slides the 2 mm itself; before, a slip counted as doubt, and no force grew."""
+    assert answered(plan, "hold", sliding=0.0, rates=0.0) == pytest.approx(2.0, abs=0.02)
+    assert answered(plan, "hold", sliding=0.02, rates=0.0) < 0.1
+
+
+def test_fingers_that_close_around_an_object_that_stands_do_not_move_it(plan: GraspPlan) -> None:
+    went = answered(plan, "settle", sliding=0.0, rates=1.0)
+    assert went == pytest.approx(2.0, abs=0.02)
+    assert abs(answered(plan, "hold", sliding=0.0, rates=1.0) - went) > 0.1
 
 
 def test_a_camera_that_drifts_moves_no_object(plan: GraspPlan) -> None:

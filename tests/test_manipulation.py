@@ -203,6 +203,18 @@ def test_a_reference_overshoots_its_goal_for_an_object_that_lags(
     assert max(places) * most - (plan.angle - behind) <= MAX_ADVANCE + 1e-9
 
 
+def test_a_reference_stops_where_an_object_that_leads_is_there(plan: ManipulationPlan) -> None:
+    """The object may be 0.3 degrees over; the reference stands as far behind it as it led.
+
+    Under errors of the joints objects slipped ahead by 6 degrees; led on, they ended as far over.
+    """
+    most, over = plan.motion.path.angle, math.radians(0.3)
+    reference = MotionReference(plan.motion, angle=plan.angle)
+    places = led(plan, reference, lambda r: 1.15 * r.place * most)
+    assert reference.left == pytest.approx(-over, abs=1.2 * RATE * DT)
+    assert places[-1] * most == pytest.approx((plan.angle + over) / 1.15, abs=1.2 * RATE * DT)
+
+
 def test_a_reference_advances_while_the_object_is_turned_and_held(
     report: ManipulationReport, lead_times: list[float]
 ) -> None:

@@ -1,11 +1,12 @@
 """``Doubt``: what an estimate takes back is no motion of the object.
 
-Called by ``ObjectImpedance`` at every step while it only holds. Where contacts stick the object
-moves with the fingertips, which the joints tell to hundredths of a millimetre. An estimate changes
-by more than that: it learns from a camera of millimetres and degrees where the object has been all
-the time. A loop that brought the object back by as much would move it in the hand, against contacts
-that stick, with forces that grow until they slip. So the wanted pose goes along with the estimate,
-as far as the estimate was in doubt. A larger change counts as a motion of the object.
+Called by ``ObjectImpedance`` at every step while it only holds. A carried object moves with the
+fingertips, which the joints tell to hundredths of a millimetre, and against them as the pads feel
+it slide; one that still stands does not move. An estimate changes by more than that: it learns from
+a camera of millimetres and degrees where the object has been all the time. A loop that brought the
+object back by as much would move it in the hand, against contacts that stick, with forces that grow
+until they slip. So the wanted pose goes along with the estimate, as far as the estimate was in
+doubt. A larger change counts as a motion of the object.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ class Doubt:
     def gone_along(
         self, wanted: SE3, estimate: SE3, twist: FloatArray, elapsed: float, belief: PoseBelief
     ) -> SE3:
-        """The wanted pose, moved as the estimate has moved without the fingertips.
+        """The wanted pose, moved as the estimate has moved without the object.
 
         Args:
             wanted: Where the object is to be kept, in the palm.
             estimate: Where it is taken to be, in the palm.
-            twist: (6,), of the object as the fingertips move, about its centre, palm axes, m/s and
+            twist: (6,), of the object as its contacts tell it, about its centre, palm axes, m/s and
                 rad/s.
             elapsed: Since the last step, s.
             belief: How well the estimate is known.

@@ -6,7 +6,8 @@ the measured turn y, the signed twist of the object in the palm since the turn b
     dy*/dt <= rate clip(2 (1 - (y* - y) / MAX_ADVANCE), 0, 1),    y* ends at the angle asked for
 
 The measured turn counts, so that rolling is compensated. If the object lags behind the goal, as
-after a push that made it slip, the reference continues slowly into the planned overshoot.
+after a push that made it slip, the reference continues slowly into the planned overshoot. If it
+leads, as one that slips about its axis does, the reference stops when it is there.
 
 The place on the planned path is y* over the planned angle. Cubic splines through the knots give the
 object's pose, the pad centres in the object's frame, in which they move by rolling only, and the
@@ -61,7 +62,8 @@ VELOCITY_STEP = 0.002
 
 OVERSHOOT_RATE, OVERSHOOT_LAG = 0.3, np.deg2rad(0.3)
 """Share (-) of the full rate in the overshoot, and the lag (rad) behind the goal from which on the
-reference continues into it: less than the tolerance of a finished turn."""
+reference continues into it, or beyond the goal from which on it stops short of its own end: less
+than the tolerance of a finished turn."""
 
 ROUNDING = 1e-9
 """A turn (rad) or a length (m) that differs by less is the same."""
@@ -178,6 +180,8 @@ class MotionReference:
         left, fastest = max(0.0, self._end - self._gone), self._fastest
         if self._turns and left <= ROUNDING and self.left > OVERSHOOT_LAG:
             left, fastest = self._length - self._gone, OVERSHOOT_RATE * fastest
+        elif self._turns and self.left < -OVERSHOOT_LAG:  # the object leads, and is there
+            left = 0.0
         self._missed += min(1.0, elapsed / MISSED_TIME) * (missed - self._missed)
         able = max(LEAST_ABLE, 1.0 - self._missed / STOPPING)
         speed = min(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planner.numerics.kernels import kernel
 from planner.spatial import FloatArray, skew
 
-__all__ = ["FLAT", "RANK_TOL", "grasp_matrix", "tips_moved", "torques_for"]
+__all__ = ["FLAT", "RANK_TOL", "grasp_matrix", "tips_moved", "torques_for", "twist_of"]
 
 POSTURE_STIFFNESS = 0.3
 """Spring (N m/rad) on what a redundant finger can do by itself, a tenth of a servo's."""
@@ -40,6 +40,12 @@ def grasp_matrix(arms: FloatArray) -> FloatArray:
     out[:3] = np.eye(3)[:, None]
     out[3:] = skew(arms).transpose(1, 0, 2)
     return out.reshape(6, 3 * n)
+
+
+def twist_of(velocities: FloatArray, arms: FloatArray) -> FloatArray:
+    """Twist (6,) of the body that points at arms (n, 3) from its centre move like, (n, 3) m/s."""
+    grasp = grasp_matrix(arms)
+    return np.asarray(np.linalg.solve(grasp @ grasp.T + _RANK, grasp @ velocities.ravel()))
 
 
 def _tips_moved_plain(

@@ -39,6 +39,7 @@ from sim.controllers.believed import BelievedJoints
 from sim.controllers.doubt import Doubt
 from sim.controllers.events import Event, EventKind
 from sim.controllers.grasp import FIRST_SHARE, GraspController
+from sim.controllers.holding_loops import twist_of
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw, felt_inertia
 from sim.controllers.monitors import InfeasibilityMonitor, SlipDetector
 from sim.controllers.pads import PadReading
@@ -266,7 +267,7 @@ class ObjectImpedance:
             self.T_palm_wanted = self._doubt.gone_along(
                 self.T_palm_wanted,
                 in_palm,
-                (T_base_palm.rotation.T @ moving.reshape(2, 3).T).T.ravel(),
+                self._carried(moving, pads, pose.translation, T_base_world, carries=carries),
                 elapsed,
                 observation.belief,
             )
@@ -289,6 +290,27 @@ class ObjectImpedance:
         return self._torques.commands(
             forces, normals, holding, self.schedule.searching, believed, read
         )
+
+    def _carried(
+        self,
+        tips: FloatArray,
+        pads: PadReading,
+        center: FloatArray,
+        T_base_world: SE3,
+        *,
+        carries: bool,
+    ) -> FloatArray:
+        """Twist (6,) of the object about its centre as its contacts tell it, palm axes.
+
+        Nothing while it stands on something: fingers that close around it do not move it.
+        """
+        if not carries:
+            return np.zeros(6)
+        holding = self.schedule.holding & (pads.normal_force > 0)
+        sliding = np.nan_to_num(pads.sliding[holding] @ T_base_world.rotation.T)
+        twist = tips + twist_of(sliding, self._points[holding] - center)
+        turned: FloatArray = twist.reshape(2, 3) @ self._torques.T_base_palm.rotation
+        return turned.ravel()
 
     def _follow(
         self, reference: Reference, elapsed: float, in_palm: SE3, q: FloatArray
