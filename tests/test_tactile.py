@@ -356,6 +356,27 @@ def test_gains_are_those_of_the_texture_whatever_force_and_place_are() -> None:
     assert max(abs(moved[k] - later[k]) for k in moved.keys() & later.keys()) > 0.05
 
 
+def test_pads_fitted_together_are_fitted_as_each_alone() -> None:
+    """Arrays of other shapes and spacings, patches of other sizes, one with a wrong first guess."""
+    patches = []
+    for rows, columns, spacing, force in ((13, 9, 0.002, 3.0), (7, 15, 0.0015, 1.0)):
+        layout = layout_of(noise=0.0, rows=rows, columns=columns, spacing=spacing)
+        texture = Texture(layout.shape, np.random.default_rng(rows), 0.1)
+        image = contact_image(layout, press(layout, (0.0007, -0.001), force), texture.gains)
+        patch = GainTracker(layout).look(image, ContactEstimator(layout).estimate(image))
+        assert patch is not None
+        patches.append(patch)
+    patches.insert(1, replace(patches[0], place=patches[0].place + 0.004))
+    together = fit_patches(patches)
+    alone = [fit_patches([one])[0] for one in patches]
+    assert together[1] is None and alone[1] is None
+    for k in (0, 2):
+        a, b = together[k], alone[k]
+        assert a is not None and b is not None and len(a) > 5
+        np.testing.assert_allclose(a, b, atol=1e-9)
+    assert fit_patches([]) == []
+
+
 def test_a_polished_object_is_not_felt_to_slip() -> None:
     assert watched(0.02, share=0.0) == math.inf
 

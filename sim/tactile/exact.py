@@ -138,8 +138,8 @@ def contact_image(
         least = LEAST_ARM * (2.0 * deviation**2 + layout.array.spacing**2 / 6.0)
         turned = contact.torsion / max(square, least) * pressure
         forces += [(frame[:, 2], turned * du), (-frame[:, 1], turned * dv)]
-    vectors, sizes = (np.array(part) for part in zip(*forces, strict=True))
-    in_body = (sizes.reshape(len(vectors), -1).T @ vectors).reshape(*layout.shape, 3)
+    vectors, amounts = (np.array(part) for part in zip(*forces, strict=True))
+    in_body = (amounts.reshape(len(vectors), -1).T @ vectors).reshape(*layout.shape, 3)
     return np.asarray(np.einsum("rcik,rci->rck", layout.frames, in_body))
 
 
