@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from manipulations import QUICK, task_of
 
@@ -105,6 +105,7 @@ def test_same_seed_same_draws(task: GraspTask) -> None:
     value=st.floats(0.0, 0.9),
     seed=st.integers(0, 2**63),
 )
+@settings(deadline=None)  # the first example builds the hand
 def test_an_error_leaves_the_draws_of_the_others(name: str, value: float, seed: int) -> None:
     hand, first = load_hand("allegro_hand"), replace(REALITIES["rough"], seed=seed)
     before = Drawn.of(first, hand).to_dict()
