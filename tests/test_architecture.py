@@ -17,9 +17,9 @@ PACKAGES = ("planner", "sim")
 
 @cache
 def sources() -> dict[str, Path]:
-    """Dotted name of every module of both packages -> its file."""
+    """Dotted name of every module of both packages and of ``benchmarks`` -> its file."""
     out = {}
-    for package in PACKAGES:
+    for package in (*PACKAGES, "benchmarks"):
         for path in sorted((ROOT / package).rglob("*.py")):
             parts = path.relative_to(ROOT).with_suffix("").parts
             out[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
@@ -107,6 +107,11 @@ def test_planner_never_imports_sim() -> None:
         m for m in sources() if within(m, "planner") for i in imports_of(m) if within(i, "sim")
     }
     assert not guilty
+
+
+def test_nothing_that_ships_imports_the_measurements() -> None:
+    ships = [m for m in sources() if not within(m, "benchmarks")]
+    assert not {m for m in ships for i in imports_of(m) if within(i, "benchmarks")}
 
 
 def test_in_planner_only_the_bridge_imports_mujoco() -> None:

@@ -14,6 +14,7 @@ import pytest
 import trimesh
 from scipy.optimize import linprog
 
+from benchmarks.faults import FAULTS, judged_with_fault
 from planner.audit import (
     AuditRow,
     StageResult,
@@ -36,7 +37,6 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
-from sim.bench.faults import FAULTS, judged_with_fault
 
 BOX = "box:0.05x0.05x0.08"
 

@@ -14,16 +14,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from planner.certify import smallest_breaking
-from planner.contacts import ContactSet
-from planner.errors import FileFormatError, NotFoundError
-from planner.plan import GraspPlan
-from planner.search import plan_grasp
-from planner.spatial import SE3, FloatArray
-from planner.task import GraspTask
-from planner.verification.grasp import with_grip
-from sim.bench import planned
-from sim.bench.control import (
+from benchmarks import planned
+from benchmarks.control import (
     control_tables,
     grasps_of,
     jobs,
@@ -33,10 +25,18 @@ from sim.bench.control import (
     run_control,
     slip_trial,
 )
-from sim.bench.control.jobs import PARTS, ROWS_PER_GRASP, Part, control_jobs
-from sim.bench.control.parts import rate_row
-from sim.bench.control.slip_trial import Watched, slip_row
-from sim.bench.objects import BenchObject
+from benchmarks.control.jobs import PARTS, ROWS_PER_GRASP, Part, control_jobs
+from benchmarks.control.parts import rate_row
+from benchmarks.control.slip_trial import Watched, slip_row
+from benchmarks.objects import BenchObject
+from planner.certify import smallest_breaking
+from planner.contacts import ContactSet
+from planner.errors import FileFormatError, NotFoundError
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
+from planner.verification.grasp import with_grip
 from sim.contacts import hand_contacts
 from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading
 from sim.controllers.monitors import SLIP_SPEED

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.dexgraspbench import Installed, checkout, install
 from planner.batch import plan_grasps
 from planner.errors import TaskError
-from sim.bench.dexgraspbench import Installed, checkout, install
 from sim.cli import main
 
 pytest.importorskip("pyarrow")

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.episodes import agrees, check, episodes_table
 from planner.hands.hand import Hand
 from planner.search import plan_grasp
 from planner.task import GraspTask
-from sim.bench.episodes import agrees, check, episodes_table
 from sim.cli import app
 from sim.episodes import episodes_of, write_lerobot
 from sim.episodes.lerobot import VIDEO_KEY

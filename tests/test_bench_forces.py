@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from benchmarks.forces import SIDES, TOLERANCES, force_tables, run_forces
 from planner.forces import distribute_forces, solver_names
-from sim.bench.forces import SIDES, TOLERANCES, force_tables, run_forces
 from sim.cli import app
 from sim.runner import Runner
 
@@ -69,8 +69,8 @@ def test_errors_would_be_told(result: dict[str, Any], monkeypatch: pytest.Monkey
     def swapped(contacts: Any, **given: Any) -> Any:
         return distribute_forces(contacts, **{**given, "cone": other.get(given["cone"], "round")})
 
-    monkeypatch.setattr("sim.bench.forces.distribute_forces", swapped)
-    monkeypatch.setattr("sim.bench.forces.TOLERANCES", ())
+    monkeypatch.setattr("benchmarks.forces.distribute_forces", swapped)
+    monkeypatch.setattr("benchmarks.forces.TOLERANCES", ())
     theory = run_forces(40, seed=1, runner=HERE)["theory"]
     assert theory["inscribed holds, cone does not"] > 0
     assert theory["inscribed is cheaper than the cone"] > 20

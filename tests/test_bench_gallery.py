@@ -12,12 +12,12 @@ import pytest
 from PIL import Image
 from rich.console import Console
 
+from benchmarks.gallery import make
+from benchmarks.gallery.entries import EXAMPLES, Entry, chosen, gallery_entries
+from benchmarks.gallery.make import EntryJob, run_entry, run_gallery, small_film
+from benchmarks.gallery.pages import CARDS, gallery_pages
+from benchmarks.gallery.table import gallery_table
 from planner.errors import NotFoundError
-from sim.bench.gallery import make
-from sim.bench.gallery.entries import EXAMPLES, Entry, chosen, gallery_entries
-from sim.bench.gallery.make import EntryJob, run_entry, run_gallery, small_film
-from sim.bench.gallery.pages import CARDS, gallery_pages
-from sim.bench.gallery.table import gallery_table
 from sim.runner import Runner
 
 HERE = Runner(console=Console(quiet=True), check=lambda: None)

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from benchmarks.journal import Journal
+from benchmarks.run import measure
 from planner.errors import FileFormatError
-from sim.bench.journal import Journal
-from sim.bench.run import measure
 from sim.runner import Check, Runner
 
 ASKED = {"format": "opposable-test", "version": 1, "seeds": 3}

@@ -1,4 +1,4 @@
-"""``sim.bench.manipulate``: trials of turns, tilts and translations in the hand, counted."""
+"""``benchmarks.manipulate``: trials of turns, tilts and translations in the hand, counted."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from benchmarks.commands.common import TABLE_WIDTH
+from benchmarks.conditions import FRICTION, MASS, PUSH_UNTIL, SIZE, Conditions
+from benchmarks.manipulate import Turn, run_manipulate
+from benchmarks.turn_table import manipulate_table
 from planner import ManipulationPlan
 from planner.errors import FileFormatError, NotFoundError, TaskError
-from sim.bench.conditions import FRICTION, MASS, PUSH_UNTIL, SIZE, Conditions
-from sim.bench.manipulate import Turn, run_manipulate
-from sim.bench.turn_table import manipulate_table
 from sim.cli import app
-from sim.cli.bench.common import TABLE_WIDTH
 from sim.manipulation import ManipulationReport, manipulate
 from sim.runner import Runner
 
@@ -164,7 +164,7 @@ def test_a_block_is_tilted_and_moved_as_it_was_asked(
         reports.append(manipulate(plan, **arguments))
         return reports[-1]
 
-    monkeypatch.setattr("sim.bench.manipulate.manipulate", heard)
+    monkeypatch.setattr("benchmarks.manipulate.manipulate", heard)
     asked = {"axis": Y, "angle": math.radians(20.0), "shift": (0.0, 0.0, 0.008)}
     result = measure(**asked)
     (row,), (report,) = result["rows"], reports

@@ -10,12 +10,12 @@ import pytest
 from conftest import box_mesh
 from rich.console import Console
 
+from benchmarks.conditions import SIZE, Conditions
+from benchmarks.manipulate import Turn, run_manipulate
+from benchmarks.meshes import scaled_spec, standing
 from planner.errors import NotFoundError
 from planner.objects import parse_object
 from planner.shapes import Box, Mesh
-from sim.bench.conditions import SIZE, Conditions
-from sim.bench.manipulate import Turn, run_manipulate
-from sim.bench.meshes import scaled_spec, standing
 from sim.runner import Runner
 
 CYLINDER = Turn(

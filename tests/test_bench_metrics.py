@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from benchmarks import metrics
+from benchmarks.auc import auc
+from benchmarks.metrics import metrics_table, run_metrics, samples_for, summary_of_trials
+from benchmarks.objects import BenchObject
+from benchmarks.predictors import PREDICTORS, predictors_of
+from benchmarks.trials import CONDITIONS, GRADES, TIMELINE, Sample, try_sample
 from planner.errors import FileFormatError, PlannerError
 from planner.hands.hand import Hand
 from planner.search import plan_grasp
 from planner.task import GraspTask
-from sim.bench import metrics
-from sim.bench.auc import auc
-from sim.bench.metrics import metrics_table, run_metrics, samples_for, summary_of_trials
-from sim.bench.objects import BenchObject
-from sim.bench.predictors import PREDICTORS, predictors_of
-from sim.bench.trials import CONDITIONS, GRADES, TIMELINE, Sample, try_sample
 from sim.runner import Runner
 from sim.trial import Trial
 

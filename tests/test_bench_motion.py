@@ -1,4 +1,4 @@
-"""``sim.bench.motion``: planning turns, counted."""
+"""``benchmarks.motion``: planning turns, counted."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from benchmarks.motion import OTHER_SEED, motion_table, run_motion
 from planner.errors import NoGraspFoundError, NotFoundError
 from planner.motion import MotionPlan, plan_motion
-from sim.bench.motion import OTHER_SEED, motion_table, run_motion
 from sim.runner import Runner
 
 ANGLE = np.deg2rad(30.0)
@@ -49,7 +49,7 @@ def test_what_only_further_starts_find_is_there_but_not_found(
             raise NoGraspFoundError("no luck", ())
         return plan_motion(task, seed=seed, **arguments)
 
-    monkeypatch.setattr("sim.bench.motion.plan_motion", unlucky)
+    monkeypatch.setattr("benchmarks.motion.plan_motion", unlucky)
     result = measure(["cylinder"])
     (row,) = result["rows"]
     assert row["exists"] and not row["found"] and row["reason"] == "no luck"

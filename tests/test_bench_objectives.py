@@ -11,11 +11,11 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from benchmarks.objectives import objective_tables, run_objectives, summary_of_objective
+from benchmarks.objects import bench_objects
 from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.plan_metrics import METRICS
 from planner.synthesis import OBJECTIVES
-from sim.bench.objectives import objective_tables, run_objectives, summary_of_objective
-from sim.bench.objects import bench_objects
 from sim.cli import app
 from sim.cli.options import ObjectiveOption
 from sim.runner import Runner
@@ -100,7 +100,7 @@ def test_a_request_that_cannot_be_tried_is_a_row(monkeypatch: pytest.MonkeyPatch
     def refuse(*_: object, **__: object) -> None:
         raise TaskError("no pads left")
 
-    monkeypatch.setattr("sim.bench.objectives.attempts", refuse)
+    monkeypatch.setattr("benchmarks.objectives.attempts", refuse)
     rows = run(["none"])["rows"]
     assert [r["error"] for r in rows] == ["no pads left"] * 2
 
@@ -148,7 +148,7 @@ def test_all_are_none_and_each_objective_alone(monkeypatch: pytest.MonkeyPatch) 
         asked.extend(objectives)
         raise TaskError("that is enough")
 
-    monkeypatch.setattr("sim.bench.objectives.run_objectives", note)
+    monkeypatch.setattr("benchmarks.objectives.run_objectives", note)
     CliRunner().invoke(app, ["bench", "objectives", "allegro_hand"])
     assert asked == ["none", *OBJECTIVES]
 

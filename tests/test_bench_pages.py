@@ -11,10 +11,10 @@ import pytest
 from browser import need_browser
 from rich.console import Console
 
+from benchmarks import pages
+from benchmarks.pages import pages_table, run_pages
+from benchmarks.pages_cases import KINDS, Made, make_report
 from planner.errors import PlannerError
-from sim.bench import pages
-from sim.bench.pages import pages_table, run_pages
-from sim.bench.pages_cases import KINDS, Made, make_report
 from sim.runner import Runner
 
 RUNNER = Runner(console=Console(quiet=True), check=lambda: None)

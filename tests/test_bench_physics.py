@@ -8,15 +8,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from planner.errors import NotFoundError
-from planner.plan import GraspPlan
-from planner.search import plan_grasp
-from planner.synthesis.options import SynthesisOptions
-from planner.task import GraspTask
-from planner.verification.grasp import with_grip
-from sim.bench import manipulate
-from sim.bench.objects import bench_objects
-from sim.bench.physics import (
+from benchmarks import manipulate
+from benchmarks.objects import bench_objects
+from benchmarks.physics import (
     PARTS,
     PhysicsJob,
     physics_jobs,
@@ -24,7 +18,13 @@ from sim.bench.physics import (
     physics_tables,
     run_physics,
 )
-from sim.bench.physics_variants import VARIANTS
+from benchmarks.physics_variants import VARIANTS
+from planner.errors import NotFoundError
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.synthesis.options import SynthesisOptions
+from planner.task import GraspTask
+from planner.verification.grasp import with_grip
 from sim.physics import PRESETS, PhysicsOptions
 from sim.reality import Reality
 from sim.runner import Runner

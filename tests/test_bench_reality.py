@@ -17,18 +17,18 @@ from rich.console import Console
 from rich.table import Table
 from typer.testing import CliRunner
 
+from benchmarks.reality import LOOPS, Loop, reality_tables, register_loop, run_reality
+from benchmarks.reality import loops as loops_module
+from benchmarks.reality import tasks as tasks_module
+from benchmarks.reality.loops import named_loop
+from benchmarks.reality.reasons import class_of_turn
+from benchmarks.reality.tasks import ComparedTask, register_task
+from benchmarks.statistics import wilson
 from planner.errors import FileFormatError, HandError, NotFoundError, PlannerError, TaskError
 from planner.hand_loading import load_hand
 from planner.search import plan_grasp
 from planner.spatial import SE3
 from planner.task import GRAVITY, GraspTask
-from sim.bench.reality import LOOPS, Loop, reality_tables, register_loop, run_reality
-from sim.bench.reality import loops as loops_module
-from sim.bench.reality import tasks as tasks_module
-from sim.bench.reality.loops import named_loop
-from sim.bench.reality.reasons import class_of_turn
-from sim.bench.reality.tasks import ComparedTask, register_task
-from sim.bench.statistics import wilson
 from sim.cli import app
 from sim.controllers import GraspController, Observation
 from sim.estimation import EstimateLog
@@ -132,7 +132,7 @@ class Fake:
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> Iterator[Fake]:
-    from sim.bench.reality import run
+    from benchmarks.reality import run
 
     made = Fake([], [])
     monkeypatch.setattr(tasks_module, "_TASKS", dict(tasks_module._TASKS))
@@ -329,13 +329,13 @@ def test_the_command_measures(tmp_path: Path, fake: Fake) -> None:
 
 
 BENCHES = {
-    "grasps": "sim.bench.grasps.run_grasps",
-    "walls": "sim.bench.walls.run_walls",
-    "metrics": "sim.bench.metrics.run_metrics",
-    "trials": "sim.bench.trial_cost.run_trial_cost",
-    "control": "sim.bench.control.run_control",
-    "physics": "sim.bench.physics.run_physics",
-    "manipulate": "sim.bench.manipulate.run_manipulate",
+    "grasps": "benchmarks.grasps.run_grasps",
+    "walls": "benchmarks.walls.run_walls",
+    "metrics": "benchmarks.metrics.run_metrics",
+    "trials": "benchmarks.trial_cost.run_trial_cost",
+    "control": "benchmarks.control.run_control",
+    "physics": "benchmarks.physics.run_physics",
+    "manipulate": "benchmarks.manipulate.run_manipulate",
 }
 """Commands that run trials, and what they call."""
 
@@ -369,12 +369,12 @@ def test_every_bench_that_runs_trials_takes_a_reality(
 
 def test_jobs_hand_their_reality_on_and_files_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each trial of a bench is told the reality, drawn anew."""
-    from sim.bench import trials, walls
-    from sim.bench.control.jobs import control_jobs
-    from sim.bench.metrics import samples_for
-    from sim.bench.objects import BenchObject
-    from sim.bench.physics import physics_jobs
-    from sim.bench.run import stated
+    from benchmarks import trials, walls
+    from benchmarks.control.jobs import control_jobs
+    from benchmarks.metrics import samples_for
+    from benchmarks.objects import BenchObject
+    from benchmarks.physics import physics_jobs
+    from benchmarks.run import stated
 
     ball = [BenchObject(label="ball", spec="sphere")]
     jobs = control_jobs(["allegro_hand"], ball, {"drift": 3}, 0, ROUGH)

@@ -11,14 +11,14 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from benchmarks.objects import bench_objects
+from benchmarks.plain_check import bears, closes, doubts, nearest_on, signed_distance
+from benchmarks.refine import perturbed, refine_tables, run_refine
 from planner import GraspTask, plan_grasp
 from planner.errors import TaskError
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.spatial import SE3
-from sim.bench.objects import bench_objects
-from sim.bench.plain_check import bears, closes, doubts, nearest_on, signed_distance
-from sim.bench.refine import perturbed, refine_tables, run_refine
 from sim.cli import app
 from sim.runner import Runner
 

@@ -11,12 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from planner.errors import NotFoundError
-from planner.hand_loading import load_hand
-from planner.kinematics.state import HandState
-from planner.shapes.field.grid_distance import fit_mesh_field
-from planner.system.disk_cache import CACHE_VARIABLE
-from sim.bench.scaling import (
+from benchmarks.scaling import (
     CURVES,
     _build_for_meshes,
     curve,
@@ -24,7 +19,12 @@ from sim.bench.scaling import (
     run_scaling,
     scaling_tables,
 )
-from sim.bench.star_hand import write_star_hand
+from benchmarks.star_hand import write_star_hand
+from planner.errors import NotFoundError
+from planner.hand_loading import load_hand
+from planner.kinematics.state import HandState
+from planner.shapes.field.grid_distance import fit_mesh_field
+from planner.system.disk_cache import CACHE_VARIABLE
 from sim.runner import Runner
 
 HERE = Runner(console=Console(quiet=True), check=lambda: None)
@@ -77,7 +77,7 @@ def test_where_curves_are_measured() -> None:
 
 def test_contacts_and_triangles_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "sim.bench.scaling.points_of",
+        "benchmarks.scaling.points_of",
         lambda name, *_: {"contacts": [2, 3], "triangles": [1]}[name],
     )
     fitted: list[float] = []

@@ -15,6 +15,13 @@ from conftest import of_trimesh
 from rich.console import Console
 from typer.testing import CliRunner
 
+from benchmarks.baseline import BASELINE_EPSILON, BASELINE_RATE, against_baseline
+from benchmarks.first_grasp import first_grasp_s
+from benchmarks.objects import BenchObject, bench_objects
+from benchmarks.requests import Request, RequestOutcome, Setting, half_longest_side, outcome_of
+from benchmarks.statistics import power_law
+from benchmarks.synthesis import run_synthesis, summary_of, total_of
+from benchmarks.synthesis_tables import synthesis_tables
 from planner.batch.jobs import grasp_seed
 from planner.errors import HandError, NotFoundError, ObjectError, TaskError
 from planner.failure import Failure
@@ -24,13 +31,6 @@ from planner.search import plan_grasp
 from planner.shapes import Box, shape_key
 from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import GraspTask
-from sim.bench.baseline import BASELINE_EPSILON, BASELINE_RATE, against_baseline
-from sim.bench.first_grasp import first_grasp_s
-from sim.bench.objects import BenchObject, bench_objects
-from sim.bench.requests import Request, RequestOutcome, Setting, half_longest_side, outcome_of
-from sim.bench.statistics import power_law
-from sim.bench.synthesis import run_synthesis, summary_of, total_of
-from sim.bench.synthesis_tables import synthesis_tables
 from sim.cli import app
 from sim.runner import Runner
 

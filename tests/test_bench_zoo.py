@@ -12,14 +12,14 @@ from rich.console import Console
 from test_foreign_hands import GRIPPER
 from typer.testing import CliRunner
 
+from benchmarks.cards import plain
+from benchmarks.zoo.measure import HandJob, look_at, run_zoo
+from benchmarks.zoo.models import MODELS_FILE, ZooModel, chosen, zoo_models
+from benchmarks.zoo.objects import fitting_objects, fitting_width
+from benchmarks.zoo.pages import CARDS, write_pages, zoo_pages
+from benchmarks.zoo.table import counts, zoo_tables
 from planner.describe.report import CheckReport, PostureRow
 from planner.errors import FileFormatError, NotFoundError
-from sim.bench.cards import plain
-from sim.bench.zoo.measure import HandJob, look_at, run_zoo
-from sim.bench.zoo.models import MODELS_FILE, ZooModel, chosen, zoo_models
-from sim.bench.zoo.objects import fitting_objects, fitting_width
-from sim.bench.zoo.pages import CARDS, write_pages, zoo_pages
-from sim.bench.zoo.table import counts, zoo_tables
 from sim.cli import app
 from sim.runner import Runner
 
@@ -140,7 +140,7 @@ def test_tries_end_with_the_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def never(*_: object, **__: object) -> None:
         raise TaskError("not today")
 
-    monkeypatch.setattr("sim.bench.zoo.measure.plan_grasp", never)
+    monkeypatch.setattr("benchmarks.zoo.measure.plan_grasp", never)
     (model,) = chosen(zoo_models(), ["allegro_hand"])
     row = look_at(job(model, tmp_path, cpu_s=0.0), lambda: None)
     assert (row["status"], row["reason"], len(row["tries"])) == ("no grasp found", "not today", 1)

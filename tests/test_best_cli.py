@@ -10,13 +10,13 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner, Result
 
+from benchmarks.best import WAYS, best_tables, run_best, summary_of_ways, value_at
+from benchmarks.objects import bench_objects
+from benchmarks.requests import Setting
 from planner.best import Wanted
 from planner.errors import TaskError
 from planner.files import read_plan
 from planner.plan import GraspPlan
-from sim.bench.best import WAYS, best_tables, run_best, summary_of_ways, value_at
-from sim.bench.objects import bench_objects
-from sim.bench.requests import Setting
 from sim.cli import app
 from sim.runner import Runner
 

@@ -212,7 +212,7 @@ def test_bench_writes_its_table_and_repeats_nothing(
     def never(*_: object, **__: object) -> None:
         raise AssertionError("planned again")
 
-    monkeypatch.setattr("sim.bench.grasps.plan_grasp", never)
+    monkeypatch.setattr("benchmarks.grasps.plan_grasp", never)
     again = opposable(*words)
     assert again.code == 0
     assert "1 of 1 are in" in again.err

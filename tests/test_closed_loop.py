@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.control.slips import LATENCY, true_slips
 from planner.certify import smallest_breaking
 from planner.certify.breaking import Disturbance
 from planner.errors import NotFoundError, TaskError
@@ -16,7 +17,6 @@ from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
-from sim.bench.control.slips import LATENCY, true_slips
 from sim.controllers import (
     Controller,
     GraspController,

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.control.slips import LATENCY, Slip, score_slips, true_slips
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
 from planner.kinematics.state import HandState
@@ -15,7 +16,6 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, skew
 from planner.task import GraspTask
-from sim.bench.control.slips import LATENCY, Slip, score_slips, true_slips
 from sim.controllers import (
     ImpedanceGains,
     ObjectImpedance,

@@ -47,7 +47,7 @@ def test_every_file_that_a_page_shows_is_there() -> None:
 
 def test_every_kind_of_measurement_can_be_shown() -> None:
     formats = set()
-    for path in (ROOT / "sim" / "bench").rglob("*.py"):
+    for path in (ROOT / "benchmarks").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         formats |= set(re.findall(r'(?:kind=|FORMAT = |kind = )"(opposable-[\w-]+)"', text))
     known = {*results.TABLES, *(name.removesuffix("-summary") for name in results.TABLES)}

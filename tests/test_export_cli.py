@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import exports
 from planner.batch import GraspSet, plan_grasps
 from planner.errors import TaskError
 from planner.exchange import export_plans
@@ -20,7 +21,6 @@ from planner.files import write_plan
 from planner.hands.hand import Hand
 from planner.search import plan_grasp
 from planner.task import GraspTask
-from sim.bench import exports
 from sim.cli import main
 
 pytest.importorskip("yaml")

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.star_hand import write_star_hand
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, TaskError
 from planner.failure import Failure
@@ -33,7 +34,6 @@ from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_MARGIN, SWING_VERDICT_SHARE
-from sim.bench.star_hand import write_star_hand
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 from rich.console import Console
 
+from benchmarks import conditions as bench
 from planner.errors import (
     FileFormatError,
     HandError,
@@ -26,7 +27,6 @@ from planner.kinematics.state import HandState
 from planner.motion.manipulation import ManipulationPlan
 from planner.objects import parse_object
 from planner.spatial import SE3
-from sim.bench import conditions as bench
 from sim.cli import main
 from sim.controllers import MotionReference, Observation
 from sim.learning import (
@@ -615,7 +615,7 @@ def test_a_policy_of_the_first_version_is_still_read(policy: Policy, tmp_path: P
 
 
 def test_a_bench_refuses_a_policy_of_another_hand(policy: Policy, tmp_path: Path) -> None:
-    from sim.bench.manipulate import run_manipulate
+    from benchmarks.manipulate import run_manipulate
     from sim.runner import Runner
 
     policy.save(tmp_path / "p.npz")

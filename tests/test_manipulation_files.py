@@ -16,6 +16,7 @@ import pytest
 from manipulations import QUICK, phases_of, task_of
 from typer.testing import CliRunner
 
+from benchmarks.star_hand import write_star_hand
 from planner.errors import FileFormatError, TaskError
 from planner.files import (
     read_manipulation,
@@ -35,7 +36,6 @@ from planner.motion.manipulation import (
     plan_regrasping,
 )
 from planner.plan import JointTrajectory
-from sim.bench.star_hand import write_star_hand
 from sim.cli import app
 from sim.manipulation import ManipulationReport, manipulate, read_manipulation_report
 

@@ -14,6 +14,8 @@ from conftest import of_trimesh
 from manipulations import QUICK, UP, task_of
 from typer.testing import CliRunner
 
+from benchmarks.conditions import FRICTION, REGRASP_FRICTION
+from benchmarks.manipulate import Turn
 from planner.collision.resting import lift_to_rest
 from planner.collision.world import CollisionWorld
 from planner.contacts import Contact, ContactSet
@@ -34,8 +36,6 @@ from planner.quality import force_closure
 from planner.shapes import Box, Sphere
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
-from sim.bench.conditions import FRICTION, REGRASP_FRICTION
-from sim.bench.manipulate import Turn
 from sim.cli import app
 from sim.contacts import as_believed
 from sim.controllers import ObjectImpedance

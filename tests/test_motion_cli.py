@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 import planner.motion.gait.search
 import planner.motion.manipulation.single_stroke
 import planner.motion.search
+from benchmarks.conditions import BELIEVED_MU
 from planner.files import read_motion
 from planner.task import DEFAULT_MU
-from sim.bench.conditions import BELIEVED_MU
 from sim.cli import app
 from sim.cli.manipulation import manipulate
 from sim.cli.motion import plan_gait, plan_motion

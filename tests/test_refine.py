@@ -15,6 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.plain_check import doubts
+from benchmarks.refine import perturbed
 from planner import GraspPlan, GraspTask, plan_grasp, refine_grasp, refine_grasps
 from planner.batch.refined import _packed, _Reader
 from planner.errors import HandError, NoGraspFoundError, TaskError
@@ -34,8 +36,6 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem_cache import problems_for
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.verification.grasp import verify_grasp
-from sim.bench.plain_check import doubts
-from sim.bench.refine import perturbed
 
 HANDS = ("allegro_hand", "shadow_hand")
 OBJECTS = ("sphere", "box", "cylinder", "mug", "torus")

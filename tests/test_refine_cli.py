@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.plain_check import doubts
+from benchmarks.refine import perturbed
 from planner import GraspTask, plan_grasp, read_plan, write_plan
 from planner.plan import GraspPlan
 from planner.spatial import SE3, pose_to_wxyz
-from sim.bench.plain_check import doubts
-from sim.bench.refine import perturbed
 from sim.cli import app
 
 RUN = CliRunner()

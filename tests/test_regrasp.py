@@ -11,6 +11,9 @@ import pytest
 from conftest import noting_advances
 from manipulations import DT, QUICK, task_of
 
+from benchmarks.conditions import FRICTION, REGRASP_FRICTION
+from benchmarks.manipulate import Turn
+from benchmarks.star_hand import write_star_hand
 from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
@@ -22,9 +25,6 @@ from planner.motion.manipulation import (
     search,
 )
 from planner.spatial import SE3, FloatArray
-from sim.bench.conditions import FRICTION, REGRASP_FRICTION
-from sim.bench.manipulate import Turn
-from sim.bench.star_hand import write_star_hand
 from sim.controllers import Event, ObjectImpedance, Observation
 from sim.controllers.events import told_events
 from sim.controllers.follow import MotionReference

@@ -16,6 +16,7 @@ from browser import OpenPage, browser, open_page
 from manipulations import QUICK as QUICK_TURN
 from manipulations import task_of
 
+from benchmarks.star_hand import write_star_hand
 from planner.errors import FileFormatError
 from planner.hand_loading import load_hand
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
@@ -26,7 +27,6 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask
-from sim.bench.star_hand import write_star_hand
 from sim.manipulation import ManipulationReport, manipulate, read_manipulation_report
 from sim.manipulation.page import manipulation_page
 from sim.manipulation.page_parts import parts_of

@@ -256,8 +256,8 @@ def test_the_witness_counts_both_engines() -> None:
     need_drake()
     from rich.console import Console
 
-    from sim.bench.objects import bench_objects
-    from sim.bench.witness import run_witness, witness_tables
+    from benchmarks.objects import bench_objects
+    from benchmarks.witness import run_witness, witness_tables
     from sim.runner import Runner
 
     runner = Runner(console=Console(quiet=True), check=lambda: None, workers=1)

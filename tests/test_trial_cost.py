@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.trial_cost import Replay, time_trial, trial_cost_table
 from planner.contacts import ContactSet
 from planner.plan import GraspPlan
 from planner.quality import closure_and_epsilon
 from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim import recorder as recording
-from sim.bench.trial_cost import Replay, time_trial, trial_cost_table
 from sim.contacts import hand_contacts, merge_per_finger
 from sim.simulation import Simulation
 from sim.trial import Timeline, Trial

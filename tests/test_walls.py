@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.walls import as_used
 from planner import GraspTask, plan_grasp
 from planner.collision.pad_contact import PadContact
 from planner.collision.world import CollisionWorld, shape_pair
@@ -33,7 +34,6 @@ from planner.synthesis.mesh_surface import SKIN, surface_of
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.seeds.opposed_pairs import opposed_pairs
 from planner.verification.geometry import edge_failures, verify_geometry
-from sim.bench.walls import as_used
 from sim.cli import app
 
 HERE = SE3(np.eye(3), np.zeros(3))

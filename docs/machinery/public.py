@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 PACKAGES = ("planner", "sim")
 """What a script imports from first: their names are those of rooms."""
 
-NOT_FOR_SCRIPTS = ("sim.bench", "sim.cli")
+NOT_FOR_SCRIPTS = ("sim.cli",)
 """Rooms that the page of the command line describes."""
 
 GROUPS: dict[str, list[str]] = {

@@ -21,28 +21,28 @@ from rich.table import Table
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+from benchmarks.audit import audit_tables
+from benchmarks.best import best_tables
+from benchmarks.control.tables import control_tables
+from benchmarks.dexgraspbench.evaluate import dexgraspbench_table
+from benchmarks.episodes import episodes_table
+from benchmarks.exports import export_tables
+from benchmarks.forces import force_tables
+from benchmarks.grasps import grasps_table
+from benchmarks.metrics import metrics_table
+from benchmarks.motion import motion_table
+from benchmarks.objectives import objective_tables
+from benchmarks.physics import physics_tables
+from benchmarks.reality import reality_tables
+from benchmarks.refine import refine_tables
+from benchmarks.scaling import scaling_tables
+from benchmarks.synthesis_tables import synthesis_tables
+from benchmarks.touch.tables import touch_tables
+from benchmarks.trial_cost import trial_cost_table
+from benchmarks.turn_table import manipulate_table
+from benchmarks.walls import walls_tables
+from benchmarks.witness import witness_tables
 from machinery.commands import shown
-from sim.bench.audit import audit_tables
-from sim.bench.best import best_tables
-from sim.bench.control.tables import control_tables
-from sim.bench.dexgraspbench.evaluate import dexgraspbench_table
-from sim.bench.episodes import episodes_table
-from sim.bench.exports import export_tables
-from sim.bench.forces import force_tables
-from sim.bench.grasps import grasps_table
-from sim.bench.metrics import metrics_table
-from sim.bench.motion import motion_table
-from sim.bench.objectives import objective_tables
-from sim.bench.physics import physics_tables
-from sim.bench.reality import reality_tables
-from sim.bench.refine import refine_tables
-from sim.bench.scaling import scaling_tables
-from sim.bench.synthesis_tables import synthesis_tables
-from sim.bench.touch.tables import touch_tables
-from sim.bench.trial_cost import trial_cost_table
-from sim.bench.turn_table import manipulate_table
-from sim.bench.walls import walls_tables
-from sim.bench.witness import witness_tables
 
 DATA = Path(__file__).parent.parent / "results" / "data"
 LARGEST_KB = 200

@@ -9,9 +9,9 @@ from typing import Any
 from sphinx.application import Sphinx
 from sphinx.config import Config
 
+from benchmarks.gallery.pages import SCENES, gallery_pages
+from benchmarks.zoo.pages import zoo_pages
 from machinery.write import write_pages
-from sim.bench.gallery.pages import SCENES, gallery_pages
-from sim.bench.zoo.pages import zoo_pages
 
 DOCS = Path(__file__).parent.parent
 EXTRA = DOCS / "gallery" / "extra"

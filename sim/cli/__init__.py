@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from importlib import import_module
-from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -51,8 +51,8 @@ def _opposable(
         raise typer.Exit(EXIT_USAGE)
 
 
-MEASURING = "sim.cli.bench"
-"""The commands that measure; a wheel leaves them out, with ``sim.bench``."""
+CHECKOUT = Path(__file__).resolve().parents[2]
+"""Where this code lies; in a checkout the commands that measure lie beside it."""
 
 NEEDS_CHECKOUT = (
     "[bold red]error:[/] measuring needs a checkout: clone the repository, run "
@@ -69,8 +69,8 @@ def _no_bench() -> None:
 
 def _register_bench() -> None:
     """Add the group ``bench``, or in a wheel one command that says where to find it."""
-    if find_spec(MEASURING) is not None:
-        import_module(MEASURING).register(app, MEASURE)
+    if (CHECKOUT / "pyproject.toml").is_file():
+        import_module("benchmarks.commands").register(app, MEASURE)
         return
     anything = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
     app.command("bench", context_settings=anything, rich_help_panel=MEASURE)(_no_bench)

@@ -32,7 +32,7 @@ from sim.reality import IDEAL, REALITIES, Reality
 __all__ = ["Conditions", "Plans", "TurnTask"]
 
 FRICTION, MASS = (0.5, 1.0), (0.05, 0.3)
-"""True sliding friction (-) and mass (kg), as in ``sim.bench.conditions``."""
+"""True sliding friction (-) and mass (kg), as in ``benchmarks.conditions``."""
 
 BELIEVED_MU = 0.9 * FRICTION[0]
 """Friction (-) that is planned for, as there."""
