@@ -56,7 +56,7 @@ def test_the_centre_of_contacts_moves_with_them() -> None:
 def test_a_small_weight_is_closure() -> None:
     """One of twelve wrenches is 1e5 times as large: it needs a weight 1e-5 of its opposite's.
 
-    With weights a of the others and l of the large one, 1e5 l of its opposite: 10 l + l + 1e5 l = 1.
+    With weight l of all but the opposite of the large one, which takes 1e5 l: 11 l + 1e5 l = 1.
     """
     large = 1e5
     wrenches = np.hstack([np.eye(6), -np.eye(6)])
@@ -108,9 +108,7 @@ def estimator() -> Any:
 
 
 def test_a_base_that_spins_carries_the_object_round() -> None:
-    """1 rad/s about the world's vertical through its origin; the object 0.1 m along x: 0.1 m/s
-    along y.
-    """
+    """1 rad/s about the world's vertical; an object 0.1 m along x moves at 0.1 m/s along y."""
     filters = estimator()
     filters._base_twist = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     known = cast(Any, SimpleNamespace(motion=None))
@@ -147,7 +145,7 @@ def test_an_object_is_where_it_was_wanted_within_three_millimetres(
             criteria=SuccessCriteria(),
             R_world_palm=np.eye(3),
             log=SimpleNamespace(
-                turn=np.array([np.deg2rad(91.0)]), shift=asked + [[0.0, 1e-3 * off_mm, 0.0]]
+                turn=np.array([np.deg2rad(91.0)]), shift=np.array([[5e-3, 1e-3 * off_mm, 0.0]])
             ),
         ),
     )
