@@ -192,7 +192,7 @@ def simulate(
     if as_json:
         print_json(report.to_dict())
     else:
-        trial.show(report)
+        trial.show(report, picture=picture is not None)
         if page is not None:
             say(out, escape(f"open in a browser: {page}"))
     exit_for(report)

@@ -335,13 +335,18 @@ class TrialOptions:
     arrows: ArrowsOption = False
     verbose: VerboseOption = False
 
-    def show(self, report: TrialReport) -> None:
-        """Print a report: verdict and contacts, with ``--verbose`` what explains them too."""
+    def show(self, report: TrialReport, *, picture: bool = False) -> None:
+        """Print a report: verdict and contacts, with ``--verbose`` what explains them too.
+
+        Args:
+            report: What happened.
+            picture: Whether a picture was asked for by name, so that its file is told.
+        """
         out.print(report)
         if self.verbose:
             for line in report.details():
                 out.print(line)
-        if report.drawn and (self.verbose or self.video):
+        if report.drawn and (self.verbose or self.video or picture):
             say(out, escape(report.drawn))
 
     def trial(self) -> Callable[[GraspPlan, Path | None], TrialReport]:
