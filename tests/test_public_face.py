@@ -27,20 +27,20 @@ def test_every_public_name_resolves_and_no_submodule_has_it(package: str) -> Non
 
 
 def test_one_module_has_the_names_of_both_packages() -> None:
-    """The wheel installs ``sim/opposable.py`` as ``opposable`` (tests/test_wheel.py imports it)."""
+    """``opposable.py`` re-exports them; the wheel has it too (tests/test_wheel.py)."""
+    import opposable as both
     import planner
     import sim
-    import sim.opposable as both
 
     names: dict[str, object] = {}
-    exec("from sim.opposable import *", names)
+    exec("from opposable import *", names)
     wanted = {*planner.__all__, *sim.__all__}
     assert wanted <= set(names) and wanted <= set(dir(both))
     assert names["plan_grasp"] is planner.plan_grasp and names["simulate"] is sim.simulate
     assert set(planner.__all__) & set(sim.__all__) == set()
 
 
-@pytest.mark.parametrize("package", ["planner", "sim", "sim.opposable"])
+@pytest.mark.parametrize("package", ["planner", "sim", "opposable"])
 def test_a_name_that_is_not_public_is_an_attribute_error(package: str) -> None:
     with pytest.raises(AttributeError, match="no attribute 'graspe'"):
         _ = import_module(package).graspe

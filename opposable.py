@@ -1,8 +1,6 @@
-"""Opposable: all public names of ``planner`` and ``sim`` in one place, loaded when first used.
+"""Opposable: all public names of ``planner`` and ``sim`` in one place, loaded when first used::
 
-It is installed as the module ``opposable``::
-
-    from opposable import GraspTask, plan_grasp, simulate
+from opposable import GraspTask, plan_grasp, simulate
 """
 
 from typing import TYPE_CHECKING
