@@ -1,6 +1,8 @@
-"""Opposable: all public names of ``planner`` and ``sim`` in one place, loaded when first used::
+"""Opposable: all public names of ``planner`` and ``sim`` in one place, loaded when first used.
 
-from opposable import GraspTask, plan_grasp, simulate
+In a script::
+
+    from opposable import GraspTask, plan_grasp, simulate
 """
 
 from typing import TYPE_CHECKING

@@ -237,7 +237,7 @@ def test_contacts_far_from_the_plan_are_another_grasp(off: dict[str, float], out
 
 
 def test_an_actuator_that_saturates_after_the_fault_is_not_its_reason() -> None:
-    """Of 20 samples under load the object slips in the tenth; the thumb is stuck before or after."""
+    """The object slips half-way under load; the thumb is stuck before, or only after that."""
     first = at("lift").start
     slipped = changed(held(), "slip_mm", slice(first, M), 6.0)
     for late, reason in ((True, "slipped"), (False, "torque limit reached")):
