@@ -1,7 +1,7 @@
 """Attempts of a search: each gives a plan or a failure; what they cost, and when they end.
 
-Attempt i depends on the seed and on i alone, so a seed gives the same plan on any machine; budgets
-stop between attempts.
+Attempt i depends on the seed and on i alone, so a seed gives the same plan however fast the
+machine is, but for rounding; budgets stop between attempts.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``finite``: results as plain data for JSON, which knows no NaN, no infinity and no arrays."""
+"""Results as plain data for JSON, which knows no NaN, no infinity and no arrays; short reprs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,17 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["finite"]
+__all__ = ["finite", "short_repr"]
+
+SHORT = 200
+"""Characters of a repr: two lines of a terminal."""
+
+
+def short_repr(thing: object) -> str:
+    """One line for ``__repr__`` of a report: its kind, and the first line of its text."""
+    lines = str(thing).splitlines()
+    text = f"<{type(thing).__name__}: {lines[0] if lines else ''}>"
+    return text if len(text) <= SHORT else f"{text[: SHORT - 4]}...>"
 
 
 def finite(value: Any) -> Any:

@@ -1,8 +1,9 @@
 """``plan_grasp``: draw a start, solve, verify on the true geometry, distribute forces; repeat.
 
-Attempts end by iteration limits, never by the clock, so that a seed gives the same plan on any
-machine; budgets stop between attempts. Asked for are the first grasp, the best of so many
-independent ones, or the best that a budget gives (``planner.best``).
+Attempts end by iteration limits, never by the clock, so that a seed gives the same plan however
+fast the machine is, but for the rounding of its linear algebra; budgets stop between attempts.
+Asked for are the first grasp, the best of so many independent ones, or the best that a budget gives
+(``planner.best``).
 """
 
 from __future__ import annotations
@@ -106,10 +107,11 @@ def plan_grasp(
     and what would not be the best is not verified; that gives more than ``best_of`` in the same
     time.
 
-    In counts (``best_of``, ``max_attempts``) the same seed gives the same plan on any machine. What
-    a budget in CPU seconds gives depends on the machine: ``plan.record.attempts`` tells how many
-    attempts were made, and the same call with ``max_attempts`` of that many, without
-    ``max_cpu_s``, gives the same plan again.
+    In counts (``best_of``, ``max_attempts``) the same seed gives the same plan, to the bit in one
+    installation on one kind of processor and to rounding elsewhere. What a budget in CPU seconds
+    gives depends on the machine: ``plan.record.attempts`` tells how many attempts were made, and
+    the same call with ``max_attempts`` of that many, without ``max_cpu_s``, gives the same plan
+    again.
 
     May be called from any number of threads, and from ``progress``; each call gives what it gives
     alone. Threads share the hand, the objects and the tasks, none of which ever changes. They take

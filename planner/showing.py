@@ -1,8 +1,9 @@
-"""``Shown`` and ``in_notebook``: what gives things their ``save_html`` and ``_repr_html_``.
+"""``Shown`` and ``in_notebook``: give things ``show``, ``save``, ``save_html``, ``_repr_html_``.
 
 Plans stand below the room that makes pages, so they cannot import it. The packages, which stand
-above all their rooms, say by name where the page of each kind is made (``register_page``), and what
-a notebook shows of it (``register_notebook``); that is imported when it is first asked for.
+above all their rooms, say by name where the page and the file of each kind are made
+(``register_page``), and what a notebook shows of it (``register_notebook``); that is imported when
+it is first asked for.
 """
 
 from __future__ import annotations
@@ -24,17 +25,21 @@ _NOTEBOOK: dict[str, str] = {}
 _KEPT = "_notebook_html"
 """Where a thing keeps it."""
 
-_WRITER = "planner.pages.page:write_page"
+_FILES: dict[str, str] = {}
+"""Name of a class -> "module:function" of what writes its file."""
 
 
-def register_page(kind: str, maker: str) -> None:
-    """Say what makes the page of a kind of thing.
+def register_page(kind: str, maker: str, writer: str = "") -> None:
+    """Say what makes the page of a kind of thing, and what writes its file.
 
     Args:
         kind: Name of its class, for example "GraspPlan".
         maker: "module:function", a function of the thing that returns ``planner.pages.page.Page``.
+        writer: "module:function" of the thing and a path; "" for a kind without a file.
     """
     _MAKERS[kind] = maker
+    if writer:
+        _FILES[kind] = writer
 
 
 def register_notebook(kind: str, maker: str) -> None:
@@ -72,11 +77,15 @@ def page_of(thing: object) -> Any:
     Raises:
         NotFoundError: Nothing makes pages of its kind.
     """
+    return _registered(_MAKERS, thing, "kind of thing with a page")(thing)
+
+
+def _registered(makers: dict[str, str], thing: object, what: str) -> Any:
     for kind in type(thing).__mro__:
-        if kind.__name__ in _MAKERS:
-            return _named(_MAKERS[kind.__name__])(thing)
+        if kind.__name__ in makers:
+            return _named(makers[kind.__name__])
     hint = "Register a function with planner.showing.register_page."
-    raise NotFoundError("kind of thing with a page", type(thing).__name__, _MAKERS, hint)
+    raise NotFoundError(what, type(thing).__name__, makers, hint)
 
 
 def _named(home: str) -> Any:
@@ -85,7 +94,26 @@ def _named(home: str) -> Any:
 
 
 class Shown:
-    """A thing that a page can show."""
+    """A thing that a page can show, and a file keep."""
+
+    def show(self) -> None:
+        """Show its page: in the cell of a notebook, else in the browser.
+
+        Without a browser the path of the page, a temporary file, is printed.
+        """
+        _named("planner.pages.opening:show_page")(page_of(self))
+
+    def save(self, path: Path | str) -> None:
+        """Write its file (JSON), from which it can be read again.
+
+        Args:
+            path: The file, replaced if it is there.
+
+        Raises:
+            FileFormatError: The folder does not exist or cannot be written, or no file can hold it.
+            NotFoundError: Nothing writes files of its kind.
+        """
+        _registered(_FILES, self, "kind of thing with a file")(self, path)
 
     def save_html(self, path: Path | str) -> None:
         """Write its page: one HTML file that opens in any browser, without a network.
@@ -96,4 +124,4 @@ class Shown:
         Raises:
             FileFormatError: The folder does not exist or cannot be written.
         """
-        _named(_WRITER)(page_of(self), path)
+        _named("planner.pages.page:write_page")(page_of(self), path)

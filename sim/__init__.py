@@ -12,7 +12,7 @@ own package, ``sim.crosscheck``.
 
 from typing import TYPE_CHECKING
 
-from planner.showing import register_notebook
+from planner.showing import register_notebook, register_page
 from planner.system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
@@ -73,5 +73,11 @@ _HOMES = {
 
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
+register_page(
+    "ManipulationReport",
+    "sim.manipulation.page:page_of_report",
+    "sim.report_file:write_report_of",
+)
+register_page("TrialReport", "sim.pages:page_of_report", "sim.report_file:write_report_of")
 register_notebook("ManipulationReport", "sim.looking.notebook:manipulation_html")
 register_notebook("TrialReport", "sim.looking.notebook:trial_html")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ from planner.files import plan_from_dict, plan_to_dict
 from planner.plain import finite
 from planner.plan import GraspPlan
 from planner.quality import QualityReport, analyse
-from planner.showing import in_notebook
+from planner.showing import Shown, in_notebook
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers.events import Event
@@ -58,8 +59,8 @@ class FingerComparison:
     force_error_percent: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrialReport(OnScreen):
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TrialReport(OnScreen, Shown):
     """A trial from beginning to end.
 
     Attributes:
@@ -162,12 +163,17 @@ class TrialReport(OnScreen):
 
     @property
     def success(self) -> bool:
-        """Whether the object was held."""
+        """Whether the object was held, by the planned grasp or another (``as_planned``)."""
         return self.verdict.success
 
     @property
+    def as_planned(self) -> bool:
+        """Whether the object was held by the grasp that was planned."""
+        return self.verdict.as_planned
+
+    @property
     def reason(self) -> Reason:
-        """Why not; "" for success."""
+        """Why not held; "" if it was."""
         return self.verdict.reason
 
     @property
@@ -180,39 +186,41 @@ class TrialReport(OnScreen):
         return in_notebook(self)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """The verdict, and planned against measured contacts."""
-        if self.success:
-            moved, turned = self.largest_slip
-            verdict = (
-                f"[bold green]held[/]: the object moved {moved:.2f} mm and {turned:.2f} degrees in "
-                "the hand after the squeeze"
-            )
-        else:
-            verdict = f"[bold red]not held, {self.reason}[/]: {escape(self.verdict.detail)}"
-        yield Text.from_markup(
-            f"[bold]trial[/]: {verdict} ({self.simulated_s:.1f} s simulated in {self.wall_s:.1f} s)"
-        )
-        yield Text(
-            f"{self.hand}, {self.object}, {1e3 * self.mass_kg:.0f} g, carried by the "
-            f"{self.carried_by}, control {self.controller}"
-        )
-        yield Text(
-            f"physics: {self.physics['name']}; friction gives way by {self.least_creep_mm_s:.2g} "
-            "mm/s however firm the grip, before "
-            f"{self.physics['noslip_iterations']} noslip iterations"
-        )
-        yield from (Text(line) for line in reality_lines(self.reality))
+        """One line of verdict, and planned against measured contacts; ``details`` has the rest."""
+        moved, turned = self.largest_slip
+        slip = f"the object moved {moved:.2f} mm and {turned:.2f} degrees in the hand"
+        other = escape(self.verdict.other_grasp)
+        line = {
+            "held": f"[bold green]held[/]: {slip}",
+            "held, another grasp": f"[bold yellow]held, but by another grasp[/]: {other}; {slip}",
+            "not held": f"[bold red]not held, {self.reason}[/]: {escape(self.verdict.detail)}",
+        }[self.verdict.outcome]
+        yield Text.from_markup(f"{escape(self.hand)}, {escape(self.object)}: {line}")
         if self.remedies:
             yield Text("each of these keeps the object from creeping:")
         for remedy in self.remedies:
             yield Text(f"  {remedy}", no_wrap=True, overflow="ignore")
+        if self.comparison:
+            yield self._comparison_table()
+
+    def details(self) -> Iterator[Text]:
+        """Lines that explain the verdict: conditions, events of the controller, quality."""
+        carrier = "an arm" if self.carried_by == "arm" else "six driven axes (no arm)"
+        yield Text(
+            f"{1e3 * self.mass_kg:.0f} g, hand carried by {carrier}, controller {self.controller}, "
+            f"{self.simulated_s:.1f} s simulated in {self.wall_s:.1f} s"
+        )
+        yield Text(
+            f"physics: {self.physics['name']}; the object creeps at {self.least_creep_mm_s:.2g} "
+            "mm/s in MuJoCo's friction whatever the grip, before "
+            f"{self.physics['noslip_iterations']} noslip iterations"
+        )
+        yield from (Text(line) for line in reality_lines(self.reality))
         for event in self.events[:MOST_EVENTS]:
             who = f" {event.finger}" if event.finger else ""
             yield Text(f"  {event.time:.3f} s: {event.kind}{who}: {event.detail}")
         if len(self.events) > MOST_EVENTS:
             yield Text(f"  and {len(self.events) - MOST_EVENTS} more events of the controller")
-        if self.comparison:
-            yield self._comparison_table()
         holding = self.samples.during("hold")
         if not len(holding):
             return
@@ -222,8 +230,8 @@ class TrialReport(OnScreen):
         )
         if self.quality_measured is not None:
             yield Text(
-                f"epsilon of the true cones: planned {self.quality_planned.epsilon_round}, "
-                f"measured {self.quality_measured.epsilon_round} (both with the plan's friction, "
+                f"epsilon of the round friction cones: planned {self.quality_planned.epsilon_round}"
+                f", measured {self.quality_measured.epsilon_round} (both with the plan's friction, "
                 f"mu {self.quality_mu:g})"
             )
 
@@ -252,17 +260,6 @@ class TrialReport(OnScreen):
         """
         return self.to_file(states=states).model_dump(mode="json")
 
-    def save_html(self, path: Path | str) -> None:
-        """Write the trial as a page: one HTML file with motion, plots, summary and this report.
-
-        Raises:
-            FileFormatError: The file cannot be written.
-        """
-        from planner.pages.page import write_page
-        from sim.pages import trial_page
-
-        write_page(trial_page(self.to_file(), self.plan.task), path)
-
     def to_file(self, *, states: bool = True) -> ReportFile:
         """The same as the data of a file, which pages are made of."""
         return ReportFile(
@@ -272,6 +269,7 @@ class TrialReport(OnScreen):
             reason=self.reason,
             detail=self.verdict.detail,
             reason_time_s=finite(self.verdict.time),
+            other_grasp=self.verdict.other_grasp,
             hand=self.hand,
             object=self.object,
             mass_kg=self.mass_kg,

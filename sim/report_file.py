@@ -30,6 +30,7 @@ __all__ = [
     "report_data",
     "upgraded",
     "write_report",
+    "write_report_of",
 ]
 
 REPORT_VERSION: Literal[3] = 3
@@ -65,7 +66,8 @@ class ReportFile(StrictData):
     ``plan`` is the plan as its file has it, null for a hand that no file can name. ``recording``
     are the states, null where they were left out and in files of version 1. ``command`` is what the
     command line was told, "" of a script. ``reality`` are the errors that the plan did not know, as
-    given and as drawn; null where there were none.
+    given and as drawn; null where there were none. ``other_grasp`` says which finger touched
+    elsewhere where the object was held by another grasp than was planned, "" otherwise.
     """
 
     format: Literal["opposable-report"] = "opposable-report"
@@ -76,6 +78,7 @@ class ReportFile(StrictData):
     reason: Reason
     detail: str
     reason_time_s: float | None
+    other_grasp: str = ""
     hand: str
     object: str
     mass_kg: float
@@ -177,6 +180,11 @@ def write_report(report: dict[str, Any], path: Path | str) -> None:
     """
     with whole_file(Path(path)) as stream:
         stream.write((compact_json(report) + "\n").encode())
+
+
+def write_report_of(report: Any, path: Path | str) -> None:
+    """Write a report of any kind with its plan and states; see ``write_report``."""
+    write_report(report.to_dict(), path)
 
 
 LONG_FIELDS = ("samples", "recording", "earlier")

@@ -39,6 +39,7 @@ from sim.gantry import GANTRY, Gantry, add_gantry, tuned_gantry
 from sim.looking.dress import HIDDEN_GROUP, dress_hand
 from sim.looking.scenery import OBJECT_MATERIAL, add_object_material, add_scenery
 from sim.looking.view import Subject
+from sim.physics.named import AnyPhysics, as_physics
 from sim.physics.options import CONTACT_SOLREF, PhysicsOptions
 
 __all__ = [
@@ -209,7 +210,7 @@ def build_scene(
     *,
     T_world_base: SE3,
     q: FloatArray | None = None,
-    physics: PhysicsOptions | None = None,
+    physics: AnyPhysics | None = None,
     change: Callable[[Any], None] | None = None,
 ) -> Scene:
     """Assemble and compile the scene of a task.
@@ -218,13 +219,13 @@ def build_scene(
         task: Hand, object and its pose, table, obstacles, gravity.
         T_world_base: Base pose at which the gantry's joints read zero: that of the grasp.
         q: Joints (nq,) at the grasp, from which the camera takes its place; zero if None.
-        physics: How MuJoCo computes; defaults if None.
+        physics: How MuJoCo computes, or the name of a preset; defaults if None.
         change: Changes the ``mujoco.MjSpec`` to a world that differs from the task's; not if None.
 
     Raises:
         ModelError: MuJoCo refuses the scene.
     """
-    physics = physics or PhysicsOptions()
+    physics = as_physics(physics)
     hand = task.hand
     spec = scene_spec(task, T_world_base, physics)
     if change is not None:

@@ -11,6 +11,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from planner.plain import short_repr
+
 __all__ = ["OnScreen", "number", "percent", "reality_lines", "table"]
 
 WIDTH = 100
@@ -26,6 +28,10 @@ class OnScreen:
         with console.capture() as captured:
             console.print(self)
         return "\n".join(line.rstrip() for line in captured.get().splitlines())
+
+    def __repr__(self) -> str:
+        """One line: the kind, and the first line of the screen."""
+        return short_repr(self)
 
 
 def table(title: str | None, columns: Iterable[str], *, left: Iterable[str] = ()) -> Table:

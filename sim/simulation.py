@@ -45,8 +45,9 @@ from sim.looking.picture import draw_tape
 from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
 from sim.pads import read_pads
+from sim.physics import AnyPhysics
 from sim.reality import AnyReality, Reality, RealityOfTrial, as_reality
-from sim.scene import PhysicsOptions, Scene, build_scene
+from sim.scene import Scene, build_scene
 from sim.tactile import read_touch
 from sim.timeline import Timeline
 
@@ -90,7 +91,7 @@ class Simulation:
         self,
         plan: GraspPlan,
         *,
-        physics: PhysicsOptions | None = None,
+        physics: AnyPhysics | None = None,
         controller: AnyController | None = None,
         timeline: Timeline | None = None,
         scene: Scene | None = None,
@@ -104,7 +105,7 @@ class Simulation:
 
         Args:
             plan: What to execute.
-            physics: How MuJoCo computes; defaults if None.
+            physics: How MuJoCo computes, or the name of a preset; defaults if None.
             controller: What drives the hand: a name, a controller, or what makes one from the
                 plan; "feedforward" if None.
             timeline: Durations of the carrier's approach and lift; defaults if None.

@@ -34,10 +34,10 @@ from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.estimation import AnyEstimator
 from sim.looking.film import check_video
 from sim.looking.picture import draw_tape, moments_of
+from sim.physics import AnyPhysics
 from sim.reality import AnyReality
 from sim.recorder import Recorder
-from sim.report import TrialReport
-from sim.scene import PhysicsOptions
+from sim.report import FingerComparison, TrialReport
 from sim.simulation import Simulation
 from sim.timeline import Timeline
 from sim.verdict import Fault, Thresholds, Verdict, judge
@@ -64,7 +64,7 @@ class Trial:
         self,
         plan: GraspPlan,
         *,
-        physics: PhysicsOptions | None = None,
+        physics: AnyPhysics | None = None,
         controller: AnyController | None = None,
         timeline: Timeline | None = None,
         thresholds: Thresholds | None = None,
@@ -76,7 +76,7 @@ class Trial:
 
         Args:
             plan: What to execute.
-            physics: How MuJoCo computes; defaults if None.
+            physics: How MuJoCo computes, or the name of a preset; defaults if None.
             controller: What drives the hand: a name ("feedforward", "impedance"), a controller, or
                 a class or function that makes one from the plan; "feedforward" if None.
             timeline: Durations; defaults if None.
@@ -191,6 +191,7 @@ class Trial:
             interrupted: Whether Ctrl-C ended it.
         """
         simulation = self.simulation
+        compared = self.recorder.comparison()
         verdict = judge(
             self.recorder.samples(),
             fingers=self.plan.task.finger_names,
@@ -201,10 +202,13 @@ class Trial:
             stopped=simulation.stopped,
             diverged=simulation.diverged,
             not_lifted="it was felt by too few fingers to be lifted" if self._not_lifted else "",
+            contacts_off_mm={c.finger: c.position_error_mm for c in compared},
         )
-        return self._report(verdict, begin)
+        return self._report(verdict, begin, compared)
 
-    def _report(self, verdict: Verdict, begin: float) -> TrialReport:
+    def _report(
+        self, verdict: Verdict, begin: float, compared: tuple[FingerComparison, ...] = ()
+    ) -> TrialReport:
         plan, task, simulation = self.plan, self.plan.task, self.simulation
         samples = self.recorder.samples()
         merged = merge_per_finger(hand_contacts(simulation.scene, simulation.data))
@@ -219,7 +223,7 @@ class Trial:
             samples=samples,
             recording=self.recorder.recording(),
             plan=plan,
-            comparison=self.recorder.comparison(),
+            comparison=compared,
             quality_mu=task.mu,
             contacts_measured=merged if ended_holding else None,
             thresholds=self.thresholds,
@@ -290,7 +294,7 @@ def felt_by(simulation: Simulation) -> tuple[str, ...]:
 def simulate(
     plan: GraspPlan,
     *,
-    physics: PhysicsOptions | None = None,
+    physics: AnyPhysics | None = None,
     controller: AnyController | None = None,
     timeline: Timeline | None = None,
     thresholds: Thresholds | None = None,

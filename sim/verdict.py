@@ -1,14 +1,17 @@
-"""The verdict on a trial: success, or the reason why not.
+"""The verdict on a trial: held, held by another grasp than was planned, or the reason why not.
 
 ``judge`` is a pure function of the samples: a trial is judged by numbers, after the fact, and the
 same samples always get the same verdict. Of several faults the first in time is the reason, except
-that an object that ends on the ground was "dropped", however it began to move.
+that an object that ends on the ground was "dropped", however it began to move. An object that was
+held while a finger touched it further than ``Thresholds.contact_mm`` from its planned contact was
+held by another grasp: a verdict of its own, since nothing that was proven of the plan is known of
+that grasp.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeAlias
 
@@ -20,9 +23,11 @@ from sim.samples import Samples
 
 __all__ = [
     "COLLISION_N",
+    "OUTCOMES",
     "REASONS",
     "DropCriteria",
     "Fault",
+    "GraspOutcome",
     "Reason",
     "Thresholds",
     "Verdict",
@@ -53,6 +58,12 @@ REASONS: tuple[Reason, ...] = Reason.__args__  # type: ignore[attr-defined]
 """Every reason a verdict can have; "" is success."""
 
 
+GraspOutcome: TypeAlias = Literal["held", "held, another grasp", "not held"]
+
+OUTCOMES: tuple[GraspOutcome, ...] = GraspOutcome.__args__  # type: ignore[attr-defined]
+"""Every outcome of a trial."""
+
+
 COLLISION_N = 1.0
 """Normal force (N) from which on hand on table, obstacle or itself is a collision, in trials as in
 manipulations. A light touch is let pass, as a person's would be."""
@@ -70,6 +81,10 @@ class Thresholds:
         disturbed_deg: Rotation before the lift, degrees.
         lift_shortfall_mm: How far the object may end below the height asked for, mm.
         collision_N: Normal force between hand and table, obstacle or itself, N.
+        contact_mm: Distance of a finger's mean contact in the hold from its planned one, in the
+            object's frame, mm: beyond it the object is held by another grasp. Half the width of a
+            fingertip; planned grasps are executed to 0.1 to 0.5 mm without sensor errors
+            (``opposable bench grasps``).
         saturated_share: Share of the samples under load in which an actuator stood at its limit,
             from which on a failure is put down to that (-).
     """
@@ -80,6 +95,7 @@ class Thresholds:
     disturbed_deg: float = 20.0
     lift_shortfall_mm: float = 5.0
     collision_N: float = COLLISION_N
+    contact_mm: float = 5.0
     saturated_share: float = 0.5
 
     def __post_init__(self) -> None:
@@ -107,13 +123,28 @@ class Fault:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Success, or the reason why not.
+    """Held, held by another grasp than was planned, or the reason why not.
 
     Attributes:
-        fault: Why the object was not held; None for success.
+        fault: Why the object was not held; None if it was.
+        other_grasp: Of an object that was held by another grasp: the finger that touched furthest
+            from its planned contact, and how far, in words; "" otherwise.
     """
 
     fault: Fault | None = None
+    other_grasp: str = ""
+
+    @property
+    def outcome(self) -> GraspOutcome:
+        """One of ``OUTCOMES``."""
+        if self.fault is not None:
+            return "not held"
+        return "held, another grasp" if self.other_grasp else "held"
+
+    @property
+    def as_planned(self) -> bool:
+        """Whether the object was held by the grasp that was planned."""
+        return self.outcome == "held"
 
     @property
     def success(self) -> bool:
@@ -195,6 +226,7 @@ def judge(
     stopped: str = "",
     diverged: str = "",
     not_lifted: str = "",
+    contacts_off_mm: Mapping[str, float] | None = None,
 ) -> Verdict:
     """The verdict on a trial.
 
@@ -208,6 +240,8 @@ def judge(
         stopped: Why the caller ended it, "" if not.
         diverged: What went wrong numerically, "" if nothing did.
         not_lifted: Why the hand decided not to lift the object, "" if it did not.
+        contacts_off_mm: Finger -> distance of its mean contact in the hold from its planned one,
+            mm; NaN without contact, which ``needed`` judges.
     """
     end = float(samples.time[-1]) if len(samples) else 0.0
     if diverged:
@@ -239,13 +273,28 @@ def judge(
     if not faults and not_lifted:
         return Verdict(Fault(reason="no contact", detail=not_lifted, time=end))
     if not faults:
-        return Verdict() if len(samples.during("hold")) else early
+        if not len(samples.during("hold")):
+            return early
+        return Verdict(other_grasp=_other_grasp(contacts_off_mm or {}, thresholds.contact_mm))
     first = min(faults, key=lambda fault: fault.time)
     if first.reason == "hand collided":
         return Verdict(first)
     under_load = samples.during("squeeze", "settle", "lift", "hold")
     looks = [samples.saturated[i] for i in under_load if samples.time[i] <= first.time]
     return Verdict(put_down_to_actuators(first, looks, thresholds.saturated_share))
+
+
+def _other_grasp(off_mm: Mapping[str, float], limit_mm: float) -> str:
+    """The finger furthest from its planned contact, if that is beyond the limit; "" if none is."""
+    far = {finger: mm for finger, mm in off_mm.items() if mm > limit_mm}
+    if not far:
+        return ""
+    finger = max(far, key=lambda name: far[name])
+    others = f", and {len(far) - 1} more are off" if len(far) > 1 else ""
+    return (
+        f"{finger} touches {far[finger]:.0f} mm from its planned contact ({limit_mm:g} mm are "
+        f"allowed){others}"
+    )
 
 
 def first_collision(

@@ -177,8 +177,9 @@ def test_run_writes_plan_report_and_picture(tmp_path: Path, can_draw: bool) -> N
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     ReportFile.model_validate(report)
     assert_picture_or_reason(folder / "held.png", report, result.out, can_draw)
-    assert f"written to {folder}" in result.out
+    assert f"open in a browser: {folder}/report.html" in result.out
     assert "held" in result.out
+    assert len(result.out.splitlines()) < 15  # verdict, table, where to look
     assert not list(folder.glob("*.part"))
 
 

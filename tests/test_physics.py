@@ -398,7 +398,8 @@ def test_commands_take_physics_by_name_and_file(grasped: GraspPlan, tmp_path: Pa
     assert report["physics"]["name"] == "mujoco-default"
     assert report["physics"]["mu"] == 1.0
     mine = written(tmp_path, "mine.toml", 'preset = "mujoco-default"\nnoslip_iterations = 10')
-    code, told, _ = cli("simulate", str(plan), "--physics", str(mine), "--sim-mu", "0.8")
+    more = ("--sim-mu", "0.8", "--verbose")
+    code, told, _ = cli("simulate", str(plan), "--physics", str(mine), *more)
     assert code == 0
     assert "physics: mine.toml" in told
     out = tmp_path / "test"

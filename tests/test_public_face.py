@@ -26,7 +26,21 @@ def test_every_public_name_resolves_and_no_submodule_has_it(package: str) -> Non
         assert find_spec(f"{package}.{name}") is None, f"{package}.{name} is a module too"
 
 
-@pytest.mark.parametrize("package", ["planner", "sim"])
+def test_one_module_has_the_names_of_both_packages() -> None:
+    """``opposable.py`` re-exports them; the wheel has it too (tests/test_wheel.py)."""
+    import opposable as both
+    import planner
+    import sim
+
+    names: dict[str, object] = {}
+    exec("from opposable import *", names)
+    wanted = {*planner.__all__, *sim.__all__}
+    assert wanted <= set(names) and wanted <= set(dir(both))
+    assert names["plan_grasp"] is planner.plan_grasp and names["simulate"] is sim.simulate
+    assert set(planner.__all__) & set(sim.__all__) == set()
+
+
+@pytest.mark.parametrize("package", ["planner", "sim", "opposable"])
 def test_a_name_that_is_not_public_is_an_attribute_error(package: str) -> None:
     with pytest.raises(AttributeError, match="no attribute 'graspe'"):
         _ = import_module(package).graspe

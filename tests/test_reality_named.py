@@ -173,7 +173,7 @@ def test_a_report_says_what_was_drawn(plan: GraspPlan) -> None:
     line = f"drawn: {draws_in_words([drawn_numbers(drawn, plan.task.hand)])}"
     assert reality_lines(report.reality) == ["reality: lab, seed 3, estimator: none", line]
     assert f"mass x {drawn.mass:.2f}, friction x {drawn.friction:.2f}" in line
-    assert line in " ".join(str(report).split())
+    assert line in " ".join(str(text) for text in report.details())
     assert reality_lines(None) == []
 
 

@@ -38,7 +38,9 @@ def test_run_writes_a_page_and_says_where(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     done = opposable("run", "allegro_hand", "box", "--sim-mu", "0.7", "--out", folder)
     assert done.exit_code == 0, done.output
-    assert line_of(done.output, "open in a browser") == f"open in a browser: {folder}/report.html"
+    where = line_of(done.output, "open in a browser")
+    assert where.startswith(f"open in a browser: {folder}/report.html ")
+    assert "plan:" not in done.output
     report = read_report(folder / "report.html")
     assert report == read_report(folder / "report.json")
     assert report.command == f"opposable run allegro_hand box --out {folder} --sim-mu 0.7"

@@ -210,3 +210,43 @@ def test_reasons_are_those_of_the_documentation() -> None:
 def test_thresholds_must_be_positive() -> None:
     with pytest.raises(TaskError, match="slip_mm is -1"):
         Thresholds(slip_mm=-1)
+
+
+@pytest.mark.parametrize(
+    ("off", "outcome"),
+    [
+        ({"thumb": 4.9, "index": 0.1, "middle": 0.2}, "held"),
+        ({"thumb": 5.1, "index": 0.1, "middle": 48.0}, "held, another grasp"),
+        ({"thumb": float("nan"), "index": 0.1, "middle": 0.2}, "held"),
+    ],
+)
+def test_contacts_far_from_the_plan_are_another_grasp(off: dict[str, float], outcome: str) -> None:
+    verdict = judge(
+        held(),
+        fingers=FINGERS,
+        needed=3,
+        lift_mm=100,
+        thresholds=Thresholds(),
+        contacts_off_mm=off,
+    )
+    assert verdict.success
+    assert verdict.outcome == outcome
+    assert verdict.as_planned == (outcome == "held")
+    if not verdict.as_planned:  # the worst one is named
+        assert verdict.other_grasp.startswith("middle touches 48 mm")
+
+
+def test_an_actuator_that_saturates_after_the_fault_is_not_its_reason() -> None:
+    """The object slips half-way under load; the thumb is stuck before, or only after that."""
+    first = at("lift").start
+    slipped = changed(held(), "slip_mm", slice(first, M), 6.0)
+    for late, reason in ((True, "slipped"), (False, "torque limit reached")):
+        stuck = tuple(("thumb",) if (i > first) == late else () for i in range(M))
+        result = judge(
+            replace(slipped, saturated=stuck),
+            fingers=FINGERS,
+            needed=3,
+            lift_mm=100.0,
+            thresholds=Thresholds(saturated_share=0.3),
+        )
+        assert result.reason == reason

@@ -27,6 +27,7 @@ from planner.pages.described import comments_of, described_lines, named_joints
 from planner.pages.level_set import zero_level_set
 from planner.pages.mesh_page import mesh_page
 from planner.pages.object_motion import object_motion
+from planner.pages.opening import has_browser
 from planner.pages.page import Page, read_page_data, write_page
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
@@ -51,7 +52,6 @@ from sim.viewing import (
 )
 from sim.viewing.dataset_tables import DatasetTables
 from sim.viewing.of_dataset import DatasetSite
-from sim.viewing.opening import has_browser
 
 RUN = CliRunner()
 

@@ -25,8 +25,19 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ROOT / package, site / package, ignore=shutil.ignore_patterns("__pycache__")
         )
     for source, target in wheel["force-include"].items():
-        shutil.copytree(ROOT / source, site / target)
+        copy = shutil.copytree if (ROOT / source).is_dir() else shutil.copy
+        copy(ROOT / source, site / target)
     return site
+
+
+def test_one_module_brings_all_public_names(installed: Path) -> None:
+    code = f"import sys; sys.path.insert(0, {str(installed)!r}); import opposable as o; "
+    code += "from opposable import GraspTask, simulate; print(o.__file__, len(o.__all__))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=installed
+    )
+    file, count = done.stdout.split()
+    assert Path(file) == installed / "opposable.py" and int(count) > 40
 
 
 def opposable(

@@ -17,6 +17,7 @@ from planner.audit.rows import STAGES, AuditRow
 from planner.batch.rows import arrow
 from planner.errors import TaskError
 from planner.files import whole_file
+from planner.plain import short_repr
 
 __all__ = ["AuditReport", "joined_reports"]
 
@@ -48,6 +49,14 @@ class AuditReport:
     rows: tuple[AuditRow, ...]
     total: int
     assumed: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """One line."""
+        return short_repr(self)
+
+    def __str__(self) -> str:
+        """How many grasps pass."""
+        return f"{self.passed} of {self.total} grasps of {self.hand} and {self.object} pass"
 
     def __len__(self) -> int:
         """Number of rows."""

@@ -29,6 +29,7 @@ from planner.arrays import float_array, per_item
 from planner.contacts.checks import check_forces, check_frames, check_friction, check_positions
 from planner.contacts.friction import cone_utilisation
 from planner.errors import ContactError
+from planner.plain import SHORT
 from planner.showing import in_notebook
 from planner.spatial import FloatArray, contact_frames, skew
 
@@ -205,6 +206,11 @@ class ContactSet:
             fingers=tuple(c.finger for c in contacts),
             center=float_array("center", center),
         )
+
+    def __repr__(self) -> str:
+        """One line; the attributes hold the rest."""
+        text = f"<ContactSet of {len(self)} contacts: {', '.join(self.fingers)}"
+        return f"{text}>" if len(text) < SHORT else f"{text[: SHORT - 4]}...>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: a table and a picture, made once."""

@@ -131,7 +131,7 @@ class _Proposer:
         if not structure.hinges_and_slides:
             raise HandError(
                 f"{self.what} has free or ball joints below {description.base_body!r}; a hand has "
-                "hinges and slides: name another base_body (--base)"
+                "hinges and slides: name another base_body (--base-body)"
             )
         endless = [j.name for j in structure.joints if j.limits is None]
         if endless:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from planner.plain import finite
+from planner.plain import finite, short_repr
 
 __all__ = [
     "CheckReport",
@@ -131,6 +131,15 @@ class CheckReport:
     postures: tuple[PostureRow, ...]
     kinematics_error: float
     findings: tuple[Finding, ...]
+
+    def __repr__(self) -> str:
+        """One line."""
+        return short_repr(self)
+
+    def __str__(self) -> str:
+        """Whether a hand can be planned with, and how much is to be said about it."""
+        ready = "ready to plan" if self.ok else "not ready to plan"
+        return f"{self.hand}: {ready}, {len(self.findings)} findings"
 
     @property
     def ok(self) -> bool:

@@ -102,7 +102,7 @@ def find_base(
             found = [structure.bodies[p.link].name for p in (first, *rest)]
         raise HandError(
             f"{what} holds several hands that look alike, on the bodies {found}; say which one is "
-            "meant: --base NAME (base_body in Python)"
+            "meant: --base-body NAME (base_body in Python)"
         )
     base, upstream = _base_of(structure, first)
     why = f"the root above the link that carries {first.chains} chains of joints"
@@ -113,7 +113,7 @@ def find_base(
         f"the link that carries {first.chains} chains of joints",
         (
             f"{upstream} joints lie between the root of {what} and the hand: they are taken for an "
-            "arm and left out; name another base_body (--base) to keep some of them as a wrist",
+            "arm and left out; name another base_body (--base-body) to keep some as a wrist",
         ),
     )
 
@@ -129,7 +129,7 @@ def read_tree(structure: ModelStructure, base_body: str, what: str) -> HandTree:
     if not palms:
         raise HandError(
             f"below {base_body!r} of {what} no link carries {FEWEST_FINGERS} or more chains of "
-            "joints; name another base_body (--base)"
+            "joints; name another base_body (--base-body)"
         )
     palm = max(palms, key=lambda p: (p.chains, p.joints)).link
     wrist: list[int] = []

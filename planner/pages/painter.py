@@ -45,8 +45,18 @@ HIDDEN: frozenset[Layer] = frozenset(
 BACKGROUND, FLOOR = (255, 255, 255), (236, 233, 228)
 """Colours of the background and of the table."""
 
-FINGER_COLOURS = ((213, 94, 0), (0, 114, 178), (0, 158, 115), (204, 121, 167), (86, 180, 233))
-"""Of contacts, in the order of the fingers; told apart by colour-blind readers too."""
+FINGER_COLOURS = (
+    (213, 94, 0),
+    (0, 114, 178),
+    (0, 158, 115),
+    (204, 121, 167),
+    (86, 180, 233),
+    (230, 159, 0),
+    (117, 112, 179),
+    (102, 102, 102),
+)
+"""Of contacts, in the order of the fingers; told apart by colour-blind readers too. Pages have the
+same (``assets/unpack.js``)."""
 
 PAD_NEARER = 2e-3
 """How much nearer (m) than it is a pad counts when triangles are sorted."""

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from planner.contacts import ContactSet
+from planner.plain import short_repr
 from planner.quality.ball import check_hull, measure_hull
 from planner.quality.closure import ClosureResult, force_closure
 from planner.quality.cones import primitive_wrenches
@@ -91,6 +92,10 @@ class QualityReport:
             "smallest_singular_value": self.smallest_singular_value,
             "isotropy": self.isotropy,
         }
+
+    def __repr__(self) -> str:
+        """One line."""
+        return short_repr(self)
 
     def __str__(self) -> str:
         """A few lines for a person."""

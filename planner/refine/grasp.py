@@ -7,8 +7,8 @@ that: if there is no plan, one finger less and one more; if there is, but not ne
 the finger that moved farthest. The ladder ends at the first plan whose contacts moved by at most
 ``NEAR_ENOUGH``; otherwise the nearest of all plans counts.
 
-Tries are bounded by iterations, never by the clock: the same pose gives the same plan on any
-machine.
+Tries are bounded by iterations, never by the clock: the same pose gives the same plan, but
+for rounding on another kind of processor.
 """
 
 from __future__ import annotations

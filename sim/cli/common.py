@@ -115,6 +115,12 @@ ViewOption = Annotated[
         "--view", help="Show it in MuJoCo's viewer.", metavar="", rich_help_panel=TRIAL_PANEL
     ),
 ]
+VerboseOption = Annotated[
+    bool,
+    typer.Option(
+        "--verbose", help="Print what explains the verdict too: plan, physics, events.", metavar=""
+    ),
+]
 VideoOption = Annotated[
     Path | None,
     typer.Option(help="Write a film here: run.mp4, run.webp or run.gif.", metavar="FILE"),
@@ -520,5 +526,5 @@ def exit_for(report: Any) -> None:
     """Exit as a trial report says."""
     if report.reason == "interrupted":
         raise typer.Exit(EXIT_INTERRUPTED)
-    if not report.success:
+    if not report.as_planned:
         raise typer.Exit(EXIT_NO)

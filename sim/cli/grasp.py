@@ -78,7 +78,7 @@ def run(
     for old in ("report.json", "report.html", "held.png", "held-end.png"):  # of an earlier plan
         (folder / old).unlink(missing_ok=True)
     write_plan(plan, folder / "plan.json")
-    if not as_json:
+    if not as_json and trial.verbose:
         say(out, escape(str(plan)))
     report = replace(execute(plan, folder / "held.png"), command=told_command(context))
     write_report(report.to_dict(), folder / "report.json")
@@ -86,12 +86,10 @@ def run(
     if as_json:
         print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
     else:
-        out.print(report)
-        note = "" if report.picture else f" (no picture: {report.picture_reason})"
-        say(out, escape(f"written to {folder}: plan.json, report.json{note}"))
-        if report.drawn:
-            say(out, escape(report.drawn))
-        say(out, escape(f"open in a browser: {folder / 'report.html'}"))
+        trial.show(report)
+        picture = "held.png" if report.picture else f"no picture: {report.picture_reason}"
+        page = folder / "report.html"
+        say(out, escape(f"open in a browser: {page} (beside plan.json, report.json; {picture})"))
     exit_for(report)
 
 
@@ -194,9 +192,7 @@ def simulate(
     if as_json:
         print_json(report.to_dict())
     else:
-        out.print(report)
-        if report.drawn:
-            say(out, escape(report.drawn))
+        trial.show(report, picture=picture is not None)
         if page is not None:
             say(out, escape(f"open in a browser: {page}"))
     exit_for(report)

@@ -50,7 +50,9 @@ def describe(
         Path | None, typer.Option("--out", "-o", help="Write a hand.toml instead of printing.")
     ] = None,
     name: Annotated[str | None, typer.Option(help="What to call the hand.")] = None,
-    base: Annotated[str | None, typer.Option(help="Body that is the root of the hand.")] = None,
+    base_body: Annotated[
+        str | None, typer.Option(help="Body that is the root of the hand.", metavar="NAME")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.", metavar="")] = False,
 ) -> None:
     """Propose a hand.toml from a model, a reason for each line."""
@@ -61,7 +63,7 @@ def describe(
     if output is not None and output.exists() and not force:
         raise FileFormatError(f"{output} exists already; name another file, or give --force")
     with err.status(f"reading {escape(model)}: kinematics, tips, collisions ..."):
-        proposal = propose(model, name=name, base_body=base)
+        proposal = propose(model, name=name, base_body=base_body)
     if output is None:
         text = description_text(
             proposal.description, Path.cwd(), proposal.reasons, proposal.open_questions

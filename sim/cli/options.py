@@ -30,6 +30,7 @@ from sim.cli.common import (
     RealitySeedOption,
     SeedOption,
     SimMuOption,
+    VerboseOption,
     VideoOption,
     ViewOption,
     check_films,
@@ -38,6 +39,7 @@ from sim.cli.common import (
     estimate_of,
     heeding_ctrl_c,
     numbers,
+    out,
     physics_of,
     reality_of,
     say,
@@ -331,6 +333,21 @@ class TrialOptions:
     view: ViewOption = False
     video: VideoOption = None
     arrows: ArrowsOption = False
+    verbose: VerboseOption = False
+
+    def show(self, report: TrialReport, *, picture: bool = False) -> None:
+        """Print a report: verdict and contacts, with ``--verbose`` what explains them too.
+
+        Args:
+            report: What happened.
+            picture: Whether a picture was asked for by name, so that its file is told.
+        """
+        out.print(report)
+        if self.verbose:
+            for line in report.details():
+                out.print(line)
+        if report.drawn and (self.verbose or self.video or picture):
+            say(out, escape(report.drawn))
 
     def trial(self) -> Callable[[GraspPlan, Path | None], TrialReport]:
         """What executes a plan, with a progress bar on stderr, and draws it.

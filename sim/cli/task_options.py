@@ -42,6 +42,22 @@ GRAVITY = "0,0,-9.81"
 """Gravity if nothing is said, m/s2, world."""
 
 
+def _refuse_swapped(hand: str, object: str) -> None:
+    """Say so where the object stands before the hand.
+
+    Raises:
+        TaskError: It does.
+    """
+    from planner.errors import TaskError
+    from planner.hands.catalog import foreign_hand_names, hand_names
+    from planner.objects import object_names
+
+    if hand.split(":")[0] in object_names() and object in (*hand_names(), *foreign_hand_names()):
+        raise TaskError(
+            f"{hand!r} is an object and {object!r} a hand; the hand comes first: {object} {hand}"
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class TaskOptions:
     """What ``run``, ``plan`` and ``batch`` are told of object, surroundings and hand."""
@@ -147,6 +163,8 @@ class TaskOptions:
         from planner.task import GraspTask
         from sim.manipulation import settled
 
+        if isinstance(hand, str):
+            _refuse_swapped(hand, object)
         loaded = load_hand(hand) if isinstance(hand, str) else hand
         item = object_of(
             object,

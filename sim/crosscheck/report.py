@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from planner.plain import finite
+from planner.plain import finite, short_repr
 from sim.crosscheck.quantities import QUANTITIES, Difference, Quantity, Tally, Tolerances
 
 __all__ = ["SCHEMA", "Cell", "Column", "CrosscheckReport", "column_from"]
@@ -134,6 +134,10 @@ class CrosscheckReport:
     def faults(self) -> tuple[str, ...]:
         """What differs in the sides that are judged, in words; faults of parts come first."""
         return tuple(str(d) for c in self.columns if c.judged for d in c.differences)
+
+    def __repr__(self) -> str:
+        """One line."""
+        return short_repr(self)
 
     def __str__(self) -> str:
         """A screen: the verdict on each side, its first faults and known causes, and notes."""

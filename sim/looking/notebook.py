@@ -19,7 +19,8 @@ def trial_html(report: Any) -> str:
     """A ``sim.report.TrialReport``: verdict, planned and measured contacts; the end of the hold."""
     moved, turned = report.largest_slip
     verdict = (
-        f"held: the object moved {moved:.2f} mm and {turned:.2f} degrees in the hand"
+        f"{report.verdict.other_grasp or 'held'}: the object moved {moved:.2f} mm and "
+        f"{turned:.2f} degrees in the hand"
         if report.success
         else f"not held, {report.reason}: {report.verdict.detail}"
     )
@@ -33,7 +34,7 @@ def trial_html(report: Any) -> str:
         for c in report.comparison
     ]
     return notebook_html(
-        f"{report.hand}, {report.object}: {'held' if report.success else 'not held'}",
+        f"{report.hand}, {report.object}: {report.verdict.outcome}",
         ("finger", "contact off by (mm)", "planned (N)", "measured (N)"),
         rows,
         notes=(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
@@ -85,6 +86,11 @@ def manipulation_page(report: ManipulationReportFile, task: GraspTask | None = N
         data=report.model_dump(mode="json"),
         kind="report",
     )
+
+
+def page_of_report(report: Any) -> Page:
+    """The page of a ``sim.manipulation.ManipulationReport``; see ``manipulation_page``."""
+    return manipulation_page(report.to_file(), report.plan.task)
 
 
 def _states(parts: Sequence[Part]) -> Recording | None:

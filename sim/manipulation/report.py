@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from planner.files.manipulations import manipulation_from_dict, manipulation_to_
 from planner.motion.manipulation import ManipulationPlan
 from planner.plain import finite
 from planner.quality import QualityReport
-from planner.showing import in_notebook
+from planner.showing import Shown, in_notebook
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers import Event
@@ -38,7 +37,7 @@ __all__ = ["ManipulationReport"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ManipulationReport:
+class ManipulationReport(Shown):
     """What happened, and whether it is what was asked for.
 
     Attributes:
@@ -254,6 +253,12 @@ class ManipulationReport:
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])
 
+    def __repr__(self) -> str:
+        """One line: how it ended."""
+        turned = f"turned {np.rad2deg(self.turned):.1f} of {np.rad2deg(self.asked):.1f} degrees"
+        ended = "complete" if self.complete else f"failed in {self.reason}"
+        return f"<ManipulationReport: {self.hand}, {self.object}, {turned}, {ended}"[:196] + ">"
+
     def _repr_html_(self) -> str:
         """What a notebook shows of it: a table and a picture, made once."""
         return in_notebook(self)
@@ -317,17 +322,6 @@ class ManipulationReport:
                 megabytes, from which a page can be made.
         """
         return self.to_file(states=states).model_dump(mode="json")
-
-    def save_html(self, path: Path | str) -> None:
-        """Write the manipulation as a page: one HTML file with motion, plots, summary and report.
-
-        Raises:
-            FileFormatError: The file cannot be written.
-        """
-        from planner.pages.page import write_page
-        from sim.manipulation.page import manipulation_page
-
-        write_page(manipulation_page(self.to_file(), self.plan.task), path)
 
     def to_file(self, *, states: bool = True) -> ManipulationReportFile:
         """The same as the data of a file, which pages are made of."""

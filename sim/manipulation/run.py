@@ -37,7 +37,7 @@ from sim.manipulation.results import PhaseResult
 from sim.manipulation.simulation import ManipulationSim, Push
 from sim.manipulation.standing import rests
 from sim.manipulation.timeline import TURNING, ManipulationTimeline, SuccessCriteria
-from sim.physics import PhysicsOptions
+from sim.physics import AnyPhysics
 from sim.reality import AnyReality
 from sim.simulation import Simulation
 
@@ -59,7 +59,7 @@ class ManipulationRun:
         *,
         controller: AnyTurningController | None = None,
         true_task: GraspTask | None = None,
-        physics: PhysicsOptions | None = None,
+        physics: AnyPhysics | None = None,
         timeline: ManipulationTimeline | None = None,
         criteria: SuccessCriteria | None = None,
         push: Push | None = None,
@@ -244,7 +244,7 @@ def manipulate(
     *,
     controller: AnyTurningController | None = None,
     true_task: GraspTask | None = None,
-    physics: PhysicsOptions | None = None,
+    physics: AnyPhysics | None = None,
     timeline: ManipulationTimeline | None = None,
     criteria: SuccessCriteria | None = None,
     push: Push | None = None,

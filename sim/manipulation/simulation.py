@@ -23,7 +23,7 @@ from sim.manipulation.timeline import (
     ManipulationPhase,
     ManipulationTimeline,
 )
-from sim.physics import PhysicsOptions
+from sim.physics import AnyPhysics
 from sim.reality import AnyReality
 from sim.simulation import Simulation
 from sim.verdict import DropCriteria, lost
@@ -70,7 +70,7 @@ class ManipulationSim:
         controller: InHandController,
         timeline: ManipulationTimeline,
         true_task: GraspTask | None = None,
-        physics: PhysicsOptions | None = None,
+        physics: AnyPhysics | None = None,
         push: Push | None = None,
         reality: AnyReality | None = None,
         estimator: AnyEstimator | None = None,

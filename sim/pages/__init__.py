@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from sim.pages.trial_page import trial_page
+from sim.pages.trial_page import page_of_report, trial_page
 
-__all__ = ["trial_page"]
+__all__ = ["page_of_report", "trial_page"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,7 @@ from sim.pages.words import (
 from sim.recording import Recording
 from sim.report_file import ReportFile
 
-__all__ = ["force_of", "planned_in_object", "trial_page"]
+__all__ = ["force_of", "page_of_report", "planned_in_object", "trial_page"]
 
 
 def trial_page(report: ReportFile, task: GraspTask | None = None) -> Page:
@@ -72,6 +73,11 @@ def trial_page(report: ReportFile, task: GraspTask | None = None) -> Page:
     )
 
 
+def page_of_report(report: Any) -> Page:
+    """The page of a ``sim.report.TrialReport``; see ``trial_page``."""
+    return trial_page(report.to_file(), report.plan.task)
+
+
 def _verdict(report: ReportFile) -> Verdict:
     if not report.success:
         text = f"Not held: {report.reason}"
@@ -80,6 +86,9 @@ def _verdict(report: ReportFile) -> Verdict:
         f"The object moved {shown(report.largest_slip_mm, 'mm')} and "
         f"{shown(report.largest_slip_deg, 'degrees')} in the hand after the squeeze."
     )
+    if report.other_grasp:
+        reason = f"Not the planned grasp: {report.other_grasp}. {reason}"
+        return Verdict(good=False, text="Held, by another grasp", reason=reason)
     return Verdict(good=True, text="Held", reason=reason)
 
 

@@ -11,11 +11,24 @@ A file is TOML or JSON and holds fields of ``PhysicsOptions`` under their names
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeAlias
 
+from planner.errors import TaskError
 from sim.physics.options import OURS, PRESETS, PhysicsOptions
 from sim.preset_files import SUFFIXES, PresetFiles
 
-__all__ = ["PRESETS", "SUFFIXES", "named_physics", "physics_for", "read_physics"]
+__all__ = [
+    "PRESETS",
+    "SUFFIXES",
+    "AnyPhysics",
+    "as_physics",
+    "named_physics",
+    "physics_for",
+    "read_physics",
+]
+
+AnyPhysics: TypeAlias = PhysicsOptions | str
+"""Physics, or what ``--physics`` takes: a preset's name or the path of a file."""
 
 _FILES = PresetFiles(kind="physics", presets=PRESETS, usual=OURS)
 
@@ -38,6 +51,23 @@ def physics_for(text: str) -> PhysicsOptions:
         TaskError: A field that there is not, or a value out of range.
     """
     return _FILES.given(text)
+
+
+def as_physics(given: AnyPhysics | None) -> PhysicsOptions:
+    """The physics that was given, by name or itself; the defaults if None.
+
+    Raises:
+        PlannerError: See ``physics_for``.
+        TaskError: What was given is neither.
+    """
+    if isinstance(given, str):
+        return physics_for(given)
+    if given is not None and not isinstance(given, PhysicsOptions):
+        raise TaskError(
+            f"physics is a {type(given).__name__}; give PhysicsOptions, one of "
+            f"{', '.join(PRESETS)}, or the path of a TOML or JSON file"
+        )
+    return given or PhysicsOptions()
 
 
 def read_physics(path: Path) -> PhysicsOptions:

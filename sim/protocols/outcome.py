@@ -34,6 +34,8 @@ class Outcome:
         held: Whether the object was held to the end; a load that grows without end never is, and
             there ``largest_load_held`` counts.
         fault: Why and when it was not; None if it was.
+        other_grasp: Of an object that was held by another grasp than was planned: which finger
+            touched elsewhere, and how far off; "" otherwise, and where nothing compares them.
         fingers: Names of the columns of ``samples``, n.
         samples: What was judged, m samples.
         recording: States at the same times, of which pages are made; None where there are none.
@@ -71,6 +73,7 @@ class Outcome:
     wrench: FloatArray = field(default_factory=lambda: np.zeros(6))
     events: tuple[Event, ...] = ()
     conditions: Mapping[str, float] = field(default_factory=dict)
+    other_grasp: str = ""
 
     @property
     def reason(self) -> Reason:
@@ -132,6 +135,7 @@ class Outcome:
             "drift_deg": drift_deg,
             "closed_share": self.share_closed,
             "friction_used": self.largest_utilisation,
+            "other_grasp": self.other_grasp,
             "detail": "" if self.fault is None else self.fault.detail,
             **self.conditions,
         }

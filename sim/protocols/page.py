@@ -101,6 +101,8 @@ def _verdict(outcome: Outcome) -> Verdict:
     if fault is not None:
         text = "Lost under a growing load" if outcome.grows else f"Not held: {fault.reason}"
         return Verdict(good=outcome.grows, text=text, reason=fault.detail, time=fault.time)
+    if outcome.other_grasp:
+        return Verdict(good=False, text="Held, by another grasp", reason=outcome.other_grasp)
     return Verdict(good=True, text="Held")
 
 

@@ -60,6 +60,7 @@ class RealityCase:
             name=self.name,
             held=report.success,
             fault=report.verdict.fault,
+            other_grasp=report.verdict.other_grasp,
             fingers=report.fingers,
             samples=report.samples,
             recording=report.recording,

@@ -34,7 +34,7 @@ MOST_FAILED = 3
 """Trials that were not held on the screen; the table has all of them."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ProtocolReport(OnScreen):
     """What became of all trials.
 
@@ -145,6 +145,7 @@ class ProtocolReport(OnScreen):
             "finished": len(self.outcomes),
             "held": sum(o.held for o in self.fixed),
             "of": len(self.fixed),
+            "held_by_another_grasp": sum(bool(o.other_grasp) for o in self.fixed),
             "reasons": self.reasons,
             "median_load_held_N": force,
             "least_load_held_N": least_force,
@@ -184,7 +185,9 @@ class ProtocolReport(OnScreen):
             )
         yield from (Text(line) for line in self._reality_lines())
         if s["of"]:
-            yield Text(f"held in {s['held']} of {s['of']}")
+            other = s["held_by_another_grasp"]
+            note = f", {other} of them by another grasp than was planned" if other else ""
+            yield Text(f"held in {s['held']} of {s['of']}{note}")
         for o in self.failed[:MOST_FAILED]:
             why = "" if o.fault is None else f": {o.reason}, {o.fault.detail}"
             drawn = draws_in_words([o.conditions])
@@ -224,6 +227,11 @@ class ProtocolReport(OnScreen):
         }
 
 
+def _held(outcome: Outcome) -> str:
+    """One word for the table."""
+    return "no" if not outcome.held else "elsewhere" if outcome.other_grasp else "yes"
+
+
 def protocol_table(report: ProtocolReport) -> Table:
     """One row per trial."""
     loaded = bool(report.loaded)
@@ -239,7 +247,7 @@ def protocol_table(report: ProtocolReport) -> Table:
     for column in made.columns[:-1]:
         column.no_wrap = True
     for o in report.outcomes:
-        cells = [o.name, "" if o.grows else "yes" if o.held else "no"]
+        cells = [o.name, "" if o.grows else _held(o)]
         if loaded:
             cells += [
                 number(o.largest_load_held, 3, o.unit),
@@ -254,7 +262,7 @@ def protocol_table(report: ProtocolReport) -> Table:
             percent(o.share_closed),
             percent(o.largest_utilisation),
             "" if o.fault is None else f"{o.fault.time:.2f}",
-            o.reason,
+            o.reason or o.other_grasp,
         ]
         made.add_row(*cells)
     return made

@@ -89,6 +89,7 @@ class RobustCase:
             name=self.name,
             held=report.success,
             fault=report.verdict.fault,
+            other_grasp=report.verdict.other_grasp,
             fingers=report.fingers,
             samples=report.samples,
             recording=report.recording,

@@ -25,7 +25,7 @@ from planner.plan import GraspPlan
 from planner.task import GraspTask
 from sim.controllers import AnyController, controller_maker, controller_name
 from sim.estimation import NONE, AnyEstimator, estimator_name
-from sim.physics import PhysicsOptions
+from sim.physics import AnyPhysics, PhysicsOptions, as_physics
 from sim.protocols.cases import Case, Conditions
 from sim.protocols.dexgraspbench import dexgraspbench_cases, unsuitable_for_dexgraspbench
 from sim.protocols.dexgraspbench_scene import benchmark_contacts, benchmark_physics
@@ -135,7 +135,7 @@ def run_protocol(
     protocol: str,
     *,
     controller: AnyController | None = None,
-    physics: PhysicsOptions | None = None,
+    physics: AnyPhysics | None = None,
     settings: Settings | None = None,
     reality: AnyReality | None = None,
     estimator: AnyEstimator | None = None,
@@ -156,8 +156,8 @@ def run_protocol(
         controller: A name ("feedforward", "impedance"), a controller, of which every trial gets a
             copy, or a class or function that makes one from the plan; "feedforward" if None.
             ``dexgraspbench`` and ``drake`` are always run by replayed postures.
-        physics: How MuJoCo computes; defaults if None. ``dexgraspbench`` has its own, and ``drake``
-            takes the friction alone.
+        physics: How MuJoCo computes, or the name of a preset; defaults if None. ``dexgraspbench``
+            has its own, and ``drake`` takes the friction alone.
         settings: Numbers of the protocols; defaults if None.
         reality: Errors of sensors, drives and object, or their name; none if None, or those of a
             laboratory in the protocol ``reality``, which draws them anew for every trial.
@@ -188,7 +188,7 @@ def run_protocol(
     if workers == 0:
         raise TaskError("workers is 0; give the number of processes, or -1 for one per core")
     settings = settings or Settings()
-    physics = benchmark_physics() if protocol == "dexgraspbench" else physics or PhysicsOptions()
+    physics = benchmark_physics() if protocol == "dexgraspbench" else as_physics(physics)
     (names,) = trials_of([protocol], only, settings, seed).values()
     cases = [case for case in cases_of(protocol, settings, seed) if case.name in names]
     make = controller_maker(controller)

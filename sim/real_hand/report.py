@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console, ConsoleOptions, RenderResult
 
-from planner.plain import finite
+from planner.plain import finite, short_repr
 from planner.spatial import FloatArray
 from sim.tables import table_of
 
@@ -111,6 +111,10 @@ class LoopReport:
         head = {"format": FORMAT, "version": VERSION, "done": self.done}
         data: dict[str, Any] = finite(head | asdict(self))
         return data
+
+    def __repr__(self) -> str:
+        """One line."""
+        return short_repr(self)
 
     def __str__(self) -> str:
         """The outcome in a line."""

@@ -24,7 +24,7 @@ from planner.errors import FileFormatError
 from planner.exchange.formats import GraspFormat, Writing, register_format
 from planner.files import write_json
 from planner.plan import GraspPlan
-from sim.physics import PhysicsOptions
+from sim.physics import AnyPhysics, as_physics
 from sim.scene import HAND_PREFIX, OBJECT, Scene
 from sim.scene_export.keyframes import key_frames
 from sim.scene_export.mjcf import MESHES, mesh_files, plain_scene, scene_mjcf
@@ -44,14 +44,14 @@ SCENE, PHYSICS, CHECK, HAND_URDF, OBJECT_URDF = (
 
 
 def export_scene(
-    plan: GraspPlan, folder: Path | str, *, physics: PhysicsOptions | None = None
+    plan: GraspPlan, folder: Path | str, *, physics: AnyPhysics | None = None
 ) -> tuple[Path, ...]:
     """Write the scene of a plan, whole or not at all.
 
     Args:
         plan: The grasp.
         folder: Made; an earlier export in it is replaced.
-        physics: How MuJoCo computes; defaults if None.
+        physics: How MuJoCo computes, or the name of a preset; defaults if None.
 
     Returns:
         The files.
@@ -64,7 +64,7 @@ def export_scene(
     """
     target = Path(folder)
     keys = key_frames(plan)
-    scene, spec = plain_scene(plan, physics or PhysicsOptions())
+    scene, spec = plain_scene(plan, as_physics(physics))
     meshes = mesh_files(scene.model)
     hand, about = plan.task.hand, "hand.urdf is rooted at the hand's base"
     texts = {mesh.file: mesh.text for mesh in (*meshes, *ellipsoid_files(scene.model))}

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import getpass
-import os
 import socket
-import sys
-import tempfile
 import webbrowser
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from planner.errors import FileFormatError
-from planner.files.whole import plain_name, whole_file
+from planner.files.whole import whole_file
 from planner.pages.blocks import Sentence
+from planner.pages.opening import has_browser, temporary_page
 from planner.pages.page import Page, page_html
 from sim.viewing.kinds import Shown, WrittenPage
 from sim.viewing.server import Answer, LocalServer, Site
 
-__all__ = ["Opening", "has_browser", "show", "warnings_of"]
+__all__ = ["Opening", "show", "warnings_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +62,7 @@ def show(shown: Shown, opening: Opening, say: Callable[[str], None]) -> None:
         return
     browser = opening.open and has_browser()
     if isinstance(shown, Page | WrittenPage) and browser and opening.port is None:
-        file = shown.path if isinstance(shown, WrittenPage) else _temporary(shown)
+        file = shown.path if isinstance(shown, WrittenPage) else temporary_page(shown)
         webbrowser.open(file.resolve().as_uri())
         say(f"opened {file} in the browser")
         return
@@ -78,24 +76,6 @@ def warnings_of(shown: Shown) -> tuple[str, ...]:
         return ()
     sentences = [block for block in shown.summary if isinstance(block, Sentence)]
     return tuple(s.text for s in sentences if s.kind == "warning")
-
-
-def has_browser() -> bool:
-    """Whether this machine has a display and a browser on it."""
-    displays = ("DISPLAY", "WAYLAND_DISPLAY")
-    if sys.platform == "linux" and not any(os.environ.get(d) for d in displays):
-        return False
-    try:
-        webbrowser.get()
-    except webbrowser.Error:
-        return False
-    return True
-
-
-def _temporary(page: Page) -> Path:
-    file = Path(tempfile.mkdtemp(prefix="opposable-")) / f"{plain_name(page.title)}.html"
-    _write(page, file)
-    return file
 
 
 def _html(page: Page | WrittenPage) -> str:

@@ -59,7 +59,7 @@ Opposable.run = function (text) {
 
 /** A colour for each finger, in the order in which they are first named; the same everywhere. */
 Opposable.palette = (function () {
-  const colours = ["#2f7ed8", "#e0662f", "#2fa36b", "#b04fc4", "#c9a227", "#d6456b", "#3aa6b9", "#7a6ff0"];
+  const colours = ["#d55e00", "#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7570b3", "#666666"];
   const known = new Map();
   return function (name) {
     if (!known.has(name)) known.set(name, colours[known.size % colours.length]);
