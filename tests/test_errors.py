@@ -7,12 +7,14 @@ import time
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from planner import errors
 from planner.errors import InfeasibleError, NoGraspFoundError, NotFoundError, PlannerError
 from planner.exchange.yaml_text import number, table, text
 from planner.files import PlanFile
 from planner.files.json_csv import checked_file
+from planner.schema import StrictData, faults_of
 from planner.shapes import shape_from_dict
 
 SPECIAL: dict[str, PlannerError] = {
@@ -68,3 +70,14 @@ def test_every_error_survives_pickling(name: str) -> None:
     assert vars(again).keys() == vars(error).keys()
     for key, value in vars(error).items():
         np.testing.assert_array_equal(getattr(again, key), value)
+
+
+@pytest.mark.parametrize("number", [1.34e154, -1e13, 10**400])
+def test_every_number_of_a_file_has_a_bound_and_is_named(number: float) -> None:
+    class Quality(StrictData):
+        quality: dict[str, object]
+
+    assert Quality(quality={"weakest_wrench_n_nm": [1e6, 0.0]})
+    with pytest.raises(ValidationError) as caught:
+        Quality(quality={"weakest_wrench_n_nm": [0.0, number]})
+    assert "quality.weakest_wrench_n_nm.1 is" in faults_of(caught.value)

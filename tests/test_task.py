@@ -88,7 +88,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"grip_force": -1.0}, "grip_force is -1.0; give a finite number >= 0"),
     ({"grip_force": NAN}, "grip_force is nan"),
     ({"gravity": (0.0, -9.81)}, r"gravity is .*-9.81.*; give three finite numbers in m/s2"),
-    ({"gravity": 10**400}, "gravity is 10+; give three finite numbers"),
+    ({"gravity": 10**400}, "gravity is 10+.*; give three finite numbers"),
     ({"table_height": 10**400}, "table_height has more digits"),
     ({"gravity": (0.0, 0.0, NAN)}, "gravity is"),
     ({"table_height": NAN}, "table_height is nan; give metres, or None for none"),
