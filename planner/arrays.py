@@ -6,16 +6,19 @@ become one error of ours, which names what was given and what is allowed.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import fields
 from math import isfinite, isnan
 from numbers import Integral
 from typing import Any
 
 import numpy as np
 
-from planner.errors import ContactError, PlannerError
+from planner.errors import ContactError, PlannerError, TaskError, shown
 from planner.spatial import FloatArray
 
 __all__ = [
+    "check_fields",
     "checked_count",
     "checked_number",
     "finite_array",
@@ -27,7 +30,12 @@ __all__ = [
 
 
 def float_array(
-    what: str, value: Any, *, error: type[PlannerError] = ContactError, copy: bool = False
+    what: str,
+    value: Any,
+    *,
+    error: type[PlannerError] = ContactError,
+    copy: bool = False,
+    wanted: str = "an array of numbers",
 ) -> FloatArray:
     """Numbers in any shape as an array of floats; copied if asked for.
 
@@ -40,9 +48,11 @@ def float_array(
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
             raise TypeError(f"an array of {array.dtype}")
+        if isinstance(value, np.ma.MaskedArray) and value.mask.any():
+            raise TypeError("some of it is masked")
         return np.array(array, dtype=np.float64) if copy else np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as fault:
-        raise error(f"{what} is {_short(value)} ({fault}); give an array of numbers") from fault
+        raise error(f"{what} is {shown(value)} ({fault}); give {wanted}") from fault
 
 
 def finite_array(
@@ -103,26 +113,39 @@ def checked_number(
     least: float = -np.inf,
     most: float = np.inf,
     above: float | None = None,
+    infinite: bool = False,
     unit: str = "",
     error: type[PlannerError] = ContactError,
 ) -> float:
-    """A finite number from ``least`` to ``most``, and larger than ``above`` if that is given.
+    """A number from ``least`` to ``most``, and larger than ``above`` if that is given.
+
+    Args:
+        what: Its name, for the message.
+        value: What was given; True and False are no numbers.
+        least: Smallest that is allowed.
+        most: Largest that is allowed.
+        above: What it has to exceed.
+        infinite: Whether infinity is allowed where ``most`` is.
+        unit: For the message.
+        error: What is raised.
 
     Raises:
         ContactError: Something else; ``error`` if given.
     """
     if type(value) is float and least <= value <= most and isfinite(value) and above is None:
         return value
-    array = float_array(what, value, error=error)
-    within = array.shape == () and np.isfinite(array) and least <= array <= most
+    array = _NAN
+    if not isinstance(value, bool | np.bool_):
+        array = float_array(what, value, error=error, wanted=f"a number{unit and f' in {unit}'}")
+    within = array.shape == () and least <= array <= most and (infinite or np.isfinite(array))
     if not within or (above is not None and not array > above):
-        if above is not None:
-            raise error(f"{what} is {_short(value)}; give a finite number > {above:g}")
-        low = "" if least == -np.inf else f" from {least:g}"
-        high = "" if most == np.inf else f" to {most:g}"
-        raise error(
-            f"{what} is {_short(value)}; give a finite number{low}{high}{unit and ' '}{unit}"
-        )
+        low = "" if least == -np.inf else f" >= {least:g}"
+        low = low if above is None else f" > {above:g}"
+        high = "" if most == np.inf else f" {'and ' * bool(low)}<= {most:g}"
+        if above is None and low and high:
+            low, high = f" from {least:g}", f" to {most:g}"
+        kind = "number" if infinite else "finite number"
+        raise error(f"{what} is {shown(value)}; give a {kind}{low}{high}{unit and f' in {unit}'}")
     return float(array)
 
 
@@ -134,16 +157,69 @@ def checked_count(
     Raises:
         ContactError: Something else; ``error`` if given.
     """
-    if not isinstance(value, Integral) or not least <= int(value) <= most:
-        raise error(f"{what} is {_short(value)}; give a whole number from {least} to {most}")
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or not least <= int(value) <= most:
+        raise error(f"{what} is {shown(value)}; give a whole number from {least} to {most}")
     return int(value)
 
 
-SHORT = 60
-"""Characters of a value that a message shows."""
+def check_fields(
+    owner: Any,
+    names: Iterable[str] = (),
+    *,
+    what: str = "",
+    least: float = -np.inf,
+    most: float = np.inf,
+    above: float | None = None,
+    infinite: bool = False,
+    unit: str = "",
+    error: type[PlannerError] = TaskError,
+) -> None:
+    """Check number fields of a dataclass by one range, each as what its annotation says.
+
+    ``float`` is a number, ``int`` a whole one, ``tuple[float, float]`` so many, ``FloatArray`` and
+    ``tuple[float, ...]`` any number of them; None where ``| None`` follows.
+
+    Args:
+        owner: The dataclass, in ``__post_init__``.
+        names: Which fields; all of these kinds if none is named.
+        what: What stands before the name of a field in messages.
+        least: See ``checked_number``, as all that follow.
+        most: Likewise.
+        above: Likewise.
+        infinite: Likewise.
+        unit: Likewise.
+        error: Likewise.
+    """
+    kinds = {f.name: str(f.type) for f in fields(owner)}
+    named = tuple(names) or [n for n, k in kinds.items() if k.startswith(_NUMBERS)]
+    for name in named:
+        value, kind, called = getattr(owner, name), kinds[name], f"{what}{name}"
+        if value is None and kind.endswith("None"):
+            continue
+        if kind.startswith("int"):
+            low = 0 if least == -np.inf else int(least)
+            high = MOST_COUNT if most == np.inf else int(most)
+            checked_count(called, value, least=low, most=high, error=error)
+            continue
+        if kind.startswith("float"):
+            parts: Iterable[Any] = (value,)
+        else:
+            parts = float_array(called, value, error=error).ravel().tolist()
+            length = kind.count("float")
+            if "..." not in kind and kind.startswith("tuple") and len(parts) != length:
+                raise error(f"{called} is {shown(value)}; give {length} numbers")
+        for part in parts:
+            checked_number(
+                called, part, least=least, most=most, above=above, infinite=infinite, unit=unit,
+                error=error,
+            )  # fmt: skip
 
 
-def _short(value: Any) -> str:
-    """A value as a message shows it."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= SHORT else f"{text[: SHORT - 3]}..."
+_NUMBERS = ("float", "int", "tuple[float", "FloatArray")
+"""How annotations of numbers begin."""
+
+_NAN = np.array(np.nan)
+
+MOST_COUNT = 2**63 - 1
+"""Largest whole number: what NumPy and files hold."""

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from planner.errors import NoGraspFoundError, TaskError
+from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
 
 __all__ = [
@@ -113,7 +113,7 @@ def check_seed(seed: int) -> None:
         TaskError: Not an integer, or negative.
     """
     if not isinstance(seed, int | np.integer) or seed < 0:
-        raise TaskError(f"seed is {seed!r}; give an integer >= 0")
+        raise TaskError(f"seed is {shown(seed)}; give an integer >= 0")
 
 
 def run_attempts(

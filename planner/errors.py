@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 from functools import partial
+from reprlib import Repr
 from typing import Any
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "ObjectError",
     "PlannerError",
     "TaskError",
+    "shown",
 ]
 
 
@@ -29,6 +31,15 @@ MOST_NAMED = 4
 
 MOST_LISTED = 20
 """More names than this are not listed where one of them is near the one asked for."""
+
+MOST_SHOWN = 60
+"""Characters of a value that a message shows."""
+
+MOST_MESSAGE = 10_000
+"""Characters of a message: some 120 lines, and a catalogue of hundreds of names."""
+
+MOST_BITS = 4000
+"""Bits of an integer that is shown in digits, some 1200 of them."""
 
 
 def few_of(names: Iterable[str]) -> str:
@@ -39,8 +50,54 @@ def few_of(names: Iterable[str]) -> str:
     return f"{', '.join(given[:MOST_NAMED])}, ... ({len(given)} in all)"
 
 
+class _Bounded(Repr):
+    """``repr`` that looks at a few items and two levels, whatever there is below.
+
+    Aliases of YAML and references of pickles make values of a kilobyte whose ``repr`` has 10^12
+    characters, and ``repr`` of an integer of 4300 digits is an error.
+    """
+
+    def __init__(self, most: int) -> None:
+        """Show about so many characters."""
+        super().__init__()
+        self.maxlevel = 2
+        self.maxtuple = self.maxlist = self.maxdict = self.maxset = self.maxfrozenset = 8
+        self.maxstring = self.maxother = self.maxlong = self.most = most
+
+    def repr1(self, x: Any, level: int) -> str:
+        """Bytes, long integers and arrays of objects before ``repr`` sees them."""
+        if isinstance(x, int) and x.bit_length() > MOST_BITS:
+            return f"an integer of {x.bit_length()} bits"
+        if isinstance(x, bytes | bytearray):
+            x = x[: self.most]
+        if getattr(getattr(x, "dtype", None), "hasobject", False):
+            return f"an array of objects of the shape {x.shape}"
+        return super().repr1(x, level)
+
+
+def shown(value: Any, most: int = MOST_SHOWN) -> str:
+    """A value as a message shows it: its ``repr`` on one line, of ``most`` characters at most.
+
+    Only the part that is shown is ever written, so that no value makes a message expensive.
+    """
+    text = " ".join(_Bounded(most).repr(value).split())
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
 class PlannerError(Exception):
-    """Root of the family: catch this to catch every error that Opposable means you to see."""
+    """Root of the family: catch this to catch every error that Opposable means you to see.
+
+    A message is cut in the middle where a name that it repeats makes it longer than 10,000
+    characters.
+    """
+
+    def __init__(self, message: object = "", *more: object) -> None:
+        """Keep the message."""
+        text = str(message)
+        if len(text) > MOST_MESSAGE:
+            half = MOST_MESSAGE // 2
+            text = f"{text[:half]} ... {text[-half:]}"
+        super().__init__(text, *more)
 
 
 class NotFoundError(PlannerError):

@@ -14,11 +14,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
 
-import numpy as np
-
+from planner.arrays import checked_number
 from planner.bridge.object_body import object_body
 from planner.errors import NotFoundError, ObjectError
 from planner.regions import TouchRegion
@@ -181,8 +179,4 @@ def _parse_sizes(spec: str, text: str, shape: type[Shape]) -> tuple[float, ...]:
 
 
 def _positive(what: str, value: object, unit: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise ObjectError(f"{what} is {value!r}, not a number; give {unit} > 0")
-    if not np.isfinite(float(value)) or float(value) <= 0:
-        raise ObjectError(f"{what} is {value}; give {unit} > 0")
-    return float(value)
+    return checked_number(what, value, above=0.0, unit=unit, error=ObjectError)

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import ObjectError
+from planner.errors import ObjectError, shown
 from planner.spatial import FloatArray
 
 __all__ = ["Region", "TouchRegion", "parse_region"]
@@ -126,7 +126,7 @@ def _corner(name: str, which: str, values: object) -> tuple[float, float, float]
         corner = np.empty(0)
     if corner.shape != (3,) or np.isnan(corner).any():
         raise ObjectError(
-            f"region {name!r}: {which} is {values!r}; give three numbers x, y, z in m"
+            f"region {name!r}: {which} is {shown(values)}; give three numbers x, y, z in m"
         )
     x, y, z = (float(v) for v in corner)
     return x, y, z

@@ -5,21 +5,50 @@ Base of hand descriptions, plan files and trial reports.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-__all__ = ["StrictData", "faults_of"]
+from planner.errors import shown
+
+__all__ = ["LARGEST_FLOAT", "StrictData", "faults_of"]
 
 MOST_FAULTS = 5
 """Most faults in one message; the rest usually follow from these."""
 
 
+LARGEST_FLOAT, LARGEST_INT = 1e12, 2**64
+"""Largest numbers of a file, either sign: products of several are finite, and seeds fit."""
+
+
 class StrictData(BaseModel):
-    """Data without unknown fields and without NaN or infinity."""
+    """Data without unknown fields, without NaN or infinity, and without numbers beyond a bound."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        """Refuse the first number beyond the bound, in fields of any type, by its place."""
+        for name in type(self).model_fields:
+            for place, value in _beyond(getattr(self, name), name):
+                raise ValueError(
+                    f"{place} is {shown(value)}; numbers up to {LARGEST_FLOAT:g} are read"
+                )
+        return self
+
+
+def _beyond(value: Any, place: str) -> Iterator[tuple[str, float]]:
+    """Numbers beyond the bound, with their places; other ``StrictData`` looks at its own."""
+    if isinstance(value, float | int):
+        if not abs(value) <= (LARGEST_FLOAT if isinstance(value, float) else LARGEST_INT):
+            yield place, value
+    elif isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _beyond(inner, f"{place}.{key}")
+    elif isinstance(value, list | tuple):
+        for i, inner in enumerate(value):
+            yield from _beyond(inner, f"{place}.{i}")
 
 
 def faults_of(error: ValidationError, raw: Any = None) -> str:

@@ -17,7 +17,7 @@ from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, se
 from planner.best.attempts import improving_attempts
 from planner.best.wanted import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted
 from planner.collision.world import CollisionWorld
-from planner.errors import NoGraspFoundError, TaskError
+from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
 from planner.finishing import finished, true_geometry, true_links
 from planner.plan import GraspPlan
@@ -194,7 +194,7 @@ def _near_start(
             "and nothing is searched for: leave these out, or the start"
         )
     if not (isinstance(start, tuple) and len(start) == 2):
-        raise TaskError(f"start is {start!r}; give a pair of base pose and joints")
+        raise TaskError(f"start is {shown(start)}; give a pair of base pose and joints")
     found = refine_grasp(task, *start, options=options)
     if progress is not None:
         for attempt in found.attempts:

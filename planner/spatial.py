@@ -13,12 +13,13 @@ Conventions used throughout the package:
 from __future__ import annotations
 
 from importlib import import_module
+from math import isfinite
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.errors import ContactError
+from planner.errors import ContactError, shown
 
 __all__ = [
     "SE3",
@@ -112,11 +113,16 @@ def contact_frames(normals: FloatArray) -> FloatArray:
     Raises:
         ContactError: A normal is not finite or has no length.
     """
-    n = np.atleast_2d(np.asarray(normals, dtype=np.float64))
+    try:
+        n = np.atleast_2d(np.asarray(normals, dtype=np.float64))
+    except (TypeError, ValueError, OverflowError) as fault:
+        raise ContactError(
+            f"normals are {shown(normals)} ({fault}); give numbers (n, 3)"
+        ) from fault
     if n.ndim != 2 or n.shape[1] != 3:
         raise ContactError(f"normals have shape {n.shape}; give an array of shape (n, 3)")
-    if not np.isfinite(n).all():
-        raise ContactError("normals hold NaN or infinity; give finite directions")
+    if not isfinite(np.vdot(n, n)):
+        raise ContactError("normals hold NaN, infinity or 1e154; give finite directions")
     length = np.sqrt((n * n).sum(axis=1))
     if length.min(initial=np.inf) < 1e-9:
         bad = int(length.argmin())

@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.arrays import checked_number
 from planner.contacts import CONTACT_DIM, MOST_FRICTION, ContactModel
-from planner.errors import TaskError
+from planner.errors import TaskError, shown
 from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
 from planner.hand_loading import load_hand
 from planner.hands.fingers import Finger
@@ -183,7 +183,7 @@ class GraspTask:
         if table_height is not None:
             _check_number("table_height", table_height)
         if isinstance(fingers, str):
-            raise TaskError(f"fingers is the text {fingers!r}; give a list of names")
+            raise TaskError(f"fingers is the text {shown(fingers)}; give a list of names")
         if T_world_object is None:
             T_world_object = item.resting_pose(0.0 if table_height is None else table_height)
         if T_world_base is None and hand.arm is not None:
@@ -283,7 +283,7 @@ class GraspTask:
                 )
         if self.contact_model not in CONTACT_DIM:
             allowed = list(CONTACT_DIM)
-            raise TaskError(f"contact_model is {self.contact_model!r}; use one of {allowed}")
+            raise TaskError(f"contact_model is {shown(self.contact_model)}; use one of {allowed}")
         if len(self.finger_names) < self.fingers_needed:
             raise TaskError(
                 f"{len(self.finger_names)} finger(s) {list(self.finger_names)} cannot close a "
@@ -379,7 +379,7 @@ def _numbers(name: str, values: object, wanted: str) -> FloatArray:
     try:
         return fixed_array(values)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
-        raise TaskError(f"{name} is {values!r}; give {wanted}") from None
+        raise TaskError(f"{name} is {shown(values)}; give {wanted}") from None
 
 
 def _checked_pose(name: str, pose: SE3) -> SE3:
@@ -393,7 +393,7 @@ def _checked_pose(name: str, pose: SE3) -> SE3:
 
 def _check_number(name: str, value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise TaskError(f"{name} is {value!r}; give a number")
+        raise TaskError(f"{name} is {shown(value)}; give a number")
     try:
         float(value)
     except OverflowError:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from planner.errors import TaskError
+from planner.arrays import check_fields
 from planner.spatial import minimum_jerk
 from sim.controllers.base import PHASES
 
@@ -39,12 +39,9 @@ class Timeline:
 
     def __post_init__(self) -> None:
         """Check that every phase has a duration."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            least = ">= 0" if field.name == "close_wait" else "> 0"
-            low_ok = value >= 0 if field.name == "close_wait" else value > 0
-            if not (np.isfinite(value) and low_ok):
-                raise TaskError(f"timeline: {field.name} is {value}; give a finite number {least}")
+        check_fields(self, ("close_wait",), what="timeline: ", least=0.0)
+        phases = [field.name for field in fields(self) if field.name != "close_wait"]
+        check_fields(self, phases, what="timeline: ", above=0.0)
 
     @classmethod
     def quick(cls, **changes: float) -> Timeline:

@@ -25,7 +25,9 @@ from pathlib import Path
 
 import numpy as np
 
+from planner.arrays import checked_number
 from planner.errors import TaskError
+from planner.files import given_plan
 from planner.plan import GraspPlan
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
 from sim.controllers import PHASES, AnyController, Phase
@@ -62,7 +64,7 @@ class Trial:
 
     def __init__(
         self,
-        plan: GraspPlan,
+        plan: GraspPlan | Path | str,
         *,
         physics: AnyPhysics | None = None,
         controller: AnyController | None = None,
@@ -75,7 +77,7 @@ class Trial:
         """Build the scene and put hand and object at their start.
 
         Args:
-            plan: What to execute.
+            plan: What to execute, or the path of its file.
             physics: How MuJoCo computes, or the name of a preset; defaults if None.
             controller: What drives the hand: a name ("feedforward", "impedance"), a controller, or
                 a class or function that makes one from the plan; "feedforward" if None.
@@ -91,12 +93,11 @@ class Trial:
             TaskError: ``record_every`` is out of range, the controller is none, or the arm cannot
                 follow the timeline.
         """
-        if not 0 < record_every <= LONGEST_PERIOD:
-            raise TaskError(
-                f"record_every is {record_every}; give seconds in (0, {LONGEST_PERIOD}]: the "
-                "verdict sees what is recorded"
-            )
-        self.plan = plan
+        checked_number(
+            "record_every, which is what the verdict sees,", record_every, above=0.0,
+            most=LONGEST_PERIOD, unit="s", error=TaskError,
+        )  # fmt: skip
+        self.plan = plan = given_plan(plan)
         self.timeline = timeline or Timeline()
         self.thresholds = thresholds or Thresholds()
         self.simulation = Simulation(
@@ -292,7 +293,7 @@ def felt_by(simulation: Simulation) -> tuple[str, ...]:
 
 
 def simulate(
-    plan: GraspPlan,
+    plan: GraspPlan | Path | str,
     *,
     physics: AnyPhysics | None = None,
     controller: AnyController | None = None,

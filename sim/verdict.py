@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from planner.errors import TaskError
+from planner.arrays import check_fields
 from planner.spatial import FloatArray
 from sim.samples import Samples
 
@@ -100,10 +100,7 @@ class Thresholds:
 
     def __post_init__(self) -> None:
         """Check that every threshold is positive."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not value > 0:
-                raise TaskError(f"threshold {field.name} is {value}; give a number > 0")
+        check_fields(self, what="threshold ", above=0.0, infinite=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,6 +177,11 @@ class DropCriteria:
     fewest: int = 1
     mm: float = float("inf")
     deg: float = float("inf")
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        check_fields(self, ("fewest",), what="lost: ")
+        check_fields(self, ("mm", "deg"), what="lost: ", above=0.0, infinite=True)
 
 
 def lost(

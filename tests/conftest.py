@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import settings
 
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
@@ -22,6 +23,12 @@ from planner.spatial import FloatArray
 from planner.system.models import models_dir
 from sim.controllers.follow import MotionReference
 from sim.controllers.reference import Target
+from sim.real_hand import RealClock
+
+settings.register_profile("fixed", derandomize=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
+# a run is what it was before: HYPOTHESIS_PROFILE=default draws afresh, and what that finds becomes
+# an @example
 
 RIGHT_HANDS = ("allegro_hand", "shadow_hand")
 
@@ -105,6 +112,22 @@ def edit_hand(tmp_path: Path) -> Callable[..., Path]:
         return tmp_path / "hand.toml"
 
     return edit
+
+
+@pytest.fixture
+def virtual_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Real clocks of hands tell a time that passes only while they wait.
+
+    A loop then meets every deadline, however busy the machine is. What happens where one is missed
+    is tested with clocks of tests (test_real_hand_loop).
+    """
+    moment = [0.0]
+
+    def sleep_until(_: RealClock, until: float) -> None:
+        moment[0] = max(moment[0], until)
+
+    monkeypatch.setattr(RealClock, "now", lambda _: moment[0])
+    monkeypatch.setattr(RealClock, "sleep_until", sleep_until)
 
 
 @contextmanager

@@ -115,12 +115,14 @@ def run_examples(folder: Path, monkeypatch: pytest.MonkeyPatch, chosen: list[Lis
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("virtual_time")
 def test_examples_do_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_examples(tmp_path, monkeypatch, LISTED)
     for name in ("plan.json", "report.json", "first.json", "hand.toml", "runs/demo/report.json"):
         assert (tmp_path / name).exists()
 
 
+@pytest.mark.usefixtures("virtual_time")
 def test_quick_examples_do_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     needs_data = ("extract", *SLOW)
     run_examples(tmp_path, monkeypatch, [c for c in LISTED if c.name not in needs_data])

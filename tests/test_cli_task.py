@@ -113,7 +113,7 @@ def test_a_stand_carries_the_object_beside_other_obstacles() -> None:
         ({"gravity": "0,0"}, "--gravity '0,0' has 2 numbers; give three"),
         ({"wrist": "0"}, "gives 1 angle.*allegro_hand has 0 joint.*: none; give as many degrees"),
         ({"base": "0,0"}, "--base '0,0' has 2 numbers"),
-        ({"grip_force": -1.0}, "grip_force is -1.0; give a finite number from 0"),
+        ({"grip_force": -1.0}, "grip_force is -1.0; give a finite number >= 0"),
         ({"grip_force": 2.0, "expect_load": "5"}, "expected_load would size it; give one of them"),
         ({"mu_torsion": -1.0}, "mu_torsion is -1.0"),
     ],

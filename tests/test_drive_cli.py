@@ -15,6 +15,8 @@ from planner.task import GraspTask
 from sim.cli import app
 from sim.real_hand import read_log
 
+pytestmark = pytest.mark.usefixtures("virtual_time")
+
 RUN = CliRunner()
 
 DRIVER = '''

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -17,6 +19,7 @@ from planner.exchange import Reading, Writing, export_plans
 from planner.exchange.formats import format_of
 from planner.exchange.frames import T_object_body
 from planner.exchange.isaac_grasp import read_isaac_grasp, write_isaac_grasp
+from planner.exchange.yaml_text import read_documents
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
@@ -290,3 +293,15 @@ def test_what_one_file_cannot_hold_is_refused_and_the_old_file_stays(
     assert [p.name for p in tmp_path.iterdir()] == ["g.yaml"]
     export_plans([plan], path, "isaac-grasp")
     assert format_of(path).name == "isaac-grasp"
+
+
+def test_aliases_that_stand_for_billions_are_refused_at_once(tmp_path: Path) -> None:
+    lines = ["a: &a [x, x, x, x, x, x, x, x, x]"]
+    for last, name in pairwise("abcdefghijkl"):
+        lines.append(f"{name}: &{name} [{', '.join([f'*{last}'] * 9)}]")
+    path = tmp_path / "bomb.yaml"
+    path.write_text("\n".join([*lines, "format: isaac_grasp", "format_version: *l", "grasps: {}"]))
+    begin = time.process_time()
+    with pytest.raises(FileFormatError, match=r"the alias \*a repeats another place"):
+        read_documents(path, "a file of grasps")
+    assert time.process_time() - begin < 1.0

@@ -167,19 +167,19 @@ def test_a_narrower_range_is_kept() -> None:
 @pytest.mark.parametrize(
     ("limits", "error", "words"),
     [
-        (CommandLimits(rate=0.0), TaskError, "give a number > 0 in rad/s"),
-        (CommandLimits(rate=float("nan")), TaskError, "give a number > 0"),
-        (CommandLimits(rate={"A_index_9": 1.0}), NotFoundError, "Did you mean"),
-        (CommandLimits(ranges={"A_index_0": (0.2, -0.1)}), TaskError, "the smaller one first"),
-        (CommandLimits(ranges={"A_index_0": (-9.0, 0.0)}), TaskError, r"within \[-0.7034"),
+        ({"rate": 0.0}, TaskError, "give a number > 0 in rad/s"),
+        ({"rate": float("nan")}, TaskError, "give a number > 0"),
+        ({"rate": {"A_index_9": 1.0}}, NotFoundError, "Did you mean"),
+        ({"ranges": {"A_index_0": (0.2, -0.1)}}, TaskError, "the smaller one first"),
+        ({"ranges": {"A_index_0": (-9.0, 0.0)}}, TaskError, r"within \[-0.7034"),
     ],
 )
 def test_limits_that_cannot_be_are_refused(
-    limits: CommandLimits, error: type[Exception], words: str
+    limits: dict[str, Any], error: type[Exception], words: str
 ) -> None:
     hand = fake()
     with pytest.raises(error, match=words):
-        looped(hand, Steady(MIDDLE), 3, limits=limits)
+        looped(hand, Steady(MIDDLE), 3, limits=CommandLimits(**limits))
     assert not hand.writes
 
 
@@ -198,6 +198,7 @@ READINGS: dict[str, tuple[Any, str, str]] = {
     "joint NaN": (at(5, joints=with_nan), "reading not finite", "joints hold NaN"),
     "velocity NaN": (at(5, velocities=with_nan), "reading not finite", "velocities"),
     "effort NaN": (at(5, efforts=with_nan), "reading not finite", "efforts"),
+    "velocity huge": (at(5, velocities=lambda v: v + 1e300), "reading not finite", "velocities"),
     "time NaN": (at(5, time=NAN), "reading stale", "nan"),
     "old": (at(5, time=lambda t: t - 0.2), "reading stale", "0.2 s old"),
     "other clock": (at(5, time=lambda t: t + 1e9), "reading stale", "on the loop's clock?"),

@@ -211,3 +211,20 @@ def test_nobody_at_the_other_end_is_told_in_time() -> None:
         silent.bind(("127.0.0.1", 0))
         with pytest.raises(HandError, match="is the other process running"):
             UdpHand(HAND, FINGERS, silent.getsockname()[1], patience=0.1)
+
+
+def test_one_number_out_of_the_series_silences_nobody() -> None:
+    inbox = Inbox()
+    for number in (3, 4, 2**32 - 1, 5, 6, 2**31, 7):
+        inbox.take(packet(number).to_bytes())
+    assert inbox.newest is not None and inbox.newest.number == 7
+    assert (inbox.out_of_series, inbox.overtaken) == (2, 0)
+
+
+@pytest.mark.parametrize("begin", [0, 5000])
+def test_a_sender_that_begins_anew_or_went_on_unheard_is_heard_again(begin: int) -> None:
+    inbox = Inbox()
+    for number in (*range(2000, 2010), *range(begin, begin + 5)):
+        inbox.take(packet(number).to_bytes())
+    assert inbox.newest is not None and inbox.newest.number == begin + 4
+    assert (inbox.out_of_series, inbox.overtaken, inbox.lost) == (1, 0, 0)

@@ -85,10 +85,10 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"mu": INF}, "mu is inf; give a finite number from 0 to 1000"),
     ({"mu": -0.5}, "mu is -0.5; give a finite number from 0 to 1000"),
     ({"mu_torsion": -0.001}, "mu_torsion is -0.001; give"),
-    ({"grip_force": -1.0}, "grip_force is -1.0; give a finite number from 0"),
+    ({"grip_force": -1.0}, "grip_force is -1.0; give a finite number >= 0"),
     ({"grip_force": NAN}, "grip_force is nan"),
     ({"gravity": (0.0, -9.81)}, r"gravity is .*-9.81.*; give three finite numbers in m/s2"),
-    ({"gravity": 10**400}, "gravity is 10+; give three finite numbers"),
+    ({"gravity": 10**400}, "gravity is 10+.*; give three finite numbers"),
     ({"table_height": 10**400}, "table_height has more digits"),
     ({"gravity": (0.0, 0.0, NAN)}, "gravity is"),
     ({"table_height": NAN}, "table_height is nan; give metres, or None for none"),
@@ -254,7 +254,7 @@ def test_an_expected_load_sizes_the_grip(allegro: Hand) -> None:
 def test_a_load_and_a_grip_exclude_each_other(allegro: Hand) -> None:
     with pytest.raises(TaskError, match="grip_force is 2 N, and expected_load would size it"):
         GraspTask.create(allegro, "box", grip_force=2.0, expected_load=ExpectedLoad(force=1.0))
-    with pytest.raises(TaskError, match="the expected force is -1; give a number >= 0 in N"):
+    with pytest.raises(TaskError, match="the expected force is -1; give a finite number >= 0 in N"):
         ExpectedLoad(force=-1)
-    with pytest.raises(TaskError, match="the expected torque is nan; give a number >= 0 in N m"):
+    with pytest.raises(TaskError, match="the expected torque is nan; give a finite number"):
         ExpectedLoad(torque=float("nan"))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.errors import FileFormatError, NotFoundError, TaskError, few_of
+from planner.errors import FileFormatError, NotFoundError, TaskError, few_of, shown
 from planner.exchange.formats import GraspFormat, Reading, format_of, readable_format
 from planner.exchange.given import GivenGrasps
 from planner.hand_loading import load_hand
@@ -138,8 +138,8 @@ class GraspFile:
         name = names[0] if names else ""
         if self.format.object_specs and _contradicts(self._found(name), told):
             raise TaskError(
-                f"{self.path} is of the object {name!r}, and {told!r} is given; leave --object out "
-                "to take that of the file, or correct the file"
+                f"{self.path} is of the object {name!r}, and {shown(told)} is given; leave "
+                "--object out to take that of the file, or correct the file"
             )
         return {name: told}
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.batch.rows import arrow
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, shown
 from planner.files.data import LARGEST
 
 __all__ = ["check_fingers", "checked_row", "reading"]
@@ -55,7 +55,7 @@ def checked_row(
             raise FileFormatError(f"{source} is damaged: a row has no sound {name!r}{REMEDY}")
     if row["object"] not in labels:
         raise FileFormatError(
-            f"{source} is damaged: the batch has no object {row['object']!r}{REMEDY}"
+            f"{source} is damaged: the batch has no object {shown(row['object'])}{REMEDY}"
         )
     if row["found"]:
         n = len(row["contact_positions_object_m"])

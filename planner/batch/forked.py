@@ -8,6 +8,7 @@ together.
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import pickle
@@ -100,6 +101,10 @@ def _in_portions(
             yield from results
 
 
+PR_SET_PDEATHSIG = 1
+"""``prctl``: the kernel sends this signal when the parent dies, even where a library holds Python's
+lock, under which no thread that watches the parent runs."""
+
 _inherited: dict[str, Callable[[Any], Any]] = {}
 """In a worker: what it does with a job, which need not be sent."""
 
@@ -123,6 +128,9 @@ def _begin(parent: int, work: Callable[[Any], Any]) -> None:
     """A worker leaves Ctrl-C to the process that started it, and ends with that process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it was killed before the kernel was told
+        os._exit(1)
     end_with.cache_clear()  # of that process
     end_with(parent)
     _inherited["work"] = work

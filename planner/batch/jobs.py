@@ -186,7 +186,7 @@ def end_with(parent: int) -> None:
         threading.Thread(target=watch, daemon=True).start()
 
 
-WATCH_S = 1.0
+WATCH_S = 0.2
 """Period (s) of the check whether that process is alive."""
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import ValidationError
 
 from planner.batch.recipe import Recipe
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, shown
 from planner.files import read_json
 from planner.schema import StrictData, faults_of
 
@@ -121,9 +121,4 @@ def _differences(where: str, there: Any, asked: Any) -> Any:
 def _short(value: Any) -> str:
     if isinstance(value, list):
         return f"{len(value)} values"
-    text = repr(value)
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
-
-
-LONGEST = 60
-"""Characters of a value in a message."""
+    return shown(value)

@@ -21,7 +21,7 @@ from planner.arrays import checked_count
 from planner.batch.forked import FORK, can_fork, forked_results
 from planner.batch.jobs import Job, plan_row, warm_up
 from planner.batch.rows import failed_row
-from planner.errors import TaskError
+from planner.errors import TaskError, shown
 from planner.system.environment import on_interrupt, safe_path
 
 __all__ = ["LOKY", "check_backend", "default_backend", "finished", "planned_rows"]
@@ -75,8 +75,8 @@ def check_backend(backend: str, workers: int) -> None:
             pass
     except (ImportError, TypeError, ValueError) as error:
         raise TaskError(
-            f"joblib cannot use the backend {backend!r}: {error}. Use fork, loky, threading or "
-            "multiprocessing; dask after making a dask.distributed.Client; ray after "
+            f"joblib cannot use the backend {shown(backend)}: {error}. Use fork, loky, threading "
+            "or multiprocessing; dask after making a dask.distributed.Client; ray after "
             "ray.util.joblib.register_ray()"
         ) from error
 

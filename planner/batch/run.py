@@ -18,7 +18,7 @@ from planner.batch.pool import check_backend, default_backend, planned_rows
 from planner.batch.recipe import Recipe, label_of, recipe_of, task_of
 from planner.batch.rows import grasp_schema
 from planner.batch.store import Store
-from planner.errors import TaskError
+from planner.errors import TaskError, shown
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
@@ -99,11 +99,11 @@ def plan_grasps(
     tasks = _tasks(hand, objects)
     for name, value, least in (("n", n, 1), ("seed", seed, 0), ("max_attempts", max_attempts, 1)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise TaskError(f"{name} is {value!r}; give an integer >= {least}")
+            raise TaskError(f"{name} is {shown(value)}; give an integer >= {least}")
     if max_cpu_s is not None and not max_cpu_s > 0:
         raise TaskError(f"max_cpu_s is {max_cpu_s}; give seconds > 0, or None for no limit")
     if isinstance(workers, bool) or not isinstance(workers, int) or workers == 0:
-        raise TaskError(f"workers is {workers!r}; give their number, or -1 for one per core")
+        raise TaskError(f"workers is {shown(workers)}; give their number, or -1 for one per core")
     items = [BatchObject.of(label, task) for label, task in tasks.items()]
     loaded = next(iter(tasks.values())).hand
     schema = grasp_schema(loaded)
@@ -175,7 +175,7 @@ def _tasks(
     refused here.
     """
     if isinstance(objects, str | GraspObject | GraspTask):
-        raise TaskError(f"objects is {objects!r}; give a list, even of one")
+        raise TaskError(f"objects is {shown(objects)}; give a list, even of one")
     hand = hand if isinstance(hand, Hand) else load_hand(hand)
     tasks: dict[str, GraspTask] = {}
     for item in objects:

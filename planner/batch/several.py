@@ -18,7 +18,7 @@ from planner.attempt import Attempt, nothing_found, search
 from planner.batch.features import GraspFeatures
 from planner.batch.thinning import distances
 from planner.best.wanted import DEFAULT_MAX_ATTEMPTS, Wanted
-from planner.errors import TaskError
+from planner.errors import TaskError, shown
 from planner.plan import GraspPlan
 from planner.search import attempts
 from planner.spatial import FloatArray, IntArray
@@ -70,13 +70,13 @@ def plan_several(
             positive; a metric where the first are taken.
     """
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-        raise TaskError(f"n is {n!r}; give an integer, at least 1")
+        raise TaskError(f"n is {shown(n)}; give an integer, at least 1")
     if diverse and n == 1:
         raise TaskError("one grasp cannot be diverse; give n of at least 2, or leave diverse out")
     if metric is not None and not diverse:
         raise TaskError(
-            f"metric is {metric!r}, but the first {n} grasps are taken, whatever they are worth; "
-            "give diverse=True too, or leave it out"
+            f"metric is {shown(metric)}, but the first {n} grasps are taken, whatever they are "
+            "worth; give diverse=True too, or leave it out"
         )
     found_at_most = n * FOUND_PER_CHOSEN if diverse else n
     wanted = Wanted.of(

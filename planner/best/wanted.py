@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planner.attempt import Attempt
-from planner.errors import NotFoundError, TaskError
+from planner.errors import NotFoundError, TaskError, shown
 from planner.plan import BestOf, GraspPlan
 from planner.plan_metrics import Measure
 from planner.synthesis.objectives.registry import EPSILON
@@ -67,7 +67,7 @@ class Wanted:
         for name, value in (("max_attempts", max_attempts), ("best_of", best_of)):
             whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
             if value is not None and not (whole and value >= 1):
-                raise TaskError(f"{name} is {value!r}; give an integer, at least 1")
+                raise TaskError(f"{name} is {shown(value)}; give an integer, at least 1")
         if max_cpu_s is not None and not max_cpu_s > 0:
             raise TaskError(f"max_cpu_s is {max_cpu_s}; give seconds > 0")
         if keep not in (FIRST, BEST):
@@ -82,8 +82,8 @@ class Wanted:
             Measure.of(metric)  # an error of it speaks of a metric, not of an objective
         if metric is not None and not compares:
             raise TaskError(
-                f"metric is {metric!r}, but the first grasp is taken, whatever it is worth; give "
-                "best_of or keep='best' too"
+                f"metric is {shown(metric)}, but the first grasp is taken, whatever it is worth; "
+                "give best_of or keep='best' too"
             )
         if options is None:
             options = SynthesisOptions() if metric is None else SynthesisOptions(objective=metric)

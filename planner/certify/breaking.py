@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.certify.resist import Resistance, without_grip
-from planner.errors import ContactError
+from planner.errors import ContactError, shown
 from planner.forces import ForceProblem
 from planner.quality import Interval, ball_interval
 from planner.spatial import FloatArray
@@ -120,7 +120,7 @@ def smallest_breaking(
         PlannerError: A linear programme met numerical trouble.
     """
     if kind not in get_args(Disturbance):
-        raise ContactError(f"kind is {kind!r}; use one of {list(get_args(Disturbance))}")
+        raise ContactError(f"kind is {shown(kind)}; use one of {list(get_args(Disturbance))}")
     if not (np.isfinite(length) and length > 0):
         raise ContactError(f"the characteristic length is {length}; give a positive number in m")
     basis = np.diag([1.0, 1.0, 1.0, length, length, length])
@@ -160,7 +160,9 @@ def breaking_along(
     """
     along = np.asarray(direction, dtype=np.float64)
     if along.shape != (6,) or not np.isfinite(along).all() or not along.any():
-        raise ContactError(f"direction is {direction!r}; give six finite numbers, not all zero")
+        raise ContactError(
+            f"direction is {shown(direction)}; give six finite numbers, not all zero"
+        )
     scale = np.array([1.0, 1.0, 1.0, *np.full(3, 1 / problem.length)])
     size = float(np.linalg.norm(scale * along))
     oracle = Resistance(without_grip(problem), along[:, None] / size, gap=rel_tol)

@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike
 
 from planner.certify.neighbourhood import NEAR, Changes, Neighbourhood
 from planner.contacts import ContactSet
-from planner.errors import ContactError, PlannerError
+from planner.errors import ContactError, PlannerError, shown
 from planner.kinematics.state import HandState
 from planner.numerics.lp import LpSolution, solve_lp
 from planner.plan import GraspPlan
@@ -96,7 +96,9 @@ def bound_nearby(
     """
     along = np.asarray(direction, dtype=np.float64)
     if along.shape != (6,) or not np.isfinite(along).all() or not along.any():
-        raise ContactError(f"direction is {direction!r}; give six finite numbers, not all zero")
+        raise ContactError(
+            f"direction is {shown(direction)}; give six finite numbers, not all zero"
+        )
     changes = Changes.of(plan, near)
     if changes.reason and (near.shift or near.turn or near.tips):
         return NearBound(factor=np.inf, near=near, reason=changes.reason)

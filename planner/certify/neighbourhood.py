@@ -24,8 +24,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from planner.actuation import STOP_TOL
+from planner.arrays import check_fields
 from planner.certify.pose import PoseErrors, largest_turn
-from planner.errors import TaskError
 from planner.kinematics.state import HandState, joint_axes
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, IntArray
@@ -55,12 +55,7 @@ class Neighbourhood:
         Raises:
             TaskError: One is negative or not finite.
         """
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not (np.isfinite(value) and value >= 0):
-                raise TaskError(
-                    f"neighbourhood: {item.name} is {value}; give a finite number >= 0 in m or rad"
-                )
+        check_fields(self, what="neighbourhood: ", least=0.0, unit="m or rad")
 
     def holds(self, other: Neighbourhood) -> bool:
         """Whether another one lies within this."""

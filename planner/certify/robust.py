@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from planner.certify.sphere import halved, icosphere
 from planner.contacts import ContactSet
 from planner.contacts.friction import check_edges
-from planner.errors import ContactError, PlannerError
+from planner.errors import ContactError, PlannerError, shown
 from planner.numerics.lp import LpSolution, solve_lp
 from planner.quality import measure_hull
 from planner.spatial import FloatArray, IntArray
@@ -111,7 +111,7 @@ def closure_survives(
     check_edges(edges)
     for name, value in (("shifts", shifts), ("tilts", tilts)):
         if np.shape(value) != (len(contacts),) or not (np.asarray(value) >= 0).all():
-            raise ContactError(f"{name} is {value!r}; give {len(contacts)} numbers >= 0")
+            raise ContactError(f"{name} is {shown(value)}; give {len(contacts)} numbers >= 0")
     proof = _Proof(contacts, np.asarray(shifts), np.asarray(tilts), edges)
     if not proof.translations_are_held():
         return Verdict(survives=False, motion=None, programmes=0)

@@ -7,7 +7,13 @@ the one place where the friction cone is written in numbers.
 from __future__ import annotations
 
 from planner.contacts.checks import MOST_FRICTION, check_frames
-from planner.contacts.contact_set import CONTACT_DIM, Contact, ContactModel, ContactSet
+from planner.contacts.contact_set import (
+    CONTACT_DIM,
+    Contact,
+    ContactModel,
+    ContactSet,
+    check_contacts,
+)
 from planner.contacts.friction import (
     MIN_EDGES,
     MOST_EDGES,
@@ -28,6 +34,7 @@ __all__ = [
     "ContactModel",
     "ContactSet",
     "Pyramid",
+    "check_contacts",
     "check_frames",
     "cone_edges",
     "pyramid_faces",

@@ -36,6 +36,8 @@ def check_frames(frames: FloatArray, name: str = "frames") -> None:
     """
     if len(frames) == 0:
         return
+    if np.shape(frames)[1:] != (3, 3):
+        raise ContactError(f"{name} has shape {np.shape(frames)}; give (n, 3, 3)")
     if not math.isfinite(float(np.vdot(frames, frames))):
         _check_finite(frames, name)
     error = frames.transpose(0, 2, 1) @ frames

@@ -25,10 +25,16 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arrays import float_array, per_item
-from planner.contacts.checks import check_forces, check_frames, check_friction, check_positions
+from planner.arrays import checked_number, float_array, per_item
+from planner.contacts.checks import (
+    MOST_FRICTION,
+    check_forces,
+    check_frames,
+    check_friction,
+    check_positions,
+)
 from planner.contacts.friction import cone_utilisation
-from planner.errors import ContactError
+from planner.errors import ContactError, shown
 from planner.plain import SHORT
 from planner.showing import in_notebook
 from planner.spatial import FloatArray, contact_frames, skew
@@ -72,6 +78,23 @@ class Contact:
     mu_torsion: float = 0.0
     force: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
     finger: str = ""
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            ContactError: Another shape, not finite, or friction out of range.
+        """
+        for name in ("position", "frame", "force"):
+            value, shape = getattr(self, name), _SHAPES[f"{name}s"]
+            if type(value) is not np.ndarray:
+                value = float_array(name, value, copy=True)
+                object.__setattr__(self, name, value)
+            if value.shape != shape:
+                raise ContactError(f"the {name} of a contact has shape {value.shape}; give {shape}")
+            _RANGES[f"{name}s"](value[None], name)
+        for name in ("mu", "mu_torsion"):
+            checked_number(name, getattr(self, name), least=0.0, most=MOST_FRICTION)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,7 +329,14 @@ class ContactSet:
         return self.wrench_of(self.forces)
 
     def wrench_of(self, forces: FloatArray) -> FloatArray:
-        """Sum of forces (n, 4) in the contact frames as a wrench (6,), like ``wrench``."""
+        """Sum of forces (n, 4) in the contact frames as a wrench (6,), like ``wrench``.
+
+        Raises:
+            ContactError: The forces have another shape.
+        """
+        forces = float_array("forces", forces)
+        if forces.shape != self.forces.shape:
+            raise ContactError(f"forces have shape {forces.shape}; give {self.forces.shape}")
         carried = np.where(self._transmitted, forces, 0.0)
         force = (self.frames @ carried[:, :3, None])[:, :, 0]
         arms = skew(self.positions - self.center)
@@ -348,6 +378,21 @@ _TRANSMITTED = {model: [i < dim for i in range(4)] for model, dim in CONTACT_DIM
 """Which of f_n, f_t1, f_t2, tau_n each contact model transmits."""
 
 
+def check_contacts(given: Any) -> None:
+    """Refuse what is no ``ContactSet``, and say where one is.
+
+    Raises:
+        ContactError: So.
+    """
+    if not isinstance(given, ContactSet):
+        has = (
+            "give its .contacts"
+            if hasattr(given, "contacts")
+            else "ContactSet.from_arrays makes one"
+        )
+        raise ContactError(f"{shown(given)} is a {type(given).__name__}, no ContactSet; {has}")
+
+
 def _listed(what: str, value: Any) -> tuple[Any, ...]:
     """A sequence of names as a tuple; their number is checked later.
 
@@ -355,5 +400,5 @@ def _listed(what: str, value: Any) -> tuple[Any, ...]:
         ContactError: Something else.
     """
     if isinstance(value, str) or not isinstance(value, Sequence):
-        raise ContactError(f"{what} is {value!r}; give a list of names, one per contact")
+        raise ContactError(f"{what} is {shown(value)}; give a list of names, one per contact")
     return tuple(value)

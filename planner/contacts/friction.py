@@ -35,7 +35,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from planner.arrays import checked_count
-from planner.errors import ContactError
+from planner.errors import ContactError, shown
 from planner.spatial import FloatArray
 
 __all__ = [
@@ -242,4 +242,4 @@ def check_edges(edges: int, cone: str = "inscribed") -> None:
     what = "the number of edges per friction cone"
     checked_count(what, edges, least=MIN_EDGES, most=MOST_EDGES)
     if cone not in _PYRAMIDS:
-        raise ContactError(f"cone is {cone!r}; use 'inscribed' or 'circumscribed'")
+        raise ContactError(f"cone is {shown(cone)}; use 'inscribed' or 'circumscribed'")

@@ -33,8 +33,9 @@ __all__ = [
 ARRAY_SUFFIXES = (".npy", ".npz", ".pkl", ".pickle", ".pt", ".pth")
 """How files end that are read here, or refused by name."""
 
-MOST_BYTES = 1 << 30
-"""Largest size (bytes) of a file, and of the arrays that it unpacks to."""
+MOST_BYTES = 1 << 27
+"""Largest size (bytes) of a file unless told otherwise, and half of what its arrays unpack to: what
+is refused at its last byte has cost less than 500 MB."""
 
 _NPY, _ZIP, _TORCH_MAGIC = b"\x93NUMPY", b"PK\x03\x04", b"\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19."
 
@@ -65,9 +66,9 @@ def read_npy(path: Path) -> NDArray[Any]:
     return _npy(_bytes(path), str(path))
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of an ``.npz`` file by name; raises as ``read_array_file``."""
-    return _npz(_bytes(path), path)
+def read_npz(path: Path, most: int = MOST_BYTES) -> dict[str, NDArray[Any]]:
+    """The arrays of an ``.npz`` file of at most so many bytes; raises as ``read_array_file``."""
+    return _npz(_bytes(path, most), path, most)
 
 
 def read_pickle(path: Path) -> Any:
@@ -82,13 +83,13 @@ def is_torch(data: bytes) -> bool:
     return _TORCH_MAGIC in data[:64]
 
 
-def _bytes(path: Path) -> bytes:
+def _bytes(path: Path, most: int = MOST_BYTES) -> bytes:
     """All of a file, if it is not too large and not PyTorch's."""
     if not path.is_file():
         raise NotFoundError("file", str(path), (), "give the path of a file", is_path=True)
-    if (size := path.stat().st_size) > MOST_BYTES:
+    if (size := path.stat().st_size) > most:
         raise FileFormatError(
-            f"{path} has {size} bytes and {MOST_BYTES} are read; split it into several files"
+            f"{path} has {size} bytes and {most} are read; split it into several files"
         )
     try:
         data = path.read_bytes()
@@ -121,31 +122,32 @@ def _npy(data: bytes, where: str) -> NDArray[Any]:
         raise FileFormatError(
             f"{where} is no .npy file, or damaged in its header ({first}); copy the file again"
         ) from None
-    rest = data[stream.tell() :]
+    begin = stream.tell()
     if dtype.hasobject:
-        array = load_pickle(rest, where)
+        array = load_pickle(data[begin:], where)
         if not isinstance(array, np.ndarray) or array.shape != tuple(shape):
             raise FileFormatError(
                 f"{where} is damaged: its header tells an array of the shape {tuple(shape)}, its "
                 f"content is {_said(array)}; copy the file again"
             )
         return array
-    if not dtype.itemsize or len(rest) != prod(shape) * dtype.itemsize:
+    if not dtype.itemsize or len(data) - begin != prod(shape) * dtype.itemsize:
         raise FileFormatError(
             f"{where} is truncated or damaged: its header tells {prod(shape)} x {dtype.itemsize} "
-            f"bytes and {len(rest)} follow; copy the file again"
+            f"bytes and {len(data) - begin} follow; copy the file again"
         )
-    return np.frombuffer(rest, dtype=dtype).reshape(shape, order="F" if fortran else "C")
+    values = np.frombuffer(data, dtype=dtype, offset=begin)
+    return values.reshape(shape, order="F" if fortran else "C")
 
 
-def _npz(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
+def _npz(data: bytes, path: Path, most: int = MOST_BYTES) -> dict[str, NDArray[Any]]:
     """The arrays of the bytes of an ``.npz`` file."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as packed:
             members = packed.infolist()
-            if (size := sum(m.file_size for m in members)) > MOST_BYTES:
+            if (size := sum(m.file_size for m in members)) > 2 * most:
                 raise FileFormatError(
-                    f"{path} unpacks to {size} bytes and {MOST_BYTES} are read; split it"
+                    f"{path} unpacks to {size} bytes and {2 * most} are read; split it"
                 )
             if any(m.filename.endswith("data.pkl") for m in members):
                 raise FileFormatError(

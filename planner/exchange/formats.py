@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from planner.errors import FileFormatError, NotFoundError, TaskError
+from planner.errors import FileFormatError, NotFoundError, TaskError, shown
 from planner.exchange.array_files import ARRAY_SUFFIXES, read_array_file
 from planner.exchange.given import GivenGrasps
 from planner.hands.hand import Hand
@@ -84,7 +84,7 @@ class Writing:
     def __post_init__(self) -> None:
         """Check what has a few values only."""
         if self.by not in BY:
-            raise TaskError(f"by is {self.by!r}; give {' or '.join(BY)}")
+            raise TaskError(f"by is {shown(self.by)}; give {' or '.join(BY)}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, shown
 from planner.exchange.formats import GraspFormat, Reading, Writing, register_format
 from planner.exchange.frames import (
     T_base_body,
@@ -122,7 +122,7 @@ def read_isaac_grasp(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
     where = str(path)
     data = table(documents[0], where)
     if member(data, "format", where) != NAME:
-        raise FileFormatError(f"{where}: format is {data['format']!r}; {NAME} is needed")
+        raise FileFormatError(f"{where}: format is {shown(data['format'])}; {NAME} is needed")
     version = number(member(data, "format_version", where), f"{where}: format_version")
     if version != VERSION:
         raise FileFormatError(

@@ -24,11 +24,12 @@ from planner.errors import FileFormatError
 
 __all__ = ["MOST_ITEMS", "load_pickle"]
 
-MOST_ITEMS = 20_000_000
-"""Values that a pickle may hold, each counted as often as it is referred to."""
+MOST_ITEMS = 1_000_000
+"""Instructions and values of a pickle, each value counted as often as it is referred to: 1 s, and
+10,000 grasps of a dictionary of 50 numbers each."""
 
-MOST_BYTES = 1 << 30
-"""Memory for arrays that a pickle may ask for: one list may become many arrays."""
+MOST_BYTES = 1 << 27
+"""Memory (bytes) for arrays that a pickle may ask for: one list may become many arrays."""
 
 DEEPEST = 64
 """Levels of lists and dictionaries within each other."""

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from planner.batch.dataset import GraspSet
 from planner.batch.manifest import MANIFEST
-from planner.errors import FileFormatError, NotFoundError, TaskError
+from planner.errors import FileFormatError, NotFoundError, TaskError, shown
 from planner.files import (
     plan_files,
     read_gait,
@@ -101,7 +101,7 @@ def _of_file(path: Path) -> AnyPlan:
     read = _READERS.get(str(data.get("format")))
     if read is None:
         raise FileFormatError(
-            f"{path} is of the format {data.get('format')!r}; what can be exported is "
+            f"{path} is of the format {shown(data.get('format'))}; what can be exported is "
             f"{', '.join(_READERS)}, folders of these, and of batches"
         )
     return read(path)

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.errors import FileFormatError, TaskError
+from planner.errors import FileFormatError, TaskError, shown
+from planner.schema import LARGEST_FLOAT
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
 __all__ = [
@@ -81,7 +82,7 @@ def read_documents(path: Path, what: str) -> list[Any]:
     yaml = _yaml()
     try:
         written = path.read_text("utf-8")
-        _need_shallow(written, yaml)
+        _need_plain(written, yaml)
         return [d for d in yaml.load_all(written, _loader(yaml)) if d is not None]
     except OSError as error:
         raise FileFormatError(f"cannot read {what} {path}: {error.strerror}") from error
@@ -90,10 +91,18 @@ def read_documents(path: Path, what: str) -> list[Any]:
         raise FileFormatError(f"{path} is damaged or not YAML: {said}") from error
 
 
-def _need_shallow(written: str, yaml: Any) -> None:
-    """See that nothing is nested so deeply that libyaml would end the process."""
+def _need_plain(written: str, yaml: Any) -> None:
+    """See that libyaml does not end the process by depth, and that nothing refers to another place.
+
+    Aliases of aliases make a kilobyte stand for 10^12 values; none of the formats has any.
+    """
     depth = 0
     for event in yaml.parse(written, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError(
+                f"the alias *{event.anchor} repeats another place{event.start_mark}; write what it "
+                "stands for"
+            )
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
@@ -128,7 +137,9 @@ def table(value: Any, where: str) -> Mapping[str, Any]:
         raise FileFormatError(f"{where} is {_shown(value)}; a mapping of names to values is needed")
     for key in value:
         if not isinstance(key, str):
-            raise FileFormatError(f'{where} has the key {key!r}; write it as a text, "{key}"')
+            raise FileFormatError(
+                f"{where} has the key {shown(key)}; write it as a text, in quotes"
+            )
     return value
 
 
@@ -165,8 +176,10 @@ def number(value: Any, where: str) -> float:
         found = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):
         found = math.nan
-    if not math.isfinite(found):
-        raise FileFormatError(f"{where} is {_shown(value)}; a finite number is needed")
+    if not abs(found) <= LARGEST_FLOAT:  # NaN too
+        raise FileFormatError(
+            f"{where} is {_shown(value)}; a finite number is needed, {LARGEST_FLOAT:g} at most"
+        )
     return found
 
 
@@ -205,6 +218,6 @@ def pose_of(position: FloatArray, quat_wxyz: FloatArray, where: str) -> SE3:
 
 def _shown(value: Any) -> str:
     """A value in a message, not longer than a few words."""
-    shown = "a mapping" if isinstance(value, dict) else repr(value)
-    shown = "a list" if isinstance(value, list) else shown
-    return shown if len(shown) <= 40 else f"{shown[:37]}..."
+    if isinstance(value, dict | list):
+        return "a mapping" if isinstance(value, dict) else "a list"
+    return shown(value, 40)

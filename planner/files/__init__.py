@@ -6,12 +6,14 @@ from planner.files.gaits import GaitFile, read_gait, write_gait
 from planner.files.json_csv import read_json, write_json, write_trajectory
 from planner.files.manipulations import (
     ManipulationFile,
+    given_manipulation,
     read_manipulation,
     write_manipulation,
 )
 from planner.files.motions import MotionFile, read_motion, write_motion
 from planner.files.plan_folder import format_told, plan_files
 from planner.files.plans import (
+    given_plan,
     plan_from_dict,
     plan_to_dict,
     pose_of_plan,
@@ -30,6 +32,8 @@ __all__ = [
     "PlanFile",
     "TaskData",
     "format_told",
+    "given_manipulation",
+    "given_plan",
     "plain_name",
     "plan_files",
     "plan_from_dict",

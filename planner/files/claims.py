@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, shown
 from planner.quality import primitive_wrenches
 
 __all__ = [
@@ -110,9 +110,11 @@ def _pairs(claimed: Mapping[str, Any], true: Mapping[str, Any], what: str, sourc
 
 
 def _other(source: str, what: str, claimed: Any = None, true: Any = None) -> FileFormatError:
-    compared = "" if claimed is None and true is None else f" ({claimed!r}, recomputed {true!r})"
+    compared = ""
+    if claimed is not None or true is not None:
+        compared = f" ({shown(claimed, 140)}, recomputed {shown(true, 140)})"
     return FileFormatError(
-        f"{source}: its {what} is not that of its joints{compared[:300]}; it is damaged, or was "
+        f"{source}: its {what} is not that of its joints{compared}; it is damaged, or was "
         "changed: plan again, or write the plan again where it was made"
     )
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 from pydantic import ValidationError
 
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, shown
 from planner.files.whole import whole_file
 from planner.plan import JointTrajectory
 from planner.schema import StrictData, faults_of
@@ -95,12 +95,12 @@ def checked_file(
     kind = wanted.removeprefix("opposable-")
     if data.get("format") != wanted:
         raise FileFormatError(
-            f"{source} is not a {kind} file: its format is {data.get('format')!r}"
+            f"{source} is not a {kind} file: its format is {shown(data.get('format'))}"
         )
     if data.get("version") not in versions:
         raise FileFormatError(
-            f"{source} has {kind} version {data.get('version')!r}; this Opposable reads version "
-            f"{' or '.join(map(str, versions))}; {remedy}"
+            f"{source} has {kind} version {shown(data.get('version'))}; this Opposable reads "
+            f"version {' or '.join(map(str, versions))}; {remedy}"
         )
     try:
         return schema.model_validate(data)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from planner.approach.pregrasp import Approach
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, TaskError, shown
 from planner.files.data import Finite, NotNegative, PoseData, Vector3
 from planner.files.gaits import GaitFile, gait_from_dict, gait_to_dict
 from planner.files.json_csv import checked_file, read_json, write_json
@@ -27,6 +27,7 @@ from planner.version import written_by
 
 __all__ = [
     "ManipulationFile",
+    "given_manipulation",
     "manipulation_from_dict",
     "manipulation_to_dict",
     "read_manipulation",
@@ -107,6 +108,23 @@ def read_manipulation(path: Path | str, *, hand: Hand | None = None) -> Manipula
         PlannerError: The hand or object cannot be loaded.
     """
     return manipulation_from_dict(read_json(path, "manipulation file"), str(path), hand=hand)
+
+
+def given_manipulation(given: ManipulationPlan | Path | str) -> ManipulationPlan:
+    """A plan as it is, or read from its file.
+
+    Raises:
+        FileFormatError: As ``read_manipulation``.
+        TaskError: Neither the plan of a manipulation nor a path.
+    """
+    if isinstance(given, str | Path):
+        return read_manipulation(given)
+    if not isinstance(given, ManipulationPlan):
+        raise TaskError(
+            f"{shown(given)} is a {type(given).__name__}; give the plan of a manipulation, as "
+            "plan_manipulation and manipulation_of return it, or the path of its file"
+        )
+    return given
 
 
 def manipulation_from_dict(

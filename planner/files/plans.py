@@ -16,7 +16,7 @@ from pydantic import BaseModel
 
 from planner.approach.pregrasp import Approach
 from planner.contacts import Contact, ContactSet
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, TaskError, shown
 from planner.failure import Failure
 from planner.files.claims import check_clearances, check_quality
 from planner.files.data import (
@@ -40,6 +40,7 @@ from planner.version import written_by
 __all__ = [
     "CONTACT_TOL",
     "contact_data",
+    "given_plan",
     "numbers_of",
     "plan_from_dict",
     "plan_to_dict",
@@ -123,6 +124,23 @@ def read_plan(path: Path | str, *, hand: Hand | None = None) -> GraspPlan:
         PlannerError: The hand or object cannot be loaded.
     """
     return plan_from_dict(read_json(path, "plan file"), str(path), hand=hand)
+
+
+def given_plan(given: GraspPlan | Path | str) -> GraspPlan:
+    """A plan as it is, or read from its file.
+
+    Raises:
+        FileFormatError: As ``read_plan``.
+        TaskError: Neither a plan of a grasp nor a path.
+    """
+    if isinstance(given, str | Path):
+        return read_plan(given)
+    if not isinstance(given, GraspPlan):
+        raise TaskError(
+            f"{shown(given)} is a {type(given).__name__}; give the plan of a grasp, as plan_grasp "
+            "returns it, or the path of its file"
+        )
+    return given
 
 
 def plan_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = None) -> GraspPlan:

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from planner.actuation import Actuation
 from planner.arrays import checked_number, finite_array, float_array, per_item
-from planner.contacts import Cone, ContactSet
+from planner.contacts import Cone, ContactSet, check_contacts
 from planner.contacts.friction import check_edges
-from planner.errors import ContactError, ObjectError
+from planner.errors import ContactError, ObjectError, shown
 from planner.forces.costs import QuadraticCost
 from planner.forces.friction_part import friction_part
 from planner.forces.problem import ForceProblem
@@ -51,7 +51,7 @@ def gravity_wrench(mass: float, gravity: ArrayLike) -> FloatArray:
     """
     g = np.asarray(gravity, dtype=np.float64)
     if g.shape != (3,) or not np.isfinite(g).all():
-        raise ObjectError(f"gravity is {gravity!r}; give three finite numbers in m/s2")
+        raise ObjectError(f"gravity is {shown(gravity)}; give three finite numbers in m/s2")
     if not (np.isfinite(mass) and mass >= 0):
         raise ObjectError(f"the mass is {mass}; give a number >= 0 in kg")
     return np.concatenate([mass * g, np.zeros(3)])
@@ -122,18 +122,19 @@ def build_force_problem(
     Raises:
         ContactError: Shapes do not fit, NaN, or a value outside its range.
     """
+    check_contacts(contacts)
     n = len(contacts)
     balance = finite_array("wrench", wrench, (6,))
     least, most = per_item("min_normal", min_normal, n), per_item("max_normal", max_normal, n)
     if (least < 0).any() or (least > most).any() or np.isinf(least).any():
         raise ContactError(
-            f"min_normal is {min_normal!r} and max_normal {max_normal!r}; give "
+            f"min_normal is {shown(min_normal)} and max_normal {shown(max_normal)}; give "
             "0 <= min_normal <= max_normal, min_normal finite"
         )
     if not 0 < checked_number("friction_scale", friction_scale) <= 1:
         raise ContactError(f"friction_scale is {friction_scale}; give a factor in (0, 1]")
     if cone not in CONES:
-        raise ContactError(f"cone is {cone!r}; use 'inscribed', 'circumscribed' or 'round'")
+        raise ContactError(f"cone is {shown(cone)}; use 'inscribed', 'circumscribed' or 'round'")
     if cone != "round":
         check_edges(edges, cone)
     checked_number("edge_cost", edge_cost, least=0.0)

@@ -14,9 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from planner.errors import TaskError
+from planner.arrays import check_fields
 
 __all__ = ["LOAD_SAFETY", "ExpectedLoad", "grip_for_load"]
 
@@ -47,9 +45,7 @@ class ExpectedLoad:
             TaskError: One is negative or not finite.
         """
         for name, unit in (("force", "N"), ("torque", "N m")):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise TaskError(f"the expected {name} is {value}; give a number >= 0 in {unit}")
+            check_fields(self, (name,), what="the expected ", least=0.0, unit=unit)
 
     def __bool__(self) -> bool:
         """Whether anything is expected."""

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.actuation import Actuation
 from planner.arrays import checked_number, finite_given, float_array, is_finite, per_item
 from planner.contacts import ContactSet, Pyramid, check_frames
-from planner.errors import ContactError
+from planner.errors import ContactError, shown
 from planner.forces.build import EXTRA_COST, LimitArguments, build_force_problem
 from planner.forces.costs import QuadraticCost
 from planner.forces.least_violation import Relaxation
@@ -148,7 +148,9 @@ class ForceLoop:
         """
         checked_number("change_cost", change_cost, least=0.0)
         if (cone := limits.get("cone", "inscribed")) not in get_args(Pyramid):
-            raise ContactError(f"cone is {cone!r}; a loop takes 'inscribed' or 'circumscribed'")
+            raise ContactError(
+                f"cone is {shown(cone)}; a loop takes 'inscribed' or 'circumscribed'"
+            )
         if not checked_number("tolerance", tolerance) > 0:
             raise ContactError(f"tolerance is {tolerance}; give a number > 0 in N")
         costs = limits.pop("costs", ())
@@ -411,8 +413,8 @@ class ForceLoop:
         most = self._most if max_normal is None else per_item("max_normal", max_normal, n)
         if n and not (least.min() >= 0.0 and least.max() < math.inf and most.min() >= 0.0):
             raise ContactError(
-                f"min_normal is {min_normal!r} and max_normal {max_normal!r}; give finite forces "
-                ">= 0 in N, and infinity for no greatest force"
+                f"min_normal is {shown(min_normal)} and max_normal {shown(max_normal)}; give "
+                "finite forces >= 0 in N, and infinity for no greatest force"
             )
         if min_normal is not None and ((least > most) & (most > 0.0)).any():
             raise ContactError(

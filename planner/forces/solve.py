@@ -15,7 +15,7 @@ from typing import Unpack
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.errors import ContactError, InfeasibleError
+from planner.errors import ContactError, InfeasibleError, shown
 from planner.forces.build import ForceArguments, build_force_problem
 from planner.forces.infeasible import FEASIBLE, explain_infeasibility
 from planner.forces.least_violation import Relaxation
@@ -243,8 +243,8 @@ def _solver_for(problem: ForceProblem, solver: str | None) -> str:
         return solver or DEFAULT_SOLVER
     if solver not in (None, CONE_SOLVER):
         raise ContactError(
-            f"solver {solver!r} cannot do round cones; leave it out for {CONE_SOLVER!r}, or use "
-            "pyramids (cone='inscribed')"
+            f"solver {shown(solver)} cannot do round cones; leave it out for {CONE_SOLVER!r}, or "
+            "use pyramids (cone='inscribed')"
         )
     return CONE_SOLVER
 

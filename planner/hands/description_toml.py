@@ -22,7 +22,7 @@ from pydantic import Field, ValidationError
 
 from planner.bridge.load import model_files
 from planner.description import FingerDescription, HandDescription, TaxelDescription, Vector
-from planner.errors import HandError
+from planner.errors import HandError, shown
 from planner.hands.catalog import PACKAGE_SCHEME, model_file
 from planner.schema import StrictData, faults_of
 from planner.spatial import FloatArray
@@ -146,7 +146,7 @@ def read_description(path: Path) -> DescribedHand:
     if "mirror_of" in original_raw:
         raise HandError(
             f"{path}: mirror_of names {other}, which is a mirror image itself; name the hand that "
-            f"it mirrors, {original_raw['mirror_of']!r} beside it"
+            f"it mirrors, {shown(original_raw['mirror_of'])} beside it"
         )
     original = validated(other, HandDescription, original_raw)
     model = model_file(original.model, other.parent)

@@ -24,7 +24,7 @@ from planner.actuation import Actuation
 from planner.bridge import LinkGeometry
 from planner.couplings import Coupling, nearest_on_couplings
 from planner.description import HandDescription
-from planner.errors import HandError, NotFoundError, TaskError
+from planner.errors import HandError, NotFoundError, TaskError, shown
 from planner.hands.arm import Arm
 from planner.hands.fingers import Finger
 from planner.showing import in_notebook
@@ -227,7 +227,7 @@ class Hand:
         try:
             joints: FloatArray = np.array(q, dtype=np.float64)
         except (TypeError, ValueError):
-            raise HandError(f"{what} is {q!r}; give {self.nq} numbers") from None
+            raise HandError(f"{what} is {shown(q)}; give {self.nq} numbers") from None
         if joints.shape != (self.nq,):
             raise HandError(f"{what} has shape {joints.shape}; {self.name} needs ({self.nq},)")
         if not np.isfinite(joints).all():

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from planner.arrays import finite_array
-from planner.errors import HandError, ModelError
+from planner.arrays import finite_array, float_array
+from planner.errors import HandError, ModelError, shown
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.point_motion import point_jacobians
@@ -112,8 +112,23 @@ class HandKinematics:
         Args:
             joint_ids: Pinocchio joints (k,).
             points: (k, 3), m, in the base.
+
+        Raises:
+            HandError: Other shapes, or joints that the hand does not have.
         """
-        return point_jacobians(self.pin_data.J, self.hand.moved_by, joint_ids, points)
+        where = float_array("points", points, error=HandError)
+        joints = np.asarray(joint_ids)
+        if joints.dtype.kind not in "iu" or where.shape != (*joints.shape, 3) or joints.ndim != 1:
+            raise HandError(
+                f"points have shape {where.shape} and joint_ids {joints.shape} of {joints.dtype}; "
+                "give (k, 3) and k integers"
+            )
+        if joints.size and not 0 <= joints.min() <= joints.max() < len(self.hand.moved_by):
+            raise HandError(
+                f"joint_ids are {shown(joint_ids)}; give numbers of Pinocchio joints, 0 to "
+                f"{len(self.hand.moved_by) - 1}"
+            )
+        return point_jacobians(self.pin_data.J, self.hand.moved_by, joints, where)
 
     def pads(self, fingers: Sequence[Finger]) -> tuple[IntArray, FloatArray]:
         """Pinocchio joints (n,) that the fingers' pads move with, and the pads' centres (n, 3)."""
@@ -126,10 +141,14 @@ class HandKinematics:
         """Joint torques (nq,) that hold the hand against gravity (3,), m/s2, in base axes.
 
         tau = -sum_i m_i J_i^T g, with J_i the Jacobian of the centre of mass of link i.
+
+        Raises:
+            HandError: Gravity has another shape, or is not finite.
         """
         com_jacobian = pin.jacobianCenterOfMass(self.hand.pin_model, self.pin_data, self.q)
         moving_mass = float(self.pin_data.mass[0])
-        return np.array(-moving_mass * com_jacobian.T @ gravity_base)
+        gravity = finite_array("gravity_base", gravity_base, (3,), error=HandError)
+        return np.array(-moving_mass * com_jacobian.T @ gravity)
 
 
 class HandState(HandKinematics):

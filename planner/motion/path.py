@@ -7,15 +7,24 @@ its frame, and its origin has moved by s * shift. Axis and shift are in world ax
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from planner.errors import TaskError
+from planner.arrays import check_fields, checked_number, finite_array, float_array
+from planner.errors import TaskError, shown
 from planner.immutable import freeze
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["LARGEST_TURN", "ObjectPath", "check_shift", "tilts"]
+__all__ = [
+    "LARGEST_TURN",
+    "ObjectPath",
+    "check_place",
+    "checked_axis",
+    "checked_shift",
+    "tilts",
+]
 
 SHORTEST = 1e-9
 """Length (-) below which an axis has no direction; turns (rad) and shifts (m) below it are zero."""
@@ -37,16 +46,44 @@ LONGEST_SHIFT = 2.0
 """Longest translation, m: far beyond the reach of fingers that keep their contacts."""
 
 
-def check_shift(shift: FloatArray) -> None:
-    """Refuse a shift (3,), m, that no object can make in a hand.
+FARTHEST = 100.0
+"""Largest coordinate (m) of a place to stand at: beyond it poses lose digits."""
+
+
+def checked_axis(axis: Any) -> FloatArray:
+    """An axis (3,), world, as it was given.
+
+    Raises:
+        TaskError: Another shape, not finite, or without a direction.
+    """
+    array = float_array("axis", axis, error=TaskError, copy=True)
+    length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
+    if not (np.isfinite(length) and length > SHORTEST):
+        raise TaskError(f"axis is {shown(axis)}; give a direction of three numbers in world axes")
+    return array
+
+
+def check_place(place: Any) -> None:
+    """Refuse a place, x and y in m, that is not two numbers within ``FARTHEST``; None is none.
+
+    Raises:
+        TaskError: So.
+    """
+    if place is not None:
+        for number in finite_array("place", place, (2,), error=TaskError).tolist():
+            checked_number("place", number, least=-FARTHEST, most=FARTHEST, error=TaskError)
+
+
+def checked_shift(given: Any) -> FloatArray:
+    """A shift (3,), m, that an object can make in a hand.
 
     Raises:
         TaskError: Another shape, not finite, or longer than ``LONGEST_SHIFT``.
     """
-    if shift.shape != (3,) or not np.isfinite(shift).all():
-        raise TaskError(f"shift is {shift}; give three finite numbers in m, world axes")
+    shift = finite_array("shift", given, (3,), error=TaskError)
     if np.abs(shift).max() > LONGEST_SHIFT or np.linalg.norm(shift) > LONGEST_SHIFT:
         raise TaskError(f"shift is {shift}; give a translation of at most {LONGEST_SHIFT:g} m")
+    return shift
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,20 +106,16 @@ class ObjectPath:
         Raises:
             TaskError: No axis, numbers that are not finite, or a path that is empty or too long.
         """
-        axis = np.array(self.axis, dtype=np.float64)
-        shift = np.array(self.shift, dtype=np.float64)
-        length = float(np.linalg.norm(axis)) if axis.shape == (3,) else 0.0
-        if not (np.isfinite(axis).all() and length > SHORTEST):
-            raise TaskError(f"axis is {self.axis}; give a direction of three numbers in world axes")
-        check_shift(shift)
-        if not np.isfinite(self.angle) or abs(self.angle) > LARGEST_TURN + SHORTEST:
+        axis, shift = checked_axis(self.axis), checked_shift(self.shift)
+        check_fields(self, ("angle",), unit="rad")
+        if abs(self.angle) > LARGEST_TURN + SHORTEST:
             raise TaskError(
                 f"angle is {self.angle} rad; give at most a half turn (pi) in either direction, "
                 "since the fingers stay where they touch"
             )
         if abs(self.angle) < SHORTEST and float(np.linalg.norm(shift)) < SHORTEST:
             raise TaskError("the object is to stay where it is; give an angle or a shift")
-        object.__setattr__(self, "axis", axis / length)
+        object.__setattr__(self, "axis", axis / float(np.linalg.norm(axis)))
         object.__setattr__(self, "shift", shift)
         object.__setattr__(self, "angle", float(self.angle))
         freeze(self, arrays=("axis", "shift"))

@@ -196,7 +196,13 @@ def measure_hull(wrenches: FloatArray) -> HullMeasure:
     except QhullError:
         spoilt = True
     if spoilt:
-        hull = ConvexHull(jittered(w.T, JITTER * longest, np.random.default_rng(0)))
+        try:
+            hull = ConvexHull(jittered(w.T, JITTER * longest, np.random.default_rng(0)))
+        except QhullError as fault:  # lengths below 1e-154 have no square
+            raise ContactError(
+                f"the hull of wrenches of at most {longest:g} is lost in rounding; give them in "
+                "other units"
+            ) from fault
         epsilon, weakest = _nearest_facet(hull, w)
     return HullMeasure(epsilon=max(epsilon, 0.0), weakest=weakest, volume=float(hull.volume))
 

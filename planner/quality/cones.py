@@ -13,9 +13,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from planner.arrays import float_array
-from planner.contacts import ContactSet
+from planner.contacts import ContactSet, check_contacts
 from planner.contacts.friction import Pyramid, check_edges, cone_edges, cone_support
-from planner.errors import ContactError
+from planner.errors import ContactError, shown
 from planner.spatial import FloatArray, skew
 
 __all__ = ["RoundCones", "check_length", "contact_wrenches", "primitive_wrenches"]
@@ -36,9 +36,10 @@ def contact_wrenches(
     unit: EdgeUnit = "normal",
 ) -> list[FloatArray]:
     """Primitive wrenches contact by contact: n arrays (6, m_i), see ``primitive_wrenches``."""
+    check_contacts(contacts)
     check_edges(edges, cone)
     if unit not in ("normal", "length"):
-        raise ContactError(f"unit is {unit!r}; use 'normal' or 'length'")
+        raise ContactError(f"unit is {shown(unit)}; use 'normal' or 'length'")
     cones = RoundCones.of(contacts, length)
     groups = []
     for wrench_map, (mu, _, mu_torsion) in zip(cones.maps, cones.semi_axes, strict=True):

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.contacts import ContactSet
+from planner.contacts import ContactSet, check_contacts
+from planner.errors import ContactError
 from planner.plain import short_repr
 from planner.quality.ball import check_hull, measure_hull
 from planner.quality.closure import ClosureResult, force_closure
@@ -116,19 +117,26 @@ class QualityReport:
         )
 
 
-def analyse(contacts: ContactSet, *, length: float, edges: int = 8) -> QualityReport:
+def analyse(contacts: ContactSet, *, length: float | None = None, edges: int = 8) -> QualityReport:
     """Judge a set of contacts by every measure.
 
     Args:
         contacts: n contacts, from a plan, from MuJoCo or typed in.
         length: Torque is divided by it, m; by convention the radius of the object's bounding sphere
-            about its centre of mass.
+            about its centre of mass. There is no default: contacts do not tell how large an object
+            is.
         edges: Edges per inscribed cone where cones are discretised, at least 3.
 
     Raises:
-        ContactError: ``length`` is not positive, or ``edges`` is not 3 to 64, or the hull has too
-            many points.
+        ContactError: ``length`` is not given or not positive, or ``edges`` is not 3 to 64, or the
+            hull has too many points.
     """
+    check_contacts(contacts)
+    if length is None:
+        raise ContactError(
+            "length is not given, by which torque is divided; give metres, by convention "
+            "object.shape.bounding_radius (the quality of a plan is there already: plan.quality)"
+        )
     check_hull(len(contacts), edges)
     hull = measure_hull(primitive_wrenches(contacts, edges, length=length))
     singular = singular_values(contacts, length=length)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.collision.moving_hand import moving_hand
-from planner.errors import HandError, TaskError
+from planner.errors import HandError, TaskError, shown
 from planner.immutable import freeze, is_pose
 from planner.spatial import SE3, FloatArray, pose_change
 from planner.task import GraspTask
@@ -106,7 +106,7 @@ def _joints(task: GraspTask, q: object) -> FloatArray:
     try:
         joints = np.array(q, dtype=np.float64)
     except (TypeError, ValueError):
-        raise HandError(f"q is {q!r}; give {hand.nq} numbers") from None
+        raise HandError(f"q is {shown(q)}; give {hand.nq} numbers") from None
     if joints.shape != (hand.nq,):
         raise HandError(
             f"q has shape {joints.shape}; {hand.name} has {hand.nq} joints: "
@@ -121,7 +121,7 @@ def _joints(task: GraspTask, q: object) -> FloatArray:
 def _check_pose(task: GraspTask, T_world_base: object) -> None:
     if not is_pose(T_world_base):
         raise TaskError(
-            f"T_world_base is {T_world_base!r}; give a pinocchio.SE3, for example "
+            f"T_world_base is {shown(T_world_base)}; give a pinocchio.SE3, for example "
             "planner.spatial.pose_from_wxyz(position, quaternion)"
         )
     pose: SE3 = T_world_base

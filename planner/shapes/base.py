@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from numbers import Real
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from planner.arrays import float_array
-from planner.errors import ObjectError
+from planner.arrays import checked_number, float_array
+from planner.errors import ObjectError, shown
 from planner.shapes.stable import StablePose
 from planner.shapes.surface import Surface
 from planner.spatial import SE3, FloatArray
@@ -244,11 +243,7 @@ def checked_length(kind: str, name: str, value: object) -> float:
     Raises:
         ObjectError: Not a number, not finite, not positive, or out of range.
     """
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise ObjectError(f"{kind}: {name} is {value!r}, not a number; give metres > 0")
-    length = float(value)
-    if not np.isfinite(length) or length <= 0:
-        raise ObjectError(f"{kind}: {name} is {length}; give metres > 0")
+    length = checked_number(f"{kind}: {name}", value, above=0.0, unit="m", error=ObjectError)
     if length > LARGEST:
         raise ObjectError(
             f"{kind}: {name} is {length} m, more than {LARGEST} m; sizes are in metres, was it "
@@ -272,7 +267,9 @@ def checked_extents(kind: str, size: object) -> tuple[float, float, float]:
         ObjectError: Not three numbers, or one of them is refused by ``checked_length``.
     """
     if isinstance(size, str) or not isinstance(size, Sequence | np.ndarray) or len(size) != 3:
-        raise ObjectError(f"{kind}: size is {size!r}; give three full extents x, y, z in metres")
+        raise ObjectError(
+            f"{kind}: size is {shown(size)}; give three full extents x, y, z in metres"
+        )
     x, y, z = (checked_length(kind, name, v) for name, v in zip("xyz", size, strict=True))
     return x, y, z
 

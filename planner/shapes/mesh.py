@@ -93,6 +93,9 @@ class Mesh(Shape):
             faces: (m, 3).
             source: The file it is from.
             mended: What was mended, in words.
+
+        Raises:
+            ObjectError: Other shapes, or faces that are not indices of the vertices.
         """
         self._solid = Polyhedron.centred(vertices, faces)
         self.source = source

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from planner.errors import NotFoundError, ObjectError
+from planner.errors import NotFoundError, ObjectError, shown
 from planner.shapes.base import Shape
 from planner.shapes.box import Box
 from planner.shapes.capsule import Capsule
@@ -79,13 +79,17 @@ def register_shape(shape: _S) -> _S:
     """
     kind = shape.kind
     if not kind.isidentifier() or kind != kind.lower():
-        raise ObjectError(f"shape kind {kind!r}: give one word of lower-case letters and digits")
+        raise ObjectError(
+            f"shape kind {shown(kind)}: give one word of lower-case letters and digits"
+        )
     if SHAPES.get(kind, shape) is not shape:
-        raise ObjectError(f"shape kind {kind!r} is {SHAPES[kind].__name__} already; choose another")
+        raise ObjectError(
+            f"shape kind {shown(kind)} is {SHAPES[kind].__name__} already; choose another"
+        )
     if len(shape.default_sizes) != len(shape.size_names):
         raise ObjectError(
-            f"shape {kind!r} has {len(shape.default_sizes)} default sizes; give one for each of "
-            f"{', '.join(shape.size_names)}"
+            f"shape {shown(kind)} has {len(shape.default_sizes)} default sizes; give one for each "
+            f"of {', '.join(shape.size_names)}"
         )
     shape.from_sizes(shape.default_sizes)
     SIZED_SHAPES[kind] = SHAPES[kind] = shape
@@ -127,10 +131,12 @@ def shape_from_dict(data: object) -> Shape:
             that is missing or was changed.
     """
     if not isinstance(data, Mapping):
-        raise ObjectError(f'a shape is {data!r}; give an object such as {{"kind": "box", ...}}')
+        raise ObjectError(
+            f'a shape is {shown(data)}; give an object such as {{"kind": "box", ...}}'
+        )
     kind = data.get("kind")
     if not isinstance(kind, str):
-        raise ObjectError(f'a shape has kind {kind!r}; give "kind" as one of {sorted(SHAPES)}')
+        raise ObjectError(f'a shape has kind {shown(kind)}; give "kind" as one of {sorted(SHAPES)}')
     if kind not in SHAPES:
         raise NotFoundError("shape", kind, SHAPES)
     given = {str(key) for key in data} - {"kind"}
@@ -180,20 +186,22 @@ def _mesh_from_dict(data: Mapping[Any, Any], given: set[str]) -> Mesh:
         )
     path, scale, repair, digest = (data[key] for key in ("path", "scale", "repair", "sha256"))
     if not isinstance(path, str) or isinstance(scale, bool) or not isinstance(scale, int | float):
-        raise ObjectError(f"a mesh has path {path!r} and scale {scale!r}; give text and a number")
+        raise ObjectError(
+            f"a mesh has path {shown(path, 300)} and scale {shown(scale)}; give text and a number"
+        )
     if repair not in ("yes", "no"):
-        raise ObjectError(f'a mesh has repair {repair!r}; give "yes" or "no"')
+        raise ObjectError(f'a mesh has repair {shown(repair)}; give "yes" or "no"')
     mesh = Mesh.load(path, scale=float(scale), repair=repair == "yes")
     if mesh.digest != digest:
         told = data.get(_MENDED, "")
         if told != mesh.mended:
             raise ObjectError(
-                f"the mesh file {path!r} was mended as {told!r} when it was stored, and now as "
-                f"{mesh.mended!r}: it was changed since, or manifold3d is installed on one side "
-                'only; plan again, or pip install "opposable[meshes]"'
+                f"the mesh file {path!r} was mended as {shown(told)} when it was stored, "
+                f"and now as {mesh.mended!r}: it was changed since, or manifold3d is installed on "
+                'one side only; plan again, or pip install "opposable[meshes]"'
             )
         raise ObjectError(
-            f"the mesh file {path!r} is not the one that was stored: it was changed since; plan "
-            "again, or bring the old file back"
+            f"the mesh file {path!r} is not the one that was stored: it was changed "
+            "since; plan again, or bring the old file back"
         )
     return mesh

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.errors import NotFoundError, TaskError
+from planner.arrays import check_fields
+from planner.errors import NotFoundError, TaskError, shown
 from planner.spatial import FloatArray
 from planner.synthesis.objectives.registry import EPSILON, OBJECTIVES
 from planner.synthesis.objectives.task_wrenches import checked_wrenches
@@ -34,6 +35,16 @@ class ProblemForm:
 
     objectives: tuple[str, ...] = ()
     terms: tuple[Term, ...] = ()
+
+
+MOST_CLEARANCE = 1.0
+"""Largest clearance (m) that can be asked for: the reach of a hand."""
+
+MOST_WEIGHT = 1e6
+"""Largest weight of a residual (-): beyond it the others are lost in rounding."""
+
+MOST_ROUNDS = 1000
+"""Most rounds: each costs milliseconds, and gains end within ten."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +88,13 @@ class SynthesisOptions:
     terms: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the objectives, and keep them and the wrenches as plain data."""
+        """Check every number and the objectives; keep them and the wrenches as plain data."""
+        check_fields(self, ("cone_share",), above=0.0, most=1.0)
+        clearances = ("clear_object", "clear_tip", "clear_table", "clear_fingers")
+        check_fields(self, clearances, least=-MOST_CLEARANCE, most=MOST_CLEARANCE, unit="m")
+        weights = ("weight_tangential", "weight_share", "weight_posture", "weight_center")
+        check_fields(self, weights, least=0.0, most=MOST_WEIGHT)
+        check_fields(self, ("rounds",), most=MOST_ROUNDS)
         weights = _checked_weights(self.objective)
         text = ",".join(n if w == 1.0 else f"{n}:{w!r}" for n, w in weights.items())
         object.__setattr__(self, "objective", text or NO_OBJECTIVE)
@@ -85,8 +102,8 @@ class SynthesisOptions:
         object.__setattr__(self, "task_wrenches", checked_wrenches(self.task_wrenches))
         if len(self.task_wrenches) and TASK not in weights:
             raise TaskError(
-                f"there are task wrenches, but the objective is {self.objective!r}; add {TASK!r} "
-                "to it, or leave them out"
+                f"there are task wrenches, but the objective is {shown(self.objective)}; add "
+                f"{TASK!r} to it, or leave them out"
             )
 
     @cached_property
@@ -153,18 +170,20 @@ def named_weights(
         TaskError: None at all, a name twice, or a weight that is not a number > 0.
     """
     if not isinstance(given, str | Mapping) or not given:
-        raise TaskError(f"{what} is {given!r}; give a name, or a mapping of names to weights > 0")
+        raise TaskError(
+            f"{what} is {shown(given)}; give a name, or a mapping of names to weights > 0"
+        )
     pairs = _pairs(given, what) if isinstance(given, str) else list(given.items())
     for name, weight in pairs:
         if name not in names:
             raise NotFoundError(what, str(name), names, hint)
         if isinstance(weight, bool) or not isinstance(weight, int | float):
-            raise TaskError(f"the weight of {name!r} is {weight!r}; give a number > 0")
+            raise TaskError(f"the weight of {name!r} is {shown(weight)}; give a number > 0")
         if not (np.isfinite(weight) and weight > 0):
             raise TaskError(f"the weight of {name!r} is {weight}; give a finite number > 0")
     weights = dict(pairs)
     if len(weights) < len(pairs):
-        raise TaskError(f"{what} {given!r} names one twice; give each name once")
+        raise TaskError(f"{what} {shown(given)} names one twice; give each name once")
     return {name: float(weights[name]) for name in names if name in weights}
 
 
@@ -177,7 +196,7 @@ def _pairs(text: str, what: str) -> list[tuple[str, float]]:
             pairs.append((name, float(weight) if colon else 1.0))
         except ValueError as error:
             raise TaskError(
-                f"the weight of {what} {name!r} is {weight!r}; write NAME:WEIGHT with a number "
-                "> 0, for example torque:0.5"
+                f"the weight of {what} {name!r} is {shown(weight)}; write NAME:WEIGHT with a "
+                "number > 0, for example torque:0.5"
             ) from error
     return pairs

@@ -133,14 +133,16 @@ def _refuse_our_file(object: str) -> None:
     """
     if not object.lower().endswith(".json"):
         return
-    from planner.errors import TaskError
+    from planner.errors import TaskError, shown
     from sim.viewing.target import Target
 
     kind = Target(object).format
     if kind == "opposable-plan":
         raise TaskError(f"{object} is a plan file, not an object: opposable simulate {object}")
     if kind.startswith("opposable-"):
-        raise TaskError(f"{object} is of format {kind!r}, not an object: opposable view {object}")
+        raise TaskError(
+            f"{object} is of format {shown(kind)}, not an object: opposable view {object}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -109,7 +109,7 @@ class ReadingOptions:
         Raises:
             TaskError: A unit or an order that there is not.
         """
-        from planner.errors import TaskError
+        from planner.errors import TaskError, shown
         from planner.exchange.formats import Reading
 
         for option, value, allowed in (
@@ -118,7 +118,7 @@ class ReadingOptions:
         ):
             if value is not None and value not in allowed:
                 raise TaskError(
-                    f"{option} {value!r} is none of {', '.join(allowed)}; give one of them"
+                    f"{option} {shown(value)} is none of {', '.join(allowed)}; give one of them"
                 )
         return Reading(
             by_number=self.by_number,
@@ -171,7 +171,7 @@ def one_plan(path: Path) -> GraspPlan:
         TaskError: The folder holds several, or the file is the plan of a movement.
         FileFormatError: It holds none, or the file is none.
     """
-    from planner.errors import TaskError, few_of
+    from planner.errors import TaskError, few_of, shown
     from planner.files import format_told, read_plan
 
     files = listed_plans([path])
@@ -183,9 +183,9 @@ def one_plan(path: Path) -> GraspPlan:
     kind = format_told(files[0])
     if kind in MOVEMENTS:
         raise TaskError(
-            f"{files[0]} is of the format {kind!r}, and the plan of a grasp is taken; opposable "
-            f"manipulate --plan {files[0]} executes it in simulation, and opposable export --to "
-            "ros2-trajectory writes its joints over time"
+            f"{files[0]} is of the format {shown(kind)}, and the plan of a grasp is taken; "
+            f"opposable manipulate --plan {files[0]} executes it in simulation, and opposable "
+            "export --to ros2-trajectory writes its joints over time"
         )
     return read_plan(files[0])
 

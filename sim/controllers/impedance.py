@@ -21,12 +21,12 @@ natural frequency w and the damping ratio z.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
-from planner.errors import TaskError
+from planner.arrays import check_fields
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
@@ -69,10 +69,7 @@ class ImpedanceGains:
 
     def __post_init__(self) -> None:
         """Check every number."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (np.isfinite(value) and value >= 0):
-                raise TaskError(f"gains: {field.name} is {value}; give a finite number >= 0")
+        check_fields(self, what="gains: ", least=0.0)
 
     @classmethod
     def of_body(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TypeAlias
 
-from planner.errors import NotFoundError, TaskError
+from planner.errors import NotFoundError, TaskError, shown
 from planner.plan import GraspPlan
 from sim.controllers.base import Controller
 from sim.controllers.grasp import GraspController
@@ -123,8 +123,8 @@ class _Checked:
         made = self._make(plan)
         if not _is_controller(made):
             raise TaskError(
-                f"{controller_name(self._make)} made {made!r} of the plan, which has no method "
-                "step(observation); see sim.controllers.Controller"
+                f"{controller_name(self._make)} made {shown(made)} of the plan, which has no "
+                "method step(observation); see sim.controllers.Controller"
             )
         return made
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.errors import ContactError, shown
 from planner.spatial import FloatArray
 
 __all__ = ["CREEP", "PadReading"]
@@ -47,6 +48,24 @@ class PadReading:
     sliding: FloatArray
     spin: FloatArray = field(default_factory=lambda: np.zeros(1))
     slipping: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        """Check shapes and signs; whether numbers are finite is for whoever reads a hand.
+
+        Raises:
+            ContactError: Another shape, or a normal force below 0.
+        """
+        shape = np.shape(self.normal_force)
+        if len(shape) != 1 or np.any(self.normal_force < 0.0):
+            raise ContactError(
+                f"the normal forces of pads are {shown(self.normal_force)}; give (n,) numbers >= 0"
+            )
+        for name in ("force", "position", "normal", "sliding"):
+            if np.shape(getattr(self, name)) != (*shape, 3):
+                given = np.shape(getattr(self, name))
+                raise ContactError(f"{name} of the pads has shape {given}; give {(*shape, 3)}")
+        if np.shape(self.spin) not in ((1,), shape):
+            raise ContactError(f"spin has shape {np.shape(self.spin)}; give {shape} or (1,)")
 
     @classmethod
     def nothing(cls, n: int = 0) -> PadReading:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from planner.errors import TaskError
+from planner.arrays import check_fields
 from planner.spatial import FloatArray
 
 __all__ = ["QUANTITIES", "Difference", "Quantity", "Tally", "Tolerances"]
@@ -33,9 +33,7 @@ class Tolerances:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be a tolerance."""
-        for name, value in vars(self).items():
-            if not (np.isfinite(value) and value >= 0):
-                raise TaskError(f"tolerance {name} is {value}; give a number that is 0 or larger")
+        check_fields(self, what="tolerance ", least=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,10 +12,18 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
+from planner.arrays import check_fields, checked_count
 from planner.errors import NotFoundError, TaskError
 from sim.episodes.episode import Episode
 
 __all__ = ["FORMATS", "Asked", "EpisodeFormat", "EpisodeWriter", "format_named", "register_format"]
+
+
+MOST_FPS = 10_000
+"""Most frames per second: recordings have one per time step at most, 0.1 ms."""
+
+MOST_PIXELS = 8192
+"""Longest side of a film, pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +39,13 @@ class Asked:
     fps: int | None = None
     video: bool = False
     size: tuple[int, int] = (320, 240)
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        check_fields(self, ("fps",), least=1, most=MOST_FPS)
+        width, height = self.size if isinstance(self.size, tuple) and len(self.size) == 2 else "??"
+        for name, pixels in (("width", width), ("height", height)):
+            checked_count(f"the film's {name}", pixels, least=1, most=MOST_PIXELS, error=TaskError)
 
 
 class EpisodeWriter(Protocol):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.batch.rows import arrow
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, shown
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.episodes.episode import Episode
@@ -323,10 +323,10 @@ def _check_format(path: Path, metadata: dict[bytes, bytes]) -> None:
     """
     found = metadata.get(b"format", b"").decode(), metadata.get(b"version", b"").decode()
     if found[0] != FORMAT:
-        raise FileFormatError(f"{path} is of format {found[0]!r}, not {FORMAT!r}")
+        raise FileFormatError(f"{path} is of format {shown(found[0])}, not {FORMAT!r}")
     if found[1] != VERSION:
         raise FileFormatError(
-            f"{path} is of version {found[1]!r}; this package reads {VERSION!r}; update it"
+            f"{path} is of version {shown(found[1])}; this package reads {VERSION!r}; update it"
         )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import mujoco
 
-from planner.errors import TaskError
+from planner.errors import TaskError, shown
 from planner.hands.hand import Hand
 from sim.recording import PALM
 
@@ -78,9 +78,9 @@ class Robot:
 
 def _first_difference(theirs: str | tuple[str, ...], ours: str | tuple[str, ...]) -> str:
     if isinstance(theirs, str) or isinstance(ours, str) or len(theirs) != len(ours):
-        return f"{theirs!r}, and {ours!r}"
+        return f"{shown(theirs)}, and {shown(ours)}"
     k = next(i for i, pair in enumerate(zip(theirs, ours, strict=True)) if pair[0] != pair[1])
-    return f"{theirs[k]!r} at place {k}, and {ours[k]!r}"
+    return f"{shown(theirs[k])} at place {k}, and {shown(ours[k])}"
 
 
 def _command_unit(hand: Hand, i: int, slides: list[bool]) -> str:

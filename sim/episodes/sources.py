@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.batch import GraspSet
-from planner.errors import FileFormatError, NotFoundError, TaskError
+from planner.errors import FileFormatError, NotFoundError, TaskError, shown
 from planner.files import plan_files
 from planner.files.manipulations import manipulation_from_dict
 from planner.files.plans import plan_from_dict
@@ -187,7 +187,8 @@ def _of_file(path: Path, trials: Trials) -> Iterator[Source]:
         yield Source(name=name, hand=str(data.get("hand")), report=partial(_READERS[kind], path))
     else:
         raise FileFormatError(
-            f"{path} is of format {kind!r}, not a plan or a report of a grasp or a manipulation"
+            f"{path} is of format {shown(kind)}, not a plan or a report of a grasp or a "
+            "manipulation"
         )
 
 

@@ -7,10 +7,9 @@ drawn of them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from numbers import Real
+from dataclasses import dataclass
 
-from planner.errors import TaskError
+from planner.arrays import check_fields
 from sim.reality import Reality
 
 __all__ = ["SensorErrors"]
@@ -51,11 +50,7 @@ class SensorErrors:
 
     def __post_init__(self) -> None:
         """Check every number."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            number = isinstance(value, Real) and not isinstance(value, bool)
-            if not (number and math.isfinite(value) and value >= 0):
-                raise TaskError(f"sensor errors: {field.name} is {value!r}; give a number >= 0")
+        check_fields(self, what="sensor errors: ", least=0.0)
 
     @classmethod
     def of(cls, reality: Reality | None) -> SensorErrors:

@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planner.arrays import check_fields
 from planner.spatial import FloatArray, skew
 from planner.task import GraspTask
 from sim.estimation.errors import SensorErrors
@@ -88,6 +89,10 @@ class Trust:
     distance: float = 5e-4
     normal: float = 0.05
     lasting: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Check every number: variances are divided by."""
+        check_fields(self, what="trust: ", above=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable
 
-from planner.errors import NotFoundError, TaskError
+from planner.errors import NotFoundError, TaskError, shown
 from planner.task import GraspTask
 from sim.controllers import Event, Observation
 from sim.estimation.errors import SensorErrors
@@ -148,7 +148,7 @@ def estimator_for(
     made: object = given(task, SensorErrors.of(reality)) if callable(given) else given
     if not isinstance(made, Estimator):
         raise TaskError(
-            f"{given!r} is no estimator; give a name ({', '.join((*ESTIMATORS, NONE))}), or what "
-            "makes an object with step(observation) and events out of task and sensor errors"
+            f"{shown(given)} is no estimator; give a name ({', '.join((*ESTIMATORS, NONE))}), or "
+            "what makes an object with step(observation) and events out of task and sensor errors"
         )
     return made

@@ -44,7 +44,7 @@ from greenlet import GreenletExit, getcurrent, greenlet  # switches inside one t
 from gymnasium.spaces import Box, Dict
 from numpy.typing import NDArray
 
-from planner.errors import NotFoundError, TaskError
+from planner.errors import NotFoundError, TaskError, shown
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers import Observation
@@ -124,12 +124,12 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
         if action not in ACTIONS:
             raise NotFoundError("meaning of an action", action, ACTIONS)
         if isinstance(senses, str):
-            raise TaskError(f"senses is {senses!r}; give a list of names: [{senses!r}]")
+            raise TaskError(f"senses is {shown(senses)}; give a list of names: [{shown(senses)}]")
         for name in senses:
             if name not in (*ALWAYS, *ASKED):
                 raise NotFoundError("sense of the environment", name, (*ALWAYS, *ASKED))
         if not (isinstance(plans, int) and plans >= 1):
-            raise TaskError(f"plans is {plans!r}; give an integer >= 1")
+            raise TaskError(f"plans is {shown(plans)}; give an integer >= 1")
         if not (math.isfinite(rate_hz) and rate_hz > 0):
             raise TaskError(f"rate_hz is {rate_hz}; give actions per second, above 0")
         most = 1.0 / PhysicsOptions().timestep
@@ -334,7 +334,7 @@ def _asked_plan(options: dict[str, Any]) -> int | None:
     if number is None:
         return None
     if not (isinstance(number, int | np.integer) and number >= 0):
-        raise TaskError(f"the option plan is {number!r}; give an integer >= 0")
+        raise TaskError(f"the option plan is {shown(number)}; give an integer >= 0")
     return int(number)
 
 

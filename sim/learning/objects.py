@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from planner.errors import ObjectError
+from planner.errors import ObjectError, shown
 from planner.objects import GraspObject, parse_object
 
 __all__ = ["ObjectRange"]
@@ -38,7 +38,7 @@ class ObjectRange:
         for low, high in _RANGE.findall(self.text):
             if float(low) > float(high):
                 raise ObjectError(
-                    f"the range {low}..{high} of {self.text!r} ends below its beginning; give "
+                    f"the range {low}..{high} of {shown(self.text)} ends below its beginning; give "
                     f"{high}..{low}"
                 )
         for share in (0.0, 1.0):

@@ -12,13 +12,20 @@ from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
-from zlib import error as ZlibError
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import FileFormatError, HandError, PlannerError, TaskError
+from planner.arrays import check_fields
+from planner.errors import (
+    FileFormatError,
+    HandError,
+    NotFoundError,
+    PlannerError,
+    TaskError,
+    shown,
+)
+from planner.exchange.array_files import read_npz
 from planner.files.whole import whole_file
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
@@ -59,9 +66,6 @@ SAME_TURN = 0.01
 MOST_BYTES = 64 * 2**20
 """Largest file (bytes) that is read."""
 
-_DAMAGED = (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, ZlibError)
-"""What reading a file raises that is cut short, or of another kind."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyFor:
@@ -98,6 +102,12 @@ class PolicyFor:
     estimator: str = NONE
     command: str = ""
     written_by: str = field(default_factory=written_by)
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        check_fields(self, ("angle_deg",), least=-360.0, most=360.0, unit="degrees")
+        check_fields(self, ("rate_hz", "action_scale"), above=0.0)
+        check_fields(self, ("aim",), least=0.0, unit="rad")
 
     @classmethod
     def of(cls, hand: Hand, **about: Any) -> PolicyFor:
@@ -239,28 +249,21 @@ class Policy:
         if file.is_dir():
             raise FileFormatError(f"{path} is a folder; give the file policy.npz in it")
         try:
-            if file.stat().st_size > MOST_BYTES:
-                raise FileFormatError(
-                    f"{path} has more than {MOST_BYTES // 2**20} MB, and no policy has; give the "
-                    "file that 'opposable learn' wrote"
-                )
-            # a damaged file stays open if NumPy opens it
-            with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
+            arrays = read_npz(file, MOST_BYTES)
             header = json.loads(arrays["header"].tobytes().decode())
             kind, version = header.pop("format"), header.pop("version")
-        except FileNotFoundError as error:
+        except NotFoundError as error:
             raise FileFormatError(
                 f"there is no policy {path}; make one: opposable learn HAND OBJECT"
             ) from error
-        except _DAMAGED as error:
+        except (FileFormatError, ValueError, KeyError, AttributeError, RecursionError) as error:
             raise FileFormatError(
-                f"{path} is no policy, or damaged ({_why(error)}); give a file that "
+                f"{path} is no policy, or damaged ({error}); give a file that "
                 "'opposable learn' wrote"
             ) from error
         if kind != POLICY_FORMAT or version not in (1, POLICY_VERSION):
             raise FileFormatError(
-                f"{path} is of format {kind!r}, version {version!r}; this version reads "
+                f"{path} is of format {shown(kind)}, version {shown(version)}; this version reads "
                 f"{POLICY_FORMAT!r}, version {POLICY_VERSION}; train the policy anew"
             )
         try:
@@ -308,9 +311,3 @@ def normalised(
 
 def _listed(names: str | tuple[str, ...]) -> str:
     return names if isinstance(names, str) else ", ".join(names)
-
-
-def _why(error: Exception) -> str:
-    """What is wrong with a file, without NumPy's advice to unpickle it."""
-    text = str(error)
-    return "it is no NumPy archive" if "pickle" in text else text

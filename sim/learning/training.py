@@ -27,7 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import FileFormatError, TaskError
+from planner.arrays import check_fields
+from planner.errors import FileFormatError, shown
 from planner.files import read_json, write_json
 from sim.estimation import check_estimator
 from sim.learning.collecting import Episode, read_episode, run_episode
@@ -85,15 +86,10 @@ class Course:
         Raises:
             PlannerError: Counts below 1 (rounds: 0), noise below 0, or no sense of a name.
         """
-        for name in ("plans", "demonstrations", "episodes", "epochs"):
-            if getattr(self, name) < 1:
-                raise TaskError(f"{name} is {getattr(self, name)}; give at least 1")
-        if self.rounds < 0:
-            raise TaskError(f"rounds is {self.rounds}; give at least 0")
-        if not 0.0 <= self.noise < 1.0:
-            raise TaskError(f"noise is {self.noise}; give a number in [0, 1)")
-        if not 0.0 <= self.share <= 1.0:
-            raise TaskError(f"share is {self.share}; give a number in [0, 1]")
+        check_fields(self, ("plans", "demonstrations", "episodes", "epochs"), least=1)
+        check_fields(self, ("rounds",))
+        check_fields(self, ("noise",), least=0.0, most=np.nextafter(1.0, 0.0))
+        check_fields(self, ("share",), least=0.0, most=1.0)
         checked_senses(self.senses)
         check_estimator(self.estimator)
 
@@ -274,9 +270,9 @@ def _begin(task: TurnTask, course: Course, folder: Path) -> None:
 def _different(there: dict[str, Any], asked: dict[str, Any], part: str) -> str:
     old, new = there.get(part), asked[part]
     if not isinstance(old, dict) or not isinstance(new, dict):
-        return f"{old!r}, not {new!r}"
+        return f"{shown(old)}, not {shown(new)}"
     names = [name for name in new if old.get(name) != new[name]]
-    return ", ".join(f"{name} {old.get(name)!r}, not {new[name]!r}" for name in names)
+    return ", ".join(f"{name} {shown(old.get(name))}, not {shown(new[name])}" for name in names)
 
 
 def _episode(

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from planner.arrays import check_fields
+from planner.contacts import MOST_FRICTION
 from planner.errors import NoGraspFoundError, TaskError
 from planner.files import read_manipulation, write_manipulation
 from planner.files.manipulations import manipulation_from_dict, manipulation_to_dict
@@ -81,14 +83,14 @@ class TurnTask:
             PlannerError: No object, no turn that one stroke can make, or no seed.
         """
         ObjectRange(self.objects)
+        check_fields(self, ("angle",), unit="rad")
         if not 0.0 < abs(self.angle) <= ONE_STROKE:
             raise TaskError(
                 f"the turn is {math.degrees(self.angle):g} degrees, and a policy is trained for "
                 f"turns without a regrasp; give up to {math.degrees(ONE_STROKE):.0f} degrees "
                 "either way, not 0"
             )
-        if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
-            raise TaskError(f"the seed is {self.seed!r}; give an integer >= 0")
+        check_fields(self, ("seed",), what="the ")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +114,14 @@ class Conditions:
     push: tuple[float, float]
     push_after: float
     seed: int
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        check_fields(self, ("mass",), above=0.0, unit="kg")
+        check_fields(self, ("mu",), least=0.0, most=MOST_FRICTION)
+        check_fields(self, ("shift", "heading", "push"))
+        check_fields(self, ("push_after",), least=0.0, unit="s")
+        check_fields(self, ("seed",))
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Conditions:

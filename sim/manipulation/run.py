@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.errors import PlannerError
 from planner.failure import Failure
+from planner.files import given_manipulation
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
 from planner.motion.manipulation.ending import backwards, object_at_target, stands
@@ -240,7 +241,7 @@ def _told(wanted: dict[Path, PhaseResult], drawn: Drawn) -> dict[str, Any]:
 
 
 def manipulate(
-    plan: ManipulationPlan,
+    plan: ManipulationPlan | Path | str,
     *,
     controller: AnyTurningController | None = None,
     true_task: GraspTask | None = None,
@@ -260,7 +261,7 @@ def manipulate(
     """Execute a plan and judge it.
 
     Args:
-        plan: What to execute.
+        plan: What to execute, or the path of its file.
         controller: What drives the fingers until they open: a name, a controller, or a class or
             function that makes one from ``plan.grasp``; ``ObjectImpedance`` if None. What one of
             your own sees is told in ``sim.manipulation.in_hand``.
@@ -286,6 +287,7 @@ def manipulate(
         TaskError: The controller is none, ``view`` without a display, or a video that cannot be
             written.
     """
+    plan = given_manipulation(plan)
     fresh = copy.deepcopy(controller) if retry else None  # as it is before the first run
 
     def run_of(

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.arrays import check_fields, finite_array
+from planner.errors import TaskError
 from planner.motion.manipulation import ManipulationPlan
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
@@ -50,6 +52,11 @@ class Push:
     force: FloatArray
     after: float
     duration: float
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        finite_array("the force of a push", self.force, (3,), error=TaskError)
+        check_fields(self, ("after", "duration"), what="push: ", least=0.0, unit="s")
 
 
 class ManipulationSim:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-import numpy as np
-
-from planner.errors import TaskError
+from planner.arrays import check_fields
 from sim.controllers import Phase
 from sim.verdict import COLLISION_N
 
@@ -120,10 +118,7 @@ class ManipulationTimeline:
 
     def __post_init__(self) -> None:
         """Check that every number is positive."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (np.isfinite(value) and value > 0):
-                raise TaskError(f"timeline: {field.name} is {value}; give a finite number > 0")
+        check_fields(self, what="timeline: ", above=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,7 +154,5 @@ class SuccessCriteria:
 
     def __post_init__(self) -> None:
         """Check that every criterion is positive."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is not None and not value > 0:
-                raise TaskError(f"success criteria: {field.name} is {value}; give a number > 0")
+        check_fields(self, what="success criteria: ", above=0.0, infinite=True)
+        check_fields(self, ("fingers",), what="success criteria: ", least=1)

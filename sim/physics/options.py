@@ -17,8 +17,9 @@ from typing import Any, Literal
 
 import mujoco
 
+from planner.arrays import checked_number
 from planner.contacts import MOST_FRICTION
-from planner.errors import TaskError
+from planner.errors import TaskError, shown
 from planner.spatial import FloatArray
 
 __all__ = [
@@ -155,16 +156,16 @@ class PhysicsOptions:
             whole = isinstance(value, int) and not isinstance(value, bool)
             if not whole or not lowest <= value <= MOST_ITERATIONS:
                 raise TaskError(
-                    f"{name} is {value!r}; give {name} >= {lowest}, a whole number up to "
+                    f"{name} is {shown(value)}; give {name} >= {lowest}, a whole number up to "
                     f"{MOST_ITERATIONS}"
                 )
         for name, allowed in (("integrator", INTEGRATORS), ("cone", CONES), ("condim", CONDIMS)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, str | int) or value not in allowed:
                 known = ", ".join(str(a) for a in allowed)
-                raise TaskError(f"{name} is {value!r}; give one of {known}")
+                raise TaskError(f"{name} is {shown(value)}; give one of {known}")
         if not isinstance(self.name, str) or not self.name:
-            raise TaskError(f"name is {self.name!r}; give a text for reports")
+            raise TaskError(f"name is {shown(self.name)}; give a text for reports")
         object.__setattr__(self, "solref", _numbers("solref", self.solref, 2))
         object.__setattr__(self, "solimp", _numbers("solimp", self.solimp, 5))
         _number("the time constant, solref[0],", self.solref[0], *TIME_CONSTANTS, "s")
@@ -244,17 +245,12 @@ def register_physics(options: PhysicsOptions) -> PhysicsOptions:
 
 
 def _number(name: str, value: Any, least: float, most: float, unit: str = "") -> None:
-    good = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (good and least <= value <= most):  # False for NaN
-        raise TaskError(
-            f"{name} is {value!r}; give a finite number from {least:g} to {most:g}"
-            f"{unit and ' '}{unit}"
-        )
+    checked_number(name, value, least=least, most=most, unit=unit, error=TaskError)
 
 
 def _numbers(name: str, value: Any, count: int) -> tuple[float, ...]:
     if not isinstance(value, list | tuple) or len(value) != count:
-        raise TaskError(f"{name} is {value!r}; give {count} finite numbers")
+        raise TaskError(f"{name} is {shown(value)}; give {count} finite numbers")
     for number in value:
         _number(f"a number of {name}", number, -LARGEST_NUMBER, LARGEST_NUMBER)
     return tuple(float(number) for number in value)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.arrays import check_fields
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.task import GRAVITY
@@ -42,6 +43,11 @@ class Push:
 
     begin: float
     force: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        check_fields(self, ("begin",), least=0.0, unit="s")
+        check_fields(self, ("force",), unit="N")
 
 
 def drawn_pushes(seconds: float, strongest: float, rng: np.random.Generator) -> tuple[Push, ...]:

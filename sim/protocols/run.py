@@ -19,7 +19,7 @@ import mujoco
 from rich.console import Console
 
 from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError
-from planner.files import plan_from_dict, plan_to_dict
+from planner.files import given_plan, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.task import GraspTask
@@ -131,7 +131,7 @@ class _Job:
 
 
 def run_protocol(
-    plan: GraspPlan,
+    plan: GraspPlan | Path | str,
     protocol: str,
     *,
     controller: AnyController | None = None,
@@ -151,7 +151,7 @@ def run_protocol(
     """Run a protocol; Ctrl-C ends it with what is done.
 
     Args:
-        plan: What to test.
+        plan: What to test, or the path of its file.
         protocol: One of ``PROTOCOLS``.
         controller: A name ("feedforward", "impedance"), a controller, of which every trial gets a
             copy, or a class or function that makes one from the plan; "feedforward" if None.
@@ -187,7 +187,7 @@ def run_protocol(
     begin = time.perf_counter()
     if workers == 0:
         raise TaskError("workers is 0; give the number of processes, or -1 for one per core")
-    settings = settings or Settings()
+    settings, plan = settings or Settings(), given_plan(plan)
     physics = benchmark_physics() if protocol == "dexgraspbench" else as_physics(physics)
     (names,) = trials_of([protocol], only, settings, seed).values()
     cases = [case for case in cases_of(protocol, settings, seed) if case.name in names]

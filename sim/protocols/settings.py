@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-import numpy as np
-
+from planner.arrays import check_fields, checked_number, finite_array
 from planner.errors import TaskError
 from sim.protocols.disturbance import DROPPED
 from sim.verdict import DropCriteria
@@ -61,20 +60,13 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Check every number."""
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, float) and not (np.isfinite(value) and value > 0):
-                raise TaskError(f"{item.name} is {value}; give a finite number > 0")
-        if self.growth <= 1:
-            raise TaskError(f"growth is {self.growth}; loads grow by a factor above 1")
-        if self.random < 0:
-            raise TaskError(f"random is {self.random}; give a number of directions >= 0")
-        if self.realities < 1:
-            raise TaskError(f"realities is {self.realities}; give a number of draws >= 1")
-        if self.pushes < 1:
-            raise TaskError(f"pushes is {self.pushes}; give a number of holds >= 1")
-        factors = (*self.mass_factors, *self.friction_factors)
-        if not factors or not all(np.isfinite(f) and f > 0 for f in factors):
-            raise TaskError(f"factors of mass and friction are {factors}; give numbers > 0")
-        if not all(np.isfinite(e) and e >= 0 for pair in self.pose_errors for e in pair):
-            raise TaskError(f"pose errors are {self.pose_errors}; give mm and degrees >= 0")
+        numbers = [f.name for f in fields(self) if str(f.type).startswith(("float", "tuple[float"))]
+        check_fields(self, numbers, above=0.0)
+        check_fields(self, ("growth",), above=1.0)
+        check_fields(self, ("random",))
+        check_fields(self, ("realities", "pushes"), least=1)
+        if not self.mass_factors or not self.friction_factors:
+            raise TaskError("there are no factors of mass or friction; give at least one of each")
+        for errors in self.pose_errors:
+            for size in finite_array("pose_errors", errors, (2,), error=TaskError).tolist():
+                checked_number("pose_errors", size, least=0.0, unit="mm, deg", error=TaskError)

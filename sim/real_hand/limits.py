@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from planner.actuation import Actuation
+from planner.arrays import checked_number, finite_array
 from planner.errors import NotFoundError, TaskError
 from planner.spatial import FloatArray, IntArray
 
@@ -21,6 +22,10 @@ __all__ = ["CommandLimiter", "CommandLimits"]
 RANGES_PER_SECOND = 2.0
 """Fastest commands unless told otherwise, in widths of an actuator's range per second: 3 to 5 rad/s
 for the fingers of an Allegro-type hand."""
+
+
+SHORTEST, LONGEST = 1e-5, 10.0
+"""Periods (s) of a loop that can be: beyond 100 kHz and below 0.1 Hz a rate is no limit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +40,22 @@ class CommandLimits:
 
     rate: float | Mapping[str, float] | None = None
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            TaskError: A rate that is not > 0, or a range that is not two numbers.
+        """
+        rates = self.rate if isinstance(self.rate, Mapping) else {"all actuators": self.rate}
+        for name, rate in rates.items():
+            if rate is not None:
+                checked_number(
+                    f"the rate of {name}", rate, above=0.0, infinite=True,
+                    unit="rad/s (N m/s for a motor)", error=TaskError,
+                )  # fmt: skip
+        for name, ends in self.ranges.items():
+            finite_array(f"the range of actuator {name}", ends, (2,), error=TaskError)
 
     @classmethod
     def none(cls) -> CommandLimits:
@@ -59,12 +80,6 @@ class CommandLimits:
         elif not np.isfinite(rates).all():
             name = actuation.names[int(np.flatnonzero(~np.isfinite(rates))[0])]
             raise TaskError(f"actuator {name!r} has no command range; give a rate for it")
-        if not (rates > 0).all():  # NaN too
-            worst = int(np.flatnonzero(~(rates > 0))[0])
-            raise TaskError(
-                f"the rate of actuator {actuation.names[worst]!r} is {rates[worst]}; give a number "
-                "> 0 in rad/s (N m/s for a motor)"
-            )
         return rates
 
     def limits(self, actuation: Actuation) -> tuple[FloatArray, FloatArray]:
@@ -111,7 +126,9 @@ class CommandLimiter:
         rates = limits.rates(actuation)
         self._unlimited = np.isinf(rates)
         self._finite = np.where(self._unlimited, 0.0, rates)
-        self._period = period
+        self._period = checked_number(
+            "the period", period, least=SHORTEST, most=LONGEST, unit="s", error=TaskError
+        )
         still = np.zeros(len(q))
         self.last: FloatArray = np.clip(actuation.commands(q, still, still), self._low, self._high)
         self._time: float | None = None

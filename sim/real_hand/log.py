@@ -7,7 +7,6 @@ version, names, units and rate. A run that is interrupted or fails writes what i
 from __future__ import annotations
 
 import json
-import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, NotFoundError
+from planner.exchange.array_files import read_npz
 from planner.files.whole import whole_file
 from planner.spatial import FloatArray, pose_to_wxyz
 from sim.controllers.pads import PadReading
@@ -28,6 +28,9 @@ FORMAT, VERSION = "opposable-hand-log", 2
 
 READ = (1, 2)
 """Versions that are read; the first does not say which plan a log is of."""
+
+MOST_BYTES = 1 << 29
+"""Largest log (bytes) that is read: an hour of 500 Hz has some 300 MB."""
 
 PAD_WIDTH = 14
 """Numbers per finger in ``pads``: normal force, force, position, normal, sliding, spin."""
@@ -221,8 +224,7 @@ def read_log(path: Path | str) -> HandLog:
     """
     path = Path(path)
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays: dict[str, NDArray[Any]] = {name: file[name] for name in file.files}
+        arrays: dict[str, NDArray[Any]] = read_npz(path, MOST_BYTES)
         meta = json.loads(str(arrays.pop("meta")))
         if not isinstance(meta, dict) or meta.get("format") != FORMAT:
             raise FileFormatError(
@@ -244,17 +246,9 @@ def read_log(path: Path | str) -> HandLog:
             phase=tuple(map(str, arrays.pop("phase"))),
             **numbers,
         )
-    except FileNotFoundError as error:
+    except NotFoundError as error:
         raise FileFormatError(f"{path} does not exist; give a log of a hand (.npz)") from error
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        EOFError,
-        zipfile.BadZipFile,
-    ) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileFormatError(
             f"{path} cannot be read as a log of a hand; it is damaged or something else: give a "
             "file of opposable drive --log"

@@ -23,7 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.errors import HandError
+from planner.arrays import checked_number
+from planner.errors import HandError, TaskError, shown
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from sim.real_hand.interface import HandReading
 
@@ -72,7 +73,7 @@ class Packet:
             raise HandError(f"a packet of {len(data)} bytes is too short; it has at least {least}")
         mark, kind, number, time, n = _HEAD.unpack_from(data)
         if mark != MARK:
-            raise HandError(f"a packet begins with {mark!r}; ours begin with {MARK!r}")
+            raise HandError(f"a packet begins with {shown(mark)}; ours begin with {MARK!r}")
         if len(data) != least + 8 * n:
             raise HandError(f"a packet of {n} numbers has {len(data)} bytes, not {least + 8 * n}")
         if _TAIL.pack(zlib.crc32(data[: -_TAIL.size])) != data[-_TAIL.size :]:
@@ -81,21 +82,32 @@ class Packet:
         return cls(kind=kind, number=number, time=time, values=values.astype(np.float64))
 
 
+MOST_JUMP = 1000
+"""Numbers by which a packet may be ahead of the newest, or behind it: a second and more of readings
+at the rates of hands, after which a run has ended by a stale reading."""
+
+
 class Inbox:
     """Keeps the newest of the packets that arrive, and counts.
+
+    A number that is out of the series is not believed: one such packet would make all that follow
+    "overtaken". Where the next packet goes on from it, the sender has begun anew, or nobody was
+    listening meanwhile, and the series goes on there.
 
     Attributes:
         newest: The packet with the highest number so far; None before the first.
         arrived: Packets of ours that arrived, whatever their order.
         malformed: What arrived beside them, refused.
         overtaken: Packets that arrived after a newer one, ignored.
+        out_of_series: Packets whose number jumps by more than ``MOST_JUMP``, ignored.
     """
 
     def __init__(self) -> None:
         """Nothing has arrived."""
         self.newest: Packet | None = None
-        self.arrived = self.malformed = self.overtaken = 0
+        self.arrived = self.malformed = self.overtaken = self.out_of_series = 0
         self._first = 0
+        self._elsewhere: int | None = None
 
     def take(self, data: bytes) -> Packet | None:
         """The packet in these bytes, if it is newer than all before; None if it is not used."""
@@ -104,13 +116,20 @@ class Inbox:
         except HandError:
             self.malformed += 1
             return None
+        lost = self.lost
         self.arrived += 1
         if self.newest is None:
             self._first = packet.number
+        elif abs(packet.number - self.newest.number) > MOST_JUMP:
+            before, self._elsewhere = self._elsewhere, packet.number
+            if before is None or not 0 < packet.number - before <= MOST_JUMP:
+                self.out_of_series += 1
+                return None
+            self._first = packet.number + 1 - self.arrived - lost
         elif packet.number <= self.newest.number:
             self.overtaken += 1
             return None
-        self.newest = packet
+        self.newest, self._elsewhere = packet, None
         return packet
 
     @property
@@ -145,6 +164,10 @@ class LossyLink:
             jitter: Further time on the way, uniformly from 0 to this, s.
             seed: Of chance.
         """
+        for name, share in (("loss", loss), ("damage", damage)):
+            checked_number(name, share, least=0.0, most=1.0, error=TaskError)
+        for name, time in (("latency", latency), ("jitter", jitter)):
+            checked_number(name, time, least=0.0, unit="s", error=TaskError)
         self._loss, self._damage = loss, damage
         self._latency, self._jitter = latency, jitter
         self._rng = np.random.default_rng(seed)

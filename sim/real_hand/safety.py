@@ -113,8 +113,20 @@ class Safety:
         return np.asarray(most)
 
 
+LARGEST = 1e6
+"""Largest number of a reading, SI units, either sign: nothing that a hand measures is larger."""
+
+
+def _check(name: str, value: FloatArray) -> None:
+    """Refuse numbers that are not finite, or larger than ``LARGEST``."""
+    if not (np.abs(value) <= LARGEST).all():  # NaN too
+        raise Stopped(
+            "reading not finite", f"{name} hold NaN, infinity or a number beyond {LARGEST:g}"
+        )
+
+
 class Guard:
-    """Checks the readings of one hand."""
+    """Checks every number of the readings of one hand; rows of NaN are pads that touch nothing."""
 
     def __init__(
         self,
@@ -167,14 +179,17 @@ class Guard:
                     "interface failed",
                     f"{name} have shape {np.shape(value)}; the interface has {size}",
                 )
-            if not np.isfinite(value).all():
-                raise Stopped("reading not finite", f"{name} hold NaN or infinity")
+            _check(name, value)
         for name in ("T_world_base", "T_world_object"):
             pose = getattr(reading, name)
-            if pose is not None and not np.isfinite(pose.homogeneous).all():
-                raise Stopped("reading not finite", f"{name} holds NaN or infinity")
-        if reading.pads is not None and not np.isfinite(reading.pads.force).all():
-            raise Stopped("reading not finite", "forces of the pads hold NaN or infinity")
+            if pose is not None:
+                _check(name, pose.homogeneous)
+        if reading.pads is not None:
+            for name in ("normal_force", "force", "spin"):
+                _check(f"{name} of the pads", getattr(reading.pads, name))
+            for name in ("position", "normal", "sliding"):
+                value = getattr(reading.pads, name)
+                _check(f"{name} of the pads", value[~np.isnan(value).all(axis=1)])
         age = now - reading.time
         if not abs(age) <= self._max_age:  # NaN too
             why = "old" if age > 0 else "ahead: is its time on the loop's clock?"

@@ -6,13 +6,12 @@ drawn from ``seed``, each from a stream of its own: ``sim.reality.drawn``.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from numbers import Real
 from typing import Any
 
-from planner.errors import NotFoundError, TaskError
+from planner.arrays import checked_number
+from planner.errors import NotFoundError, TaskError, shown
 from sim.tactile import EXACT, check_touch
 
 __all__ = ["IDEAL", "REALITIES", "Reality", "register_reality"]
@@ -106,15 +105,13 @@ class Reality:
     def __post_init__(self) -> None:
         """Check every number."""
         if not (isinstance(self.seed, int) and self.seed >= 0) or isinstance(self.seed, bool):
-            raise TaskError(f"reality: seed is {self.seed!r}; give an integer >= 0")
+            raise TaskError(f"reality: seed is {shown(self.seed)}; give an integer >= 0")
         if not (isinstance(self.name, str) and self.name):
-            raise TaskError(f"reality: name is {self.name!r}; give a text")
+            raise TaskError(f"reality: name is {shown(self.name)}; give a text")
         check_touch(self.touch)
         given: dict[str, Any] = dict(self.numbers)  # dataclasses check no types
         for name, value in given.items():
-            number = isinstance(value, Real) and not isinstance(value, bool)
-            if not (number and math.isfinite(value) and value >= 0):
-                raise TaskError(f"reality: {name} is {value!r}; give a finite number >= 0")
+            checked_number(f"reality: {name}", value, least=0.0, error=TaskError)
             if name in BELOW_ONE and value >= 1:
                 raise TaskError(f"reality: {name} is {value}; give a share in [0, 1)")
         if self.drift_time == 0:
@@ -242,7 +239,7 @@ def register_reality(reality: Reality) -> Reality:
     """
     given: object = reality
     if not isinstance(given, Reality):
-        raise TaskError(f"{given!r} is no reality; give a Reality with a name of its own")
+        raise TaskError(f"{shown(given)} is no reality; give a Reality with a name of its own")
     if reality != _REALITIES.setdefault(reality.name, reality):
         raise TaskError(f"there is a reality {reality.name!r} already; give another name")
     return reality

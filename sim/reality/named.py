@@ -12,7 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TypeAlias
 
-from planner.errors import TaskError
+from planner.errors import TaskError, shown
 from sim.preset_files import PresetFiles
 from sim.reality.errors import IDEAL, REALITIES, Reality
 
@@ -69,7 +69,7 @@ def as_reality(given: AnyReality | None) -> Reality:
         return reality_for(given)
     if not isinstance(given, Reality):
         raise TaskError(
-            f"reality is {given!r}; give a Reality, one of {', '.join(REALITIES)}, or the path of "
-            "a TOML or JSON file"
+            f"reality is {shown(given)}; give a Reality, one of {', '.join(REALITIES)}, or the "
+            "path of a TOML or JSON file"
         )
     return given

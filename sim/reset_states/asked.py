@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.arrays import checked_count
+from planner.arrays import check_fields, checked_count
 from planner.batch.recipe import recipe_of
+from planner.contacts import MOST_FRICTION
 from planner.errors import ObjectError, TaskError
 from planner.exchange.dexgraspbench.squeeze import without_servos
 from planner.files.whole import plain_name
@@ -64,13 +65,12 @@ class Draws:
 
     def __post_init__(self) -> None:
         """Check every number."""
-        for name in ("position", "angle", "joints"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise TaskError(f"{name} of the draws is {value}; give a finite number >= 0")
+        check_fields(self, ("position", "angle", "joints"), what="draws: ", least=0.0)
+        check_fields(self, ("squeeze", "friction", "mass"), what="draws: ", above=0.0)
+        check_fields(self, ("gravity",), what="draws: ")
         for name in ("squeeze", "friction", "mass"):
             pair = getattr(self, name)
-            if pair is not None and not (np.isfinite(pair).all() and 0 < pair[0] <= pair[1]):
+            if pair is not None and not pair[0] <= pair[1]:
                 raise TaskError(
                     f"{name} is drawn from {pair[0]:g} to {pair[1]:g}; give two finite numbers > "
                     "0, the smaller one first"
@@ -124,10 +124,12 @@ class StatesAsked:
             raise TaskError("no grasps, motions or gaits are to be planned; ask for some of them")
         if not self.objects:
             raise TaskError("there are no objects; name at least one")
-        low, high = SCALES
-        if not self.scales or not all(low <= s <= high for s in self.scales):
-            raise TaskError(f"scales are {list(self.scales)}; give sizes from {low:g} to {high:g}")
-        if not (np.isfinite(self.turn) and 0 < abs(self.turn) <= np.pi):
+        if not self.scales:
+            raise TaskError("there are no scales; give at least one")
+        check_fields(self, ("scales",), least=SCALES[0], most=SCALES[1])
+        check_fields(self, ("turn",), unit="rad")
+        check_fields(self, ("mu",), least=0.0, most=MOST_FRICTION)
+        if not 0 < abs(self.turn) <= np.pi:
             raise TaskError(f"turn is {np.degrees(self.turn):g} degrees; give up to 180, not 0")
 
     def to_dict(self) -> dict[str, Any]:

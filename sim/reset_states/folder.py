@@ -19,7 +19,7 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
-from planner.errors import FileFormatError, few_of
+from planner.errors import FileFormatError, few_of, shown
 from planner.files import read_json, write_json
 from planner.version import written_by
 from sim.reset_states.asked import StatesAsked
@@ -53,15 +53,15 @@ def open_folder(folder: Path, asked: StatesAsked, hand_digest: str) -> None:
         there.pop("written_by", None)
         if there.get("format") != FORMAT:
             raise FileFormatError(
-                f"{folder} holds something else, of the format {there.get('format')!r}; choose "
-                "another folder"
+                f"{folder} holds something else, of the format {shown(there.get('format'))}; "
+                "choose another folder"
             )
         if differing := [k for k in sorted({*there, *wanted}) if there.get(k) != wanted.get(k)]:
             k = differing[0]
             raise FileFormatError(
                 f"{folder} holds states that were asked for otherwise: {few_of(differing)} "
-                f"differ ({k} is {there.get(k)!r} there and {wanted.get(k)!r} here); ask for the "
-                "same to go on, or choose another folder"
+                f"differ ({k} is {shown(there.get(k))} there and {shown(wanted.get(k))} here); ask "
+                "for the same to go on, or choose another folder"
             )
         return
     try:

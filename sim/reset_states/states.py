@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -11,7 +10,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from planner.errors import FileFormatError, TaskError
+from planner.errors import FileFormatError, PlannerError, TaskError
+from planner.exchange.array_files import read_npz
 from planner.files.whole import whole_file
 from planner.spatial import FloatArray, IntArray
 from planner.version import written_by
@@ -40,6 +40,10 @@ _KEYS: Mapping[str, str] = MappingProxyType(
 
 _TEXTS = ("hand", "object", "scene")
 _NAMES = ("joint_names", "actuator_names")
+
+
+MOST_BYTES = 1 << 31
+"""Largest file of states (bytes): some five million."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,10 +153,8 @@ class StateSet:
             FileFormatError: It cannot be read, is something else, or of another version.
         """
         try:
-            # numpy.load leaves a damaged file open that it opened itself
-            with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-                content = {name: file[name] for name in file.files}
-        except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+            content = read_npz(Path(path), MOST_BYTES)
+        except PlannerError as error:
             raise FileFormatError(f"cannot read the states {path}: {error}") from error
         if str(content.get("format")) != FORMAT:
             raise FileFormatError(f"{path} holds no states: its format is not {FORMAT!r}")

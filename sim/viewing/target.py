@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, shown
 from planner.pages.page import read_page_data
 
 __all__ = ["Target"]
@@ -135,5 +135,5 @@ class Target:
     @property
     def _there(self) -> Path:
         if self.path is None:
-            raise FileFormatError(f"there is no file {self.text!r}; check the path")
+            raise FileFormatError(f"there is no file {shown(self.text)}; check the path")
         return self.path

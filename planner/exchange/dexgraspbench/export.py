@@ -24,7 +24,7 @@ import numpy as np
 from planner.batch.dataset import GraspSet
 from planner.batch.recipe import with_fingers_of
 from planner.contacts import ContactSet
-from planner.errors import FileFormatError, TaskError
+from planner.errors import FileFormatError, TaskError, shown
 from planner.exchange.dexgraspbench.hand_file import T_model_base, file_name, write_hand
 from planner.exchange.dexgraspbench.object_files import frame_shift, write_object
 from planner.exchange.dexgraspbench.squeeze import Squeeze, plan_squeeze, without_servos
@@ -177,7 +177,7 @@ def _need_distinct_folders(labels: Sequence[str]) -> None:
         other = first.setdefault(file_name(label), label)
         if other != label:
             raise TaskError(
-                f"the objects {other!r} and {label!r} would both be exported as "
+                f"the objects {shown(other)} and {label!r} would both be exported as "
                 f"{file_name(label)!r}; plan one of them in another batch, or give it another name"
             )
 

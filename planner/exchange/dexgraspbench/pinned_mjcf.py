@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from planner.errors import ModelError
+from planner.errors import ModelError, shown
 
 __all__ = ["PINNED", "pinned_mjcf"]
 
@@ -160,12 +160,12 @@ def _check(element: ET.Element, hand: str) -> None:
             del element.attrib[name]
         elif name not in known:
             raise ModelError(
-                f"<{element.tag}> of {hand} has {name}={element.attrib[name]!r}, which MuJoCo "
+                f"<{element.tag}> of {hand} has {name}={shown(element.attrib[name])}, which MuJoCo "
                 f"{PINNED} does not know, and DexGraspBench pins it: take it out of the model"
             )
     for name in _ONE_NUMBER:
         if len(element.attrib.get(name, "0").split()) > 1:
             raise ModelError(
-                f"<{element.tag}> of {hand} has {name}={element.attrib[name]!r}; MuJoCo {PINNED}, "
-                "which DexGraspBench pins, takes one number: give a linear law"
+                f"<{element.tag}> of {hand} has {name}={shown(element.attrib[name])}; MuJoCo "
+                f"{PINNED}, which DexGraspBench pins, takes one number: give a linear law"
             )

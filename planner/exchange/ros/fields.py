@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, shown
 from planner.exchange.yaml_text import number, table, text
 
 __all__ = ["FIELDS", "check_message"]
@@ -95,7 +95,8 @@ def check_message(value: Any, kind: str, where: str) -> None:
     elif kind in MOST:
         if type(value) is not int or not LEAST[kind] <= value <= MOST[kind]:
             raise FileFormatError(
-                f"{where} is {value!r}; an integer from {LEAST[kind]} to {MOST[kind]} is needed"
+                f"{where} is {shown(value)}; an integer from {LEAST[kind]} to {MOST[kind]} is "
+                "needed"
             )
     else:
         number(value, where)

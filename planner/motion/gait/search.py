@@ -16,6 +16,7 @@ from functools import cache
 
 import numpy as np
 
+from planner.arrays import checked_number
 from planner.attempt import Attempt, nothing_found, run_attempts, search
 from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
@@ -24,7 +25,7 @@ from planner.motion.context import MotionContext
 from planner.motion.gait.order import NO_ORDER
 from planner.motion.gait.plan import GaitPlan
 from planner.motion.gait.verify import GaitVerifier
-from planner.motion.path import ObjectPath, check_shift
+from planner.motion.path import ObjectPath, checked_axis, checked_shift
 from planner.motion.search import MOTION_OPTIONS, PATH_TOLERANCE, UP, check_task
 from planner.motion.stances import Stance
 from planner.spatial import FloatArray
@@ -86,8 +87,8 @@ def plan_gait(
     task = _with_all(replace(task, hand=task.hand.rolling))
     check_task(task, path_tolerance, seed)
     _check_fingers(task)
-    shift = np.asarray(shift, dtype=np.float64)
-    pieces = _pieces(np.asarray(axis, dtype=np.float64), angle, shift)
+    shift = checked_shift(shift)
+    pieces = _pieces(checked_axis(axis), angle, shift)
     verifier = GaitVerifier(task)
 
     @cache
@@ -172,9 +173,7 @@ def _pieces(
 
     The last requires none, so that an error can tell which lifts fail after a stroke.
     """
-    if not np.isfinite(angle):
-        raise TaskError(f"angle is {angle} rad; give a finite number")
-    check_shift(shift)
+    checked_number("angle", angle, least=-MOST_ANGLE, most=MOST_ANGLE, unit="rad", error=TaskError)
     counts: list[int] = []
     for turn in STROKES:
         pieces = max(abs(angle) / turn, float(np.linalg.norm(shift)) / STROKE_SHIFT)
@@ -185,6 +184,9 @@ def _pieces(
     held = [(path, n, True) for path, n in paths]
     return held if counts == [1] else [*held, (*paths[0], False)]
 
+
+MOST_ANGLE = 1e3
+"""Largest turn (rad) that is cut into cycles: some 160 revolutions."""
 
 SMALL = 1e-6
 """Length (-) below which a vector has no direction."""

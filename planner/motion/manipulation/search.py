@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from planner.arrays import checked_number
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.failure import Failure
 from planner.motion.gait import GaitPlan, plan_gait
@@ -21,7 +22,7 @@ from planner.motion.manipulation.single_stroke import (
     MAX_ATTEMPTS,
     plan_single_stroke,
 )
-from planner.motion.path import LARGEST_TURN, tilts
+from planner.motion.path import LARGEST_TURN, check_place, checked_axis, checked_shift, tilts
 from planner.motion.plan import MotionPlan
 from planner.spatial import FloatArray
 from planner.task import GraspTask
@@ -67,6 +68,8 @@ def plan_regrasping(
     """
     if task.table_height is None:
         raise TaskError("there is no table to pick from and to place on; give table_height")
+    checked_number("angle", angle, unit="rad", error=TaskError)
+    check_place(place)
     why = ""
     attempts, cpu_s = 0, 0.0
     for again in range(GAITS):
@@ -134,13 +137,15 @@ def plan_manipulation(
         NoGraspFoundError: The budget ended; carries the failures of strokes and of regrasps.
         TaskError: No table; no turn and no translation; or a translation with regrasps.
     """
-    moved = bool(np.any(shift))
+    checked_number("angle", angle, unit="rad", error=TaskError)
+    check_place(place)
+    moved = bool(checked_shift(shift).any())
     if moved and (regrasp or abs(angle) > LARGEST_TURN):
         raise TaskError(
             "a translation in the hand is made in one stroke, without regrasps; leave the "
             "translation or the regrasps out, and turn by half a turn at most"
         )
-    direction = np.asarray(axis, dtype=np.float64)
+    direction = checked_axis(axis)
 
     def stroke() -> ManipulationPlan:
         return plan_single_stroke(
@@ -210,6 +215,7 @@ def manipulation_of(
     Raises:
         TaskError: No table, or the object cannot be put down at its end.
     """
+    check_place(place)
     gait = motion if isinstance(motion, GaitPlan) else None
     stroke = motion if isinstance(motion, MotionPlan) else motion.motion
     angle = gait.angle if gait else stroke.path.angle

@@ -19,7 +19,14 @@ from planner.failure import Failure
 from planner.motion.manipulation.ending import Rests, planned_ending
 from planner.motion.manipulation.plan import ManipulationPlan, torque_reserve
 from planner.motion.manipulation.task import with_fingers
-from planner.motion.path import LARGEST_TURN, ObjectPath, tilts
+from planner.motion.path import (
+    LARGEST_TURN,
+    ObjectPath,
+    check_place,
+    checked_axis,
+    checked_shift,
+    tilts,
+)
 from planner.motion.plan import MotionPlan
 from planner.motion.search import MotionAttempt, motion_attempts
 from planner.motion.starts import tripods, with_rolling_pads
@@ -177,8 +184,8 @@ def plan_single_stroke(
         raise TaskError("there is no table to pick from and to place on; give table_height")
     if max_attempts < 1:
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
-    direction = np.asarray(axis, dtype=np.float64)
-    moved = np.asarray(shift, dtype=np.float64)
+    direction, moved = checked_axis(axis), checked_shift(shift)
+    check_place(place)
     if path_tolerance is None:
         turning = TILT_TOLERANCE if tilts(direction) else TURN_TOLERANCE
         path_tolerance = SHIFT_TOLERANCE if moved.any() else turning

@@ -18,7 +18,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import ObjectError
+from planner.errors import ObjectError, shown
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["DistanceField", "Level", "taylor_size"]
@@ -111,7 +111,7 @@ class DistanceField:
             raise ObjectError(f"points have shape {p.shape}; give an array of shape (n, 3), in m")
         if order not in ORDERS:
             raise ObjectError(
-                f"order is {order!r}; give the order of a derivative, one of {ORDERS}"
+                f"order is {shown(order)}; give the order of a derivative, one of {ORDERS}"
             )
         out, inside = self._tables.evaluate(p, order)
         if not inside.all():

@@ -9,11 +9,11 @@ superquadric change its form.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Real
 from typing import ClassVar
 
 import numpy as np
 
+from planner.arrays import checked_number
 from planner.errors import ObjectError
 from planner.shapes.made.base import Made
 from planner.spatial import FloatArray, IntArray
@@ -196,14 +196,11 @@ class Superquadric(Made):
 
     def _check(self) -> None:
         for name in self.pure_numbers:
-            value = getattr(self, name)
-            number = isinstance(value, Real) and not isinstance(value, bool)
-            if not number or not ROUNDEST <= float(value) <= SHARPEST:
-                raise ObjectError(
-                    f"superquadric: {name} is {value!r}; give a number from {ROUNDEST} to "
-                    f"{SHARPEST}"
-                )
-            object.__setattr__(self, name, float(value))
+            value = checked_number(
+                f"superquadric: {name}", getattr(self, name), least=ROUNDEST, most=SHARPEST,
+                error=ObjectError,
+            )  # fmt: skip
+            object.__setattr__(self, name, value)
 
     def _triangles(self) -> tuple[FloatArray, IntArray]:
         n, along = SUPERQUADRIC_AROUND, SUPERQUADRIC_ALONG

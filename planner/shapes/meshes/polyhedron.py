@@ -35,8 +35,12 @@ class Polyhedron:
 
     @classmethod
     def centred(cls, vertices: FloatArray, faces: IntArray) -> Self:
-        """From vertices (n, 3), m, about any origin, and faces (m, 3) that bound a solid."""
-        v, f = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
+        """From vertices (n, 3), m, about any origin, and faces (m, 3) that bound a solid.
+
+        Raises:
+            ObjectError: See ``checked_triangles``.
+        """
+        v, f = (np.array(a) for a in checked_triangles("mesh", vertices, faces))
         volume, center, second = moments(v[f])
         v -= center
         v.setflags(write=False)
@@ -80,6 +84,8 @@ def checked_triangles(
     v = float_array(f"{name}: vertices", vertices, error=ObjectError)
     try:
         f = np.asarray(faces)
+        if isinstance(faces, np.ma.MaskedArray) and faces.mask.any():
+            raise ValueError("some of it is masked")
     except ValueError as fault:  # rows of different lengths
         raise ObjectError(f"{name}: faces are no array ({fault}); give integers (m, 3)") from fault
     if v.ndim != 2 or v.shape[1:] != (3,) or not np.isfinite(v).all():

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.errors import TaskError
+from planner.errors import TaskError, shown
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 
@@ -54,7 +54,9 @@ def tool_torque(axis: ArrayLike, torque: float) -> FloatArray:
     direction = np.asarray(axis, dtype=np.float64)
     size = float(np.linalg.norm(direction))
     if direction.shape != (3,) or not np.isfinite(size) or size == 0.0:
-        raise TaskError(f"the axis of a tool's torque is {axis!r}; give three numbers, not all 0")
+        raise TaskError(
+            f"the axis of a tool's torque is {shown(axis)}; give three numbers, not all 0"
+        )
     if not (np.isfinite(torque) and torque > 0):
         raise TaskError(f"a tool's torque is {torque}; give N m > 0")
     turn = np.concatenate([np.zeros(3), torque * direction / size])
@@ -83,7 +85,7 @@ def checked_wrenches(
     try:
         array = np.array(wrenches, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise TaskError(f"task_wrenches is {wrenches!r}; {_FORM}") from error
+        raise TaskError(f"task_wrenches is {shown(wrenches)}; {_FORM}") from error
     if array.size == 0:
         return ()
     if array.ndim != 2 or array.shape[1] != 6 or not np.isfinite(array).all():

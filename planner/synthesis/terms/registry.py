@@ -7,7 +7,7 @@ to other processes, and into the key of a built problem.
 
 from __future__ import annotations
 
-from planner.errors import NotFoundError, TaskError
+from planner.errors import NotFoundError, TaskError, shown
 from planner.synthesis.objectives.registry import OBJECTIVES
 from planner.synthesis.terms.clearance import FINGERS, OBJECT, OBSTACLE, TABLE
 from planner.synthesis.terms.contact import CENTER, EDGE, FACING, SURFACE, TOUCH
@@ -80,13 +80,15 @@ def checked_terms(names: object) -> tuple[str, ...]:
         NotFoundError: A term that is not registered.
     """
     if isinstance(names, str) or not isinstance(names, list | tuple):
-        raise TaskError(f"terms are {names!r}; give a tuple of names, for example ('my_term',)")
+        raise TaskError(
+            f"terms are {shown(names)}; give a tuple of names, for example ('my_term',)"
+        )
     for name in names:
         if name not in TERMS:
             hint = "Register it with planner.synthesis.register_term, in every process."
             raise NotFoundError("term", str(name), [n for n in TERMS if n not in STANDARD], hint)
         if name in STANDARD:
-            raise TaskError(f"every problem has the term {name!r}; leave it out of terms")
+            raise TaskError(f"every problem has the term {shown(name)}; leave it out of terms")
     if len(set(names)) < len(names):
-        raise TaskError(f"terms {names!r} name one twice; give each name once")
+        raise TaskError(f"terms {shown(names)} name one twice; give each name once")
     return tuple(names)
