@@ -1,17 +1,22 @@
-"""What load_spec mends: meshes that lie elsewhere or in other formats, links without inertia."""
+"""What load_spec mends: meshes elsewhere, in other formats or in parts; links without inertia."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import trimesh
 
-from planner.bridge import compile_spec, load_spec
+from planner.bridge import compile_spec, link_surfaces, load_spec
 from planner.bridge.inertias import LEAST_INERTIA, LEAST_MASS, with_least_inertias
 from planner.bridge.load import model_files
+from planner.bridge.mesh_files import HIDDEN_GROUP
+from planner.bridge.pinocchio_model import pinocchio_from_mujoco
+from planner.bridge.structure import read_spec
 from planner.errors import ModelError
+from planner.shapes import Mesh
 from planner.shapes.meshes.convert import converted_mesh
 from planner.system.disk_cache import CACHE_VARIABLE
 
@@ -164,6 +169,102 @@ def test_a_file_of_another_version_of_mujoco(tmp_path: Path) -> None:
     (tmp_path / "old.xml").write_text('<mujoco><option apirate="200"/></mujoco>')
     with pytest.raises(ModelError, match=r"apirate.*may be of another version"):
         load_spec(tmp_path / "old.xml")
+
+
+# --- an OBJ file with several objects -------------------------------------------------------------
+
+CORNERS = "v {0} 0 0\nv {1} 0 0\nv {0} 0.2 0\nv {0} 0 0.3\n"
+FACES = "f {0} {2} {1}\nf {0} {1} {3}\nf {0} {3} {2}\nf {1} {2} {3}\n"
+
+
+@pytest.mark.parametrize("head", ["o {}", "g {}", "  o {}"])
+@pytest.mark.parametrize("kind", ["urdf", "mjcf", "spec"])
+def test_all_objects_of_an_obj_file_are_drawn_and_weighed(
+    tmp_path: Path, head: str, kind: str
+) -> None:
+    (tmp_path / "palm.obj").write_text(
+        f"{head.format('a')}\n{CORNERS.format(0, 0.1)}{FACES.format(1, 2, 3, 4)}"
+        f"{head.format('b')}\n{CORNERS.format(1, 1.1)}{FACES.format(5, 6, 7, 8)}"
+    )
+    text = (
+        f'<mujoco><compiler meshdir="{tmp_path}"/><asset><mesh name="palm" file="palm.obj" '
+        'inertia="exact"/></asset><worldbody><body name="palm"><geom name="g" type="mesh" '
+        'mesh="palm" density="1000"/></body></worldbody></mujoco>'
+    )
+    if kind == "spec":
+        spec = read_spec(mujoco.MjSpec.from_string(text))
+    elif kind == "mjcf":
+        (tmp_path / "one.xml").write_text(text)
+        spec = load_spec(tmp_path / "one.xml")
+    else:
+        spec = load_spec(urdf(tmp_path / "one.urdf", "palm.obj"))
+        spec.meshes[0].inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
+    model = compile_spec(spec, "it")
+    (surface,) = link_surfaces(model, pinocchio_from_mujoco(model))
+    assert len(surface.triangles) == 8
+    drawn = surface.vertices[surface.triangles].reshape(-1, 3)
+    np.testing.assert_allclose(drawn.min(axis=0), [0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(drawn.max(axis=0), [1.1, 0.2, 0.3], atol=1e-6)
+    volume = 2 * 0.1 * 0.2 * 0.3 / 6
+    assert model.body("palm").mass[0] == pytest.approx(1000 * volume, rel=1e-6)
+    np.testing.assert_allclose(model.body("palm").ipos, [0.525, 0.05, 0.075], atol=1e-6)
+
+
+def test_all_objects_of_an_obj_file_are_an_object(tmp_path: Path) -> None:
+    parts = [trimesh.creation.box(SIZE).apply_translation([x, 0, 0]) for x in (0.0, 0.05)]
+    text, first = "", 1
+    for name, part in zip("ab", parts, strict=True):
+        text += f"o {name}\n" + "".join(f"v {x} {y} {z}\n" for x, y, z in part.vertices)
+        text += "".join(f"f {a} {b} {c}\n" for a, b, c in part.faces + first)
+        first += len(part.vertices)
+    (tmp_path / "two.obj").write_text(text)
+    mesh = Mesh.load(tmp_path / "two.obj")
+    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [0.11, 0.02, 0.04], atol=1e-9)
+    assert mesh.volume == pytest.approx(0.11 * 0.02 * 0.04, rel=1e-6)
+
+
+# --- what a URDF only shows -----------------------------------------------------------------------
+
+SHOWN = """<robot name="one"><material name="red"><color rgba="1 0 0 1"/></material>
+<link name="palm"><inertial><mass value="0.2"/>
+<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>
+<visual name="p"><origin xyz="0 0 0.1" rpy="0 0 1.5707963267948966"/><geometry>
+<mesh filename="visual/palm.glb" scale="2 2 2"/></geometry><material name="red"/></visual>
+<visual name="p"><geometry><box size="0.01 0.02 0.03"/></geometry></visual>
+<visual><geometry><mesh filename="package://nowhere/palm.dae"/></geometry></visual>
+<visual><geometry><mesh filename="visual/broken.glb"/></geometry></visual>
+<collision name="p"><geometry><mesh filename="collision/palm.stl"/></geometry></collision></link>
+<link name="tip"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
+<joint name="j" type="revolute"><parent link="palm"/><child link="tip"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_what_a_urdf_only_shows_is_drawn_and_changes_nothing_else(tmp_path: Path) -> None:
+    box(tmp_path / "visual/palm.glb")
+    (tmp_path / "visual/broken.glb").write_bytes(b"glTF, or not")
+    (tmp_path / "collision").mkdir()
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "collision/palm.stl")
+    (tmp_path / "one.urdf").write_text(SHOWN)
+    model = compile_spec(load_spec(tmp_path / "one.urdf"), "it")
+    hull, shown, shown_box, tip = link_surfaces(model, pinocchio_from_mujoco(model))
+    # the mesh of the same name that collides is still the other one
+    np.testing.assert_allclose(np.ptp(hull.vertices, axis=0), 0.1, atol=1e-6)
+    assert hull.collides and tip.collides and not shown.collides and not shown_box.collides
+    width, depth, height = 2 * np.array(SIZE)
+    np.testing.assert_allclose(np.ptp(shown.vertices, axis=0), [depth, width, height], atol=1e-6)
+    np.testing.assert_allclose(shown.vertices.mean(axis=0), [0, 0, 0.1], atol=1e-6)
+    assert shown.colour == (1, 0, 0, 1)
+    np.testing.assert_allclose(np.ptp(shown_box.vertices, axis=0), [0.01, 0.02, 0.03], atol=1e-9)
+    colliding = model.geom_contype != 0
+    assert model.geom_group[colliding].tolist() == [HIDDEN_GROUP, 0]  # the tip has nothing else
+    assert model.body("palm").mass[0] == 0.2
+    assert {f.name for f in model_files(tmp_path / "one.urdf")} == {"one.urdf", "palm.stl"}
+
+
+def test_a_urdf_whose_links_show_nothing_is_drawn_as_it_collides(tmp_path: Path) -> None:
+    box(tmp_path / "palm.stl")
+    model = compile_spec(load_spec(urdf(tmp_path / "one.urdf", "palm.stl")), "it")
+    assert model.ngeom == 1 and not model.geom_group.any()
 
 
 # --- links without mass ---------------------------------------------------------------------------

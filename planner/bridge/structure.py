@@ -16,6 +16,7 @@ import numpy as np
 from planner.bridge.decompile import spec_from_model
 from planner.bridge.joint_rows import actuator_row, is_fixed_tendon, tendon_row
 from planner.bridge.load import load_spec
+from planner.bridge.mesh_files import convert_meshes
 from planner.bridge.pinocchio_model import body_name
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
@@ -164,7 +165,11 @@ def read_spec(source: Any) -> Any:
     """
     if isinstance(source, mujoco.MjModel):
         return spec_from_model(source)
-    return load_spec(source) if isinstance(source, Path) else source.copy()
+    if isinstance(source, Path):
+        return load_spec(source)
+    spec = source.copy()
+    convert_meshes(spec)
+    return spec
 
 
 def structure_of(model: Any) -> ModelStructure:

@@ -11,6 +11,7 @@ import mujoco
 
 from planner.bridge import compile_spec, load_spec
 from planner.bridge.load import compile_balanced
+from planner.bridge.structure import read_spec
 from planner.errors import ModelError
 from planner.hand_loading import load_hand
 from planner.hands.catalog import find_hand
@@ -60,7 +61,7 @@ def compiled(model: Any) -> Source:
     if isinstance(model, mujoco.MjModel):
         return Source(name="model", model=model, spec=None, path=None)
     if isinstance(model, mujoco.MjSpec):
-        spec = model.copy()
+        spec = read_spec(model)
         name = spec.modelname or "model"
         return Source(name=name, model=compile_spec(spec, name), spec=spec, path=None)
     if not isinstance(model, str | Path):
