@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,10 @@ from sim.crosscheck.evidence_masses import EVIDENCE_OF_MASSES
 from sim.crosscheck.mujoco_side import MujocoSide, layout_of
 from sim.crosscheck.sources import compiled
 from sim.crosscheck.states import random_states
+
+TUTORIAL = Path(__file__).parents[1] / "docs/tutorials/cross-check.md"
+FINGER = re.findall(r"```xml\n(.*?)```", TUTORIAL.read_text("utf-8"), re.DOTALL)[0]
+"""The tutorial's ``finger.urdf``."""
 
 SHIPPED = ("allegro_hand", "shadow_hand")
 
@@ -772,3 +777,14 @@ def test_impossible_inertias_of_a_file_are_balanced_and_named(tmp_path: Path) ->
     assert "some inertias are impossible" in note and "balanced" in note
     np.testing.assert_allclose(found.model.body_inertia[1], [5 / 3] * 3)
     assert compiled(sound).notes == ()
+
+
+def test_an_inertia_that_no_body_can_have_is_noted(tmp_path: Path) -> None:
+    path = tmp_path / "finger.urdf"
+    path.write_text(FINGER, encoding="utf-8")
+    assert crosscheck(path, n_configurations=1, own_reader=False).notes == ()
+    path.write_text(FINGER.replace('ixx="4e-6" iyy="4e-6"', 'ixx="0.4" iyy="0.4"'))
+    report = crosscheck(path, n_configurations=1, own_reader=False)
+    (note,) = report.notes
+    assert "upper has an inertia of 0.4 kg m2" in note and "radius of gyration of 4.47e+03" in note
+    assert report.ok  # both engines read it alike

@@ -9,13 +9,19 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.bridge import compile_spec, link_surfaces, load_spec
-from planner.bridge.inertias import LEAST_INERTIA, LEAST_MASS, with_least_inertias
+from planner.bridge import compile_spec, link_surfaces, load_spec, prepare_spec
+from planner.bridge.inertias import (
+    LEAST_INERTIA,
+    LEAST_MASS,
+    impossible_inertias,
+    with_least_inertias,
+)
 from planner.bridge.load import model_files
 from planner.bridge.mesh_files import HIDDEN_GROUP
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.structure import read_spec
-from planner.errors import ModelError
+from planner.description import HandDescription, RepairDescription
+from planner.errors import ModelError, NotFoundError
 from planner.shapes import Mesh
 from planner.shapes.meshes.convert import converted_mesh
 from planner.system.disk_cache import CACHE_VARIABLE
@@ -313,3 +319,66 @@ def test_links_with_an_inertia_keep_it(tmp_path: Path) -> None:
     assert with_least_inertias(spec) == ()
     inertia = compile_spec(spec, "it").body("hub").inertia
     np.testing.assert_allclose(np.sort(inertia), [0.9e-6, 1e-6, 1.1e-6])
+
+
+# --- inertias that no link can have ---------------------------------------------------------------
+
+TWO_LINKS = """<mujoco><worldbody><body name="palm"><geom size="0.05"/>
+<body name="link" pos="0 0 0.05"><joint name="a" axis="1 0 0"/>
+<inertial pos="0 0 0.03" mass="0.03" diaginertia="{link}"/>
+<geom type="box" size="0.01 0.02 0.03" pos="0 0 0.03"/>
+<body name="tip" pos="0 0 0.06"><joint name="b" axis="1 0 0"/>
+<inertial pos="0.001 0 0" mass="0.02" diaginertia="{tip}"/><geom size="0.01"/>
+<geom type="box" size="0.009 0.009 0.009" contype="0" conaffinity="0"/>
+</body></body></body></worldbody></mujoco>"""
+
+BOX = 0.03 / 3 * np.array([0.02**2 + 0.03**2, 0.01**2 + 0.03**2, 0.01**2 + 0.02**2])
+"""Principal moments, kg m^2, of the first link as a uniform box."""
+
+
+def two_links(link: float, tip: float) -> mujoco.MjSpec:
+    text = TWO_LINKS.format(link=f"{link} {link} {link}", tip=f"{tip} {tip} {tip}")
+    return mujoco.MjSpec.from_string(text)
+
+
+@pytest.mark.parametrize(
+    ("link", "tip", "told"),
+    [
+        (1e-5, 1e-6, ()),
+        (1e-5, 0.1, ("tip",)),
+        (0.1, 0.1, ("link", "tip")),
+        (1e-5, 8e-5, ("tip",)),  # a radius of gyration of 63 mm, above its diagonal of 36 mm
+        (4e-4, 1e-6, ()),  # more than its own, less than with all that it carries: a filler
+    ],
+)
+def test_inertias_beyond_size_and_mass_are_found(
+    link: float, tip: float, told: tuple[str, ...]
+) -> None:
+    found = impossible_inertias(two_links(link, tip).compile())
+    assert tuple(one.body for one in found) == told
+
+
+def test_an_inertia_from_geometry_is_that_of_a_uniform_solid() -> None:
+    spec = two_links(0.1, 0.1)
+    description = HandDescription(
+        schema=1,
+        name="it",
+        model="it.xml",
+        base_body="palm",
+        palm_body="palm",
+        palm_normal=(0, 0, 1),
+        repair=RepairDescription(inertia_from_geometry=("link", "tip")),
+    )
+    prepare_spec(spec, description, "it")
+    model = compile_spec(spec, "it")
+    assert impossible_inertias(model) == ()
+    np.testing.assert_allclose(np.sort(model.body("link").inertia), np.sort(BOX), rtol=1e-9)
+    np.testing.assert_allclose(model.body("tip").inertia, 0.4 * 0.02 * 0.01**2, rtol=1e-9)
+    for name, mass, center in (("link", 0.03, [0, 0, 0.03]), ("tip", 0.02, [0.001, 0, 0])):
+        assert model.body(name).mass[0] == mass
+        np.testing.assert_allclose(model.body(name).ipos, center)
+    gone = description.model_copy(
+        update={"repair": RepairDescription(inertia_from_geometry=("thumb",))}
+    )
+    with pytest.raises(NotFoundError, match="thumb"):
+        prepare_spec(two_links(0.1, 0.1), gone, "it")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
 
 from planner.bridge import compile_spec, load_spec
+from planner.bridge.inertias import impossible_inertias, worst_inertia
 from planner.bridge.load import compile_balanced
 from planner.bridge.structure import read_spec
 from planner.errors import ModelError
@@ -48,7 +49,7 @@ class Source:
 
 
 def compiled(model: Any) -> Source:
-    """Compile what was given.
+    """Compile what was given, and note inertias that no body can have: engines read them alike.
 
     Args:
         model: Path of an MJCF or URDF file, a hand as for ``load_hand``, ``mujoco.MjSpec`` or
@@ -58,6 +59,18 @@ def compiled(model: Any) -> Source:
         NotFoundError: There is no such file or hand.
         ModelError: MuJoCo cannot read or compile it, or it is none of these.
     """
+    source = _compiled(model)
+    impossible = impossible_inertias(source.model)
+    if not impossible:
+        return source
+    note = (
+        f"{worst_inertia(impossible)}: correct it in the model, or, for a hand, write "
+        "inertia_from_geometry under [repair] in its hand.toml (opposable describe does)"
+    )
+    return replace(source, notes=(*source.notes, note))
+
+
+def _compiled(model: Any) -> Source:
     if isinstance(model, mujoco.MjModel):
         return Source(name="model", model=model, spec=None, path=None)
     if isinstance(model, mujoco.MjSpec):
