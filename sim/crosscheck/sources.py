@@ -6,6 +6,7 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 
@@ -17,7 +18,7 @@ from planner.errors import ModelError
 from planner.hand_loading import load_hand
 from planner.hands.catalog import find_hand
 
-__all__ = ["Source", "compiled"]
+__all__ = ["Source", "compiled", "stated_velocities"]
 
 DESCRIPTION = ".toml"
 """How the name of a file ends that describes a hand and is no model."""
@@ -68,6 +69,21 @@ def compiled(model: Any) -> Source:
         "inertia_from_geometry under [repair] in its hand.toml (opposable describe does)"
     )
     return replace(source, notes=(*source.notes, note))
+
+
+def stated_velocities(source: Source) -> dict[str, float] | None:
+    """Joint -> largest speed that a URDF states, rad/s or m/s; None for models of other kinds."""
+    if source.path is None:
+        return None
+    root = ElementTree.parse(source.path).getroot()  # MuJoCo has read it before
+    if root.tag != "robot":
+        return None
+    limits = {j.get("name", ""): j.find("limit") for j in root.findall("joint")}
+    return {
+        name: float(limit.get("velocity", "inf"))
+        for name, limit in limits.items()
+        if limit is not None
+    }
 
 
 def _compiled(model: Any) -> Source:
