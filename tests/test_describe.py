@@ -322,6 +322,14 @@ def test_inertias_that_no_link_can_have_are_replaced_by_those_of_the_geometry(
     np.testing.assert_array_equal(again.mj_model.body_inertia, hand.mj_model.body_inertia)
 
 
+@pytest.mark.parametrize("base", [None, "palm"])
+def test_closed_loops_are_named_as_what_they_are(tmp_path: Path, base: str | None) -> None:
+    loop = '<connect name="rod" body1="thumb_a" body2="left_b" anchor="0 0 0"/>'
+    text = claw().replace("<actuator>", f"<equality>{loop}</equality><actuator>")
+    with pytest.raises(HandError, match=r"has closed loops: rod tie.*<equality><joint"):
+        propose(written(tmp_path, text), base_body=base)
+
+
 def test_joints_that_mimic_others_get_no_servo(tmp_path: Path) -> None:
     proposal = propose(written(tmp_path, urdf(mimic=True), "claw.urdf"))
     (servos,) = proposal.description.actuators
