@@ -172,14 +172,19 @@ def print_check(report: CheckReport, console: Console) -> None:
 
     prefix, names = without_prefix([j.name for j in report.joints])
     own = Counter(name for j in report.joints for name in j.actuators)
-    short = bool(prefix) and all(  # each joint has an actuator of its own, or none
-        len(j.actuators) <= 1 and all(own[name] == 1 for name in j.actuators) for j in report.joints
+    short = bool(prefix) and all(
+        len(j.actuators) == 1 and all(own[name] == 1 for name in j.actuators) for j in report.joints
     )
     joints = Table(
         title=f"{report.hand}: joints in the order of q",
-        caption=escape(f"without {prefix!r} before each joint's name") if prefix else None,
+        caption=escape(
+            f"without {prefix!r} before each name{', each with its own actuator' * short}"
+        )
+        if prefix
+        else None,
     )
-    for column in ("joint", "of", "q", "qpos", "range", "torque N m", "actuators"):
+    columns = ("joint", "of", "q", "qpos", "range", "torque N m", "actuators")
+    for column in columns[: len(columns) - short]:
         joints.add_column(column, overflow="fold")
     for j, name in zip(report.joints, names, strict=True):
         joints.add_row(
@@ -189,7 +194,7 @@ def print_check(report: CheckReport, console: Console) -> None:
             str(j.qpos_index),
             f"{j.lower:.3f} .. {j.upper:.3f}",
             f"{j.torque[0]:.2f} .. {j.torque[1]:.2f}",
-            ("own" if j.actuators else "") if short else escape(", ".join(j.actuators)),
+            *([] if short else [escape(", ".join(j.actuators))]),
         )
     console.print(joints)
     for coupling in report.couplings:
