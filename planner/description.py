@@ -236,6 +236,8 @@ class RepairDescription(StrictData):
         angle: Unit of the angles in a file that does not say it, or says it wrongly.
         balance_inertia: Replace inertias that break the triangle inequality A + B >= C by their
             mean, as MuJoCo's ``balanceinertia`` does.
+        inertia_from_geometry: Bodies whose inertia no body of their mass and size can have: they
+            get that of a uniform solid of their mass and shape about their centre of mass.
         drop_collision: Geoms that only look: they collide with nothing.
         drop_couplings: Tendons and equalities that are wrong, by name; equalities and actuators on
             such a tendon go with it.
@@ -244,9 +246,18 @@ class RepairDescription(StrictData):
 
     angle: Literal["radian", "degree"] | None = None
     balance_inertia: bool = False
+    inertia_from_geometry: tuple[str, ...] = ()
     drop_collision: tuple[str, ...] = ()
     drop_couplings: tuple[str, ...] = ()
     exclude: tuple[tuple[str, str], ...] = ()
+
+    @model_serializer(mode="wrap")
+    def _without_no_inertias(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """No line where there is none: digests of hands without one stay as they were."""
+        data: dict[str, Any] = dump(self)
+        if not data.get("inertia_from_geometry", True):
+            del data["inertia_from_geometry"]
+        return data
 
 
 class JointDefaults(StrictData):

@@ -1,14 +1,15 @@
-"""Results as plain data for JSON, which knows no NaN, no infinity and no arrays; short reprs."""
+"""Results as plain data for JSON (no NaN, no infinity, no arrays), and as short texts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-__all__ = ["finite", "short_repr"]
+__all__ = ["finite", "short_repr", "without_prefix"]
 
 SHORT = 200
 """Characters of a repr: two lines of a terminal."""
@@ -36,3 +37,21 @@ def finite(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value
+
+
+def without_prefix(names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """What all names begin with, up to a separator, and the names without it.
+
+    Args:
+        names: Of joints, links or geoms: "hand_right_index_0", "hand_right_thumb_0" have the prefix
+            "hand_right_". Fewer than two names keep all of theirs.
+    """
+    parts = [re.findall(r"[^_.:/ -]*[_.:/ -]+", name) for name in names] if len(names) > 1 else []
+    end = 0
+    for column in zip(*parts, strict=False):  # words with the separator behind them
+        if len(set(column)) > 1:
+            break
+        end += len(column[0])
+    if any(len(name) == end for name in names):  # one of them is the prefix itself
+        end = 0
+    return (names[0] if names else "")[:end], tuple(name[end:] for name in names)

@@ -245,6 +245,50 @@ def test_links_too_heavy_for_their_servos_are_told(edit_hand: EditHand) -> None:
     assert "A_index_1 needs" in finding.what and "0.7 at most" in finding.what
 
 
+TIP_INERTIA = re.search(
+    r'<body name="index_distal".*?(<inertial[^>]*/>)',
+    (models_dir() / "hands/allegro_hand/allegro_hand.xml").read_text("utf-8"),
+    re.DOTALL,
+)
+
+
+def with_table(path: Path, table: str) -> Path:
+    """A description with a table before its fingers."""
+    text = path.read_text("utf-8").replace("[[fingers]]", f"{table}\n\n[[fingers]]", 1)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_an_inertia_that_no_link_can_have_is_told_and_mended(edit_hand: EditHand) -> None:
+    assert TIP_INERTIA is not None
+    wrong = '<inertial pos="0 0 0.01" mass="0.047" diaginertia="0.24 0.24 0.24"/>'
+    report = check_hand(load_hand(edit_hand(xml={TIP_INERTIA.group(1): wrong})))
+    impossible, *slow = report.findings  # of the three fingers that are alike
+    assert impossible.level == "warning"
+    assert "index_distal has an inertia of 0.24 kg m2 at 0.047 kg" in impossible.what
+    assert "radius of gyration of 2.26e+03 mm in a link of" in impossible.what
+    assert "(and 2 more such bodies)" in impossible.what
+    mend = 'inertia_from_geometry = ["index_distal", "middle_distal", "ring_distal"]'
+    assert f"{mend} under [repair]" in impossible.what_to_do
+    assert slow and not any(f.what.startswith("thumb") for f in slow)
+    mend = f"[repair]\n{mend}"
+    path = with_table(edit_hand(xml={TIP_INERTIA.group(1): wrong}), mend)
+    hand = load_hand(path)
+    assert check_hand(hand).findings == ()
+    tip = hand.mj_model.body("index_distal")
+    assert tip.mass[0] == 0.047
+    np.testing.assert_allclose(tip.ipos, [0, 0, 0.01])
+
+
+def test_an_armature_that_no_torque_moves_is_told(edit_hand: EditHand) -> None:
+    path = with_table(edit_hand(), "[joint_defaults]\narmature = 0.5")
+    report = check_hand(load_hand(path))
+    slow = [f.what for f in report.findings]
+    assert len(slow) == 16 and all("armature 0.5" in what for what in slow)
+    # sqrt(2 I / torque) from rest over 1 rad, at 0.7 N m
+    assert all("1.2 s for 1 rad" in what for what in slow)
+
+
 def test_the_report_is_plain_data(allegro_report: CheckReport) -> None:
     data = json.loads(json.dumps(allegro_report.to_dict(), allow_nan=False))
     assert data["ok"] is True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 import sim.crosscheck.check as check_module
@@ -35,6 +37,10 @@ from sim.crosscheck.evidence_masses import EVIDENCE_OF_MASSES
 from sim.crosscheck.mujoco_side import MujocoSide, layout_of
 from sim.crosscheck.sources import compiled
 from sim.crosscheck.states import random_states
+
+TUTORIAL = Path(__file__).parents[1] / "docs/tutorials/cross-check.md"
+FINGER = re.findall(r"```xml\n(.*?)```", TUTORIAL.read_text("utf-8"), re.DOTALL)[0]
+"""The tutorial's ``finger.urdf``."""
 
 SHIPPED = ("allegro_hand", "shadow_hand")
 
@@ -303,7 +309,8 @@ URDF_ARM = """
   <link name="base"><inertial><mass value="1"/>
     <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <link name="lower"><inertial><origin xyz="0 0.05 0"/><mass value="0.2"/>
-    <inertia ixx="0.003" iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <inertia ixx="0.003" iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><box size="0.2 0.04 0.04"/></geometry></collision></link>
   <link name="upper"><inertial><origin xyz="0.1 0 0"/><mass value="0.5"/>
     <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
@@ -772,3 +779,121 @@ def test_impossible_inertias_of_a_file_are_balanced_and_named(tmp_path: Path) ->
     assert "some inertias are impossible" in note and "balanced" in note
     np.testing.assert_allclose(found.model.body_inertia[1], [5 / 3] * 3)
     assert compiled(sound).notes == ()
+
+
+LOWER_BOX = (
+    '<collision><origin xyz="0 0 0.025"/><geometry><box size="0.014 0.014 0.044"/></geometry>'
+    "</collision>"
+)
+FILE_FAULTS = {
+    "a joint's place": ('xyz="0 0 0.02"', 'xyz="0 0 0.021"', "body offset", "lower"),
+    "a joint's turn": ('rpy="0.1 0 0"', 'rpy="0.101 0 0"', "body turn", "lower"),
+    "an axis": ('<axis xyz="0 1 0"/><limit lower="0" upper="1.5"',
+        '<axis xyz="0.001 1 0"/><limit lower="0" upper="1.5"', "joint axis", "bend"),
+    "a kind": ('name="bend" type="revolute"', 'name="bend" type="prismatic"', "joint kind", "bend"),
+    "a mimic's ratio": ('multiplier="0.8"', 'multiplier="0.81"', "equality rows", "equality0"),
+    "a lost mimic": ('<mimic joint="bend" multiplier="0.8"/>', "", "equality rows", "equality0"),
+    "a mass": ('value="0.03"', 'value="0.0301"', "mass", "lower"),
+    "a centre of mass": ('<origin xyz="0 0 0.015"/><mass', '<origin xyz="0 0 0.0155"/><mass',
+        "link centre", "upper"),
+    "a moment of inertia": ('ixx="4e-6"', 'ixx="4.1e-6"', "inertia", "upper"),
+    "a product of inertia": ('izz="1e-6" ixy="0"', 'izz="1e-6" ixy="2e-7"', "inertia", "upper"),
+    "an upper limit": ('upper="1.5"', 'upper="1.49"', "joint range", "bend"),
+    "a lower limit": ('lower="0" upper="1.2"', 'lower="-0.01" upper="1.2"', "joint range", "tip"),
+    "an effort": ('upper="1.5" effort="1"', 'upper="1.5" effort="1.1"', "effort limit", "bend"),
+    "a speed": ('upper="1.2" effort="1" velocity="5"', 'upper="1.2" effort="1" velocity="5.5"',
+        "velocity limit", "tip"),
+    "a lost speed": ('upper="1.2" effort="1" velocity="5"', 'upper="1.2" effort="1"',
+        "velocity limit", "tip"),
+    "damping": ('damping="0.01"', 'damping="0.011"', "damping", "bend"),
+    "friction": ('friction="0.02"', 'friction="0.021"', "dry friction", "bend"),
+    "a radius": ('radius="0.009"', 'radius="0.0099"', "geometry size", "upper_geom0"),
+    "a longer box": ("0.014 0.014 0.044", "0.014 0.014 0.045", "geometry size", "lower_geom0"),
+    "a geometry's place": ('<collision><origin xyz="0 0 0.03"/>',
+        '<collision><origin xyz="0.001 0 0.03"/>', "geometry offset", "upper_geom0"),
+    "a geometry's turn": ('<collision><origin xyz="0 0 0.025"/>',
+        '<collision><origin xyz="0 0 0.025" rpy="0 0.001 0"/>', "geometry turn", "lower_geom0"),
+    "a geometry's kind": ('<sphere radius="0.009"/>', '<cylinder radius="0.009" length="0.018"/>',
+        "geometry kind", "upper_geom0"),
+    "a lost geometry": (LOWER_BOX, "", "geometries present", "lower_geom0"),
+    "one geometry more": (LOWER_BOX,
+        LOWER_BOX + '<collision><geometry><sphere radius="0.001"/></geometry></collision>',
+        "geometries present", "lower_geom1 (not in the reference)"),
+    "a link's name": ('"upper"', '"outer"', "bodies present", "upper"),
+}  # fmt: skip
+"""Faults put into the tutorial's file: text, what stands for it, then quantity and part told."""
+
+
+@pytest.mark.parametrize("title", FILE_FAULTS)
+def test_every_fault_in_the_file_of_the_tutorial_is_named(tmp_path: Path, title: str) -> None:
+    old, new, quantity, part = FILE_FAULTS[title]
+    assert old in FINGER
+    right, wrong = tmp_path / "finger.urdf", tmp_path / "edited.urdf"
+    right.write_text(FINGER, encoding="utf-8")
+    wrong.write_text(FINGER.replace(old, new), encoding="utf-8")
+    assert compare_models(right, right, n_configurations=1).ok
+    report = compare_models(right, wrong, n_configurations=1)
+    assert not report.ok
+    told = {(d.quantity, d.part) for d in report.columns[0].faults}
+    assert (quantity, part) in told
+    # nothing else is blamed, but for the joint that a name or a kind takes along
+    assert title in ("a kind", "a link's name") or told == {(quantity, part)}, told
+
+
+def test_a_geometry_on_another_link_is_told_on_both(tmp_path: Path) -> None:
+    right, wrong = tmp_path / "finger.urdf", tmp_path / "edited.urdf"
+    right.write_text(FINGER, encoding="utf-8")
+    text = FINGER.replace(LOWER_BOX, "").replace("</link>\n</robot>", f"{LOWER_BOX}</link></robot>")
+    wrong.write_text(text, encoding="utf-8")
+    faults = compare_models(right, wrong, n_configurations=1).columns[0].faults
+    assert [(d.part, d.reference.split(" on ")[-1], d.value.split(" on ")[-1]) for d in faults] == [
+        ("lower_geom0", "lower", "none"),
+        ("upper_geom1 (not in the reference)", "none", "upper"),
+    ]
+
+
+def test_a_geometry_written_otherwise_is_the_same(tmp_path: Path) -> None:
+    one = """<mujoco><worldbody><body name="b"><joint name="j"/>
+      <geom type="box" size="0.01 0.02 0.03" pos="0 0.1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.01"/>
+      <geom type="ellipsoid" size="0.03 0.02 0.01" pos="0.2 0 0"/></body></worldbody></mujoco>"""
+    other = """<mujoco><worldbody><body name="b"><joint name="j"/>
+      <geom type="ellipsoid" size="0.02 0.03 0.01" pos="0.2 0 0" euler="0 0 90"/>
+      <geom type="capsule" fromto="0 0 0.1 0 0 0" size="0.01"/>
+      <geom type="box" size="0.01 0.03 0.02" pos="0 0.1 0" euler="90 0 0"/>
+      </body></worldbody></mujoco>"""
+    tolerances = Tolerances(kinematics=1e-9)  # masses are added up in another order
+    for text in (one, other):
+        report = compare_models(
+            mujoco.MjSpec.from_string(one),
+            mujoco.MjSpec.from_string(text),
+            n_configurations=1,
+            tolerances=tolerances,
+        )
+        assert report.ok, report.faults
+
+
+@pytest.mark.parametrize(("change", "told"), [(1.0, set()), (1.1, {"geometry"})])
+def test_meshes_are_compared_by_their_hulls(tmp_path: Path, change: float, told: set[str]) -> None:
+    solid = trimesh.creation.icosphere(subdivisions=1, radius=0.02)
+    solid.apply_translation([0.01, 0, 0])
+    solid.export(tmp_path / "ball.stl")
+    solid.apply_scale(change)
+    solid.export(tmp_path / "ball.ply")
+    text = FINGER.replace('<sphere radius="0.009"/>', '<mesh filename="ball.{}"/>')
+    paths = [tmp_path / f"{suffix}.urdf" for suffix in ("stl", "ply")]
+    for path in paths:
+        path.write_text(text.format(path.stem), encoding="utf-8")
+    report = compare_models(*paths, n_configurations=1)
+    assert {d.quantity for d in report.columns[0].faults} == told
+
+
+def test_an_inertia_that_no_body_can_have_is_noted(tmp_path: Path) -> None:
+    path = tmp_path / "finger.urdf"
+    path.write_text(FINGER, encoding="utf-8")
+    assert crosscheck(path, n_configurations=1, own_reader=False).notes == ()
+    path.write_text(FINGER.replace('ixx="4e-6" iyy="4e-6"', 'ixx="0.4" iyy="0.4"'))
+    report = crosscheck(path, n_configurations=1, own_reader=False)
+    (note,) = report.notes
+    assert "upper has an inertia of 0.4 kg m2" in note and "radius of gyration of 4.47e+03" in note
+    assert report.ok  # both engines read it alike

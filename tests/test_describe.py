@@ -306,6 +306,30 @@ def test_fillers_in_a_urdf_are_not_believed(tmp_path: Path) -> None:
     assert any("15" in q and "force_limit" in q for q in proposal.open_questions)
 
 
+def test_inertias_that_no_link_can_have_are_replaced_by_those_of_the_geometry(
+    tmp_path: Path,
+) -> None:
+    assert 'ixx="1e-05"' in urdf()
+    text = re.sub(r'(ixx|iyy|izz)="[^"]*"', r'\1="0.1"', urdf())
+    proposal = propose(written(tmp_path, text, "claw.urdf"))
+    mended = proposal.description.repair.inertia_from_geometry
+    assert len(mended) == 6 and "palm" not in mended  # what carries the hand does not swing
+    assert any("0.1 kg m2" in q and "5 more such bodies" in q for q in proposal.open_questions)
+    hand = load_hand(tmp_path / "claw.urdf")
+    assert hand.mj_model.body_inertia[2:].max() < 1e-4
+    (tmp_path / "hand.toml").write_text(description_text(proposal.description, tmp_path))
+    again = load_hand(tmp_path / "hand.toml")
+    np.testing.assert_array_equal(again.mj_model.body_inertia, hand.mj_model.body_inertia)
+
+
+@pytest.mark.parametrize("base", [None, "palm"])
+def test_closed_loops_are_named_as_what_they_are(tmp_path: Path, base: str | None) -> None:
+    loop = '<connect name="rod" body1="thumb_a" body2="left_b" anchor="0 0 0"/>'
+    text = claw().replace("<actuator>", f"<equality>{loop}</equality><actuator>")
+    with pytest.raises(HandError, match=r"has closed loops: rod tie.*<equality><joint"):
+        propose(written(tmp_path, text), base_body=base)
+
+
 def test_joints_that_mimic_others_get_no_servo(tmp_path: Path) -> None:
     proposal = propose(written(tmp_path, urdf(mimic=True), "claw.urdf"))
     (servos,) = proposal.description.actuators

@@ -19,7 +19,7 @@ from planner.objects import parse_object
 from planner.shapes import Mesh, shape_from_dict, shape_to_dict
 from planner.shapes.meshes import mending, union
 from planner.shapes.meshes.edges import bodies_of, body_volumes
-from planner.shapes.meshes.mending import MOVED
+from planner.shapes.meshes.mending import MOVED, WIDEST_HOLE
 from planner.shapes.meshes.soundness import faults_of
 from planner.shapes.meshes.union import manifold_is_installed
 from planner.shapes.meshes.wrapping import wrapped
@@ -223,8 +223,16 @@ def test_a_wide_hole_is_closed_on_request_and_an_open_shell_never(
     with pytest.raises(ObjectError, match=r"closing a hole|not closed"):
         Mesh.from_triangles(*triangles)
     if mended is None:
-        with pytest.raises(ObjectError, match=r"Mending was tried .* not closed: .* close it"):
+        with pytest.raises(
+            ObjectError, match=r"Mending was tried .* not closed: .* close it"
+        ) as told:
             Mesh.from_triangles(*triangles, repair=True)
+        # the rim's width, its share of the length, and the limit
+        extent = np.ptp(triangles[0], axis=0).max()
+        assert float(re.findall(r"([\d.]+) of the object", str(told.value))[0]) > WIDEST_HOLE
+        width = float(re.findall(r"a hole is ([\d.]+) mm wide", str(told.value))[0])
+        assert width == pytest.approx(2e3 * np.sqrt(0.03**2 - cut**2), rel=0.05)
+        assert f"up to 0.3 of it ({300 * extent:.3g} mm)" in str(told.value)
     else:
         assert Mesh.from_triangles(*triangles, repair=True).volume > 0.9 * whole.volume
 

@@ -390,6 +390,18 @@ def test_mesh_is_refused() -> None:
         mirror_spec(spec, reflection_signs("x"), "hand.xml")
 
 
+def test_a_mesh_that_is_only_shown_is_left_out() -> None:
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>
+        <worldbody><body><joint/><geom type="mesh" mesh="m" contype="0" conaffinity="0" mass="0"/>
+        <geom name="solid" size="0.01" pos="0.1 0 0" group="3"/></body></worldbody></mujoco>"""
+    )
+    mirror_spec(spec, reflection_signs("x"), "it")
+    (solid,) = spec.geoms
+    np.testing.assert_allclose(solid.pos, [-0.1, 0, 0])
+    assert solid.group == 0  # it is drawn now
+
+
 def test_weld_is_refused() -> None:
     spec = mujoco.MjSpec.from_string(
         """<mujoco><worldbody>

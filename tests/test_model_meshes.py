@@ -1,17 +1,28 @@
-"""What load_spec mends: meshes that lie elsewhere or in other formats, links without inertia."""
+"""What load_spec mends: meshes elsewhere, in other formats or in parts; links without inertia."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import trimesh
 
-from planner.bridge import compile_spec, load_spec
-from planner.bridge.inertias import LEAST_INERTIA, LEAST_MASS, with_least_inertias
+from planner.bridge import compile_spec, link_surfaces, load_spec, prepare_spec
+from planner.bridge.inertias import (
+    LEAST_INERTIA,
+    LEAST_MASS,
+    impossible_inertias,
+    with_least_inertias,
+)
 from planner.bridge.load import model_files
-from planner.errors import ModelError
+from planner.bridge.mesh_files import HIDDEN_GROUP
+from planner.bridge.pinocchio_model import pinocchio_from_mujoco
+from planner.bridge.structure import read_spec
+from planner.description import HandDescription, RepairDescription
+from planner.errors import ModelError, NotFoundError
+from planner.shapes import Mesh
 from planner.shapes.meshes.convert import converted_mesh
 from planner.system.disk_cache import CACHE_VARIABLE
 
@@ -166,6 +177,102 @@ def test_a_file_of_another_version_of_mujoco(tmp_path: Path) -> None:
         load_spec(tmp_path / "old.xml")
 
 
+# --- an OBJ file with several objects -------------------------------------------------------------
+
+CORNERS = "v {0} 0 0\nv {1} 0 0\nv {0} 0.2 0\nv {0} 0 0.3\n"
+FACES = "f {0} {2} {1}\nf {0} {1} {3}\nf {0} {3} {2}\nf {1} {2} {3}\n"
+
+
+@pytest.mark.parametrize("head", ["o {}", "g {}", "  o {}"])
+@pytest.mark.parametrize("kind", ["urdf", "mjcf", "spec"])
+def test_all_objects_of_an_obj_file_are_drawn_and_weighed(
+    tmp_path: Path, head: str, kind: str
+) -> None:
+    (tmp_path / "palm.obj").write_text(
+        f"{head.format('a')}\n{CORNERS.format(0, 0.1)}{FACES.format(1, 2, 3, 4)}"
+        f"{head.format('b')}\n{CORNERS.format(1, 1.1)}{FACES.format(5, 6, 7, 8)}"
+    )
+    text = (
+        f'<mujoco><compiler meshdir="{tmp_path}"/><asset><mesh name="palm" file="palm.obj" '
+        'inertia="exact"/></asset><worldbody><body name="palm"><geom name="g" type="mesh" '
+        'mesh="palm" density="1000"/></body></worldbody></mujoco>'
+    )
+    if kind == "spec":
+        spec = read_spec(mujoco.MjSpec.from_string(text))
+    elif kind == "mjcf":
+        (tmp_path / "one.xml").write_text(text)
+        spec = load_spec(tmp_path / "one.xml")
+    else:
+        spec = load_spec(urdf(tmp_path / "one.urdf", "palm.obj"))
+        spec.meshes[0].inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
+    model = compile_spec(spec, "it")
+    (surface,) = link_surfaces(model, pinocchio_from_mujoco(model))
+    assert len(surface.triangles) == 8
+    drawn = surface.vertices[surface.triangles].reshape(-1, 3)
+    np.testing.assert_allclose(drawn.min(axis=0), [0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(drawn.max(axis=0), [1.1, 0.2, 0.3], atol=1e-6)
+    volume = 2 * 0.1 * 0.2 * 0.3 / 6
+    assert model.body("palm").mass[0] == pytest.approx(1000 * volume, rel=1e-6)
+    np.testing.assert_allclose(model.body("palm").ipos, [0.525, 0.05, 0.075], atol=1e-6)
+
+
+def test_all_objects_of_an_obj_file_are_an_object(tmp_path: Path) -> None:
+    parts = [trimesh.creation.box(SIZE).apply_translation([x, 0, 0]) for x in (0.0, 0.05)]
+    text, first = "", 1
+    for name, part in zip("ab", parts, strict=True):
+        text += f"o {name}\n" + "".join(f"v {x} {y} {z}\n" for x, y, z in part.vertices)
+        text += "".join(f"f {a} {b} {c}\n" for a, b, c in part.faces + first)
+        first += len(part.vertices)
+    (tmp_path / "two.obj").write_text(text)
+    mesh = Mesh.load(tmp_path / "two.obj")
+    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [0.11, 0.02, 0.04], atol=1e-9)
+    assert mesh.volume == pytest.approx(0.11 * 0.02 * 0.04, rel=1e-6)
+
+
+# --- what a URDF only shows -----------------------------------------------------------------------
+
+SHOWN = """<robot name="one"><material name="red"><color rgba="1 0 0 1"/></material>
+<link name="palm"><inertial><mass value="0.2"/>
+<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>
+<visual name="p"><origin xyz="0 0 0.1" rpy="0 0 1.5707963267948966"/><geometry>
+<mesh filename="visual/palm.glb" scale="2 2 2"/></geometry><material name="red"/></visual>
+<visual name="p"><geometry><box size="0.01 0.02 0.03"/></geometry></visual>
+<visual><geometry><mesh filename="package://nowhere/palm.dae"/></geometry></visual>
+<visual><geometry><mesh filename="visual/broken.glb"/></geometry></visual>
+<collision name="p"><geometry><mesh filename="collision/palm.stl"/></geometry></collision></link>
+<link name="tip"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
+<joint name="j" type="revolute"><parent link="palm"/><child link="tip"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_what_a_urdf_only_shows_is_drawn_and_changes_nothing_else(tmp_path: Path) -> None:
+    box(tmp_path / "visual/palm.glb")
+    (tmp_path / "visual/broken.glb").write_bytes(b"glTF, or not")
+    (tmp_path / "collision").mkdir()
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "collision/palm.stl")
+    (tmp_path / "one.urdf").write_text(SHOWN)
+    model = compile_spec(load_spec(tmp_path / "one.urdf"), "it")
+    hull, shown, shown_box, tip = link_surfaces(model, pinocchio_from_mujoco(model))
+    # the mesh of the same name that collides is still the other one
+    np.testing.assert_allclose(np.ptp(hull.vertices, axis=0), 0.1, atol=1e-6)
+    assert hull.collides and tip.collides and not shown.collides and not shown_box.collides
+    width, depth, height = 2 * np.array(SIZE)
+    np.testing.assert_allclose(np.ptp(shown.vertices, axis=0), [depth, width, height], atol=1e-6)
+    np.testing.assert_allclose(shown.vertices.mean(axis=0), [0, 0, 0.1], atol=1e-6)
+    assert shown.colour == (1, 0, 0, 1)
+    np.testing.assert_allclose(np.ptp(shown_box.vertices, axis=0), [0.01, 0.02, 0.03], atol=1e-9)
+    colliding = model.geom_contype != 0
+    assert model.geom_group[colliding].tolist() == [HIDDEN_GROUP, 0]  # the tip has nothing else
+    assert model.body("palm").mass[0] == 0.2
+    assert {f.name for f in model_files(tmp_path / "one.urdf")} == {"one.urdf", "palm.stl"}
+
+
+def test_a_urdf_whose_links_show_nothing_is_drawn_as_it_collides(tmp_path: Path) -> None:
+    box(tmp_path / "palm.stl")
+    model = compile_spec(load_spec(urdf(tmp_path / "one.urdf", "palm.stl")), "it")
+    assert model.ngeom == 1 and not model.geom_group.any()
+
+
 # --- links without mass ---------------------------------------------------------------------------
 
 CHAIN = """<robot name="two"><link name="palm"><inertial><mass value="0.2"/>
@@ -212,3 +319,66 @@ def test_links_with_an_inertia_keep_it(tmp_path: Path) -> None:
     assert with_least_inertias(spec) == ()
     inertia = compile_spec(spec, "it").body("hub").inertia
     np.testing.assert_allclose(np.sort(inertia), [0.9e-6, 1e-6, 1.1e-6])
+
+
+# --- inertias that no link can have ---------------------------------------------------------------
+
+TWO_LINKS = """<mujoco><worldbody><body name="palm"><geom size="0.05"/>
+<body name="link" pos="0 0 0.05"><joint name="a" axis="1 0 0"/>
+<inertial pos="0 0 0.03" mass="0.03" diaginertia="{link}"/>
+<geom type="box" size="0.01 0.02 0.03" pos="0 0 0.03"/>
+<body name="tip" pos="0 0 0.06"><joint name="b" axis="1 0 0"/>
+<inertial pos="0.001 0 0" mass="0.02" diaginertia="{tip}"/><geom size="0.01"/>
+<geom type="box" size="0.009 0.009 0.009" contype="0" conaffinity="0"/>
+</body></body></body></worldbody></mujoco>"""
+
+BOX = 0.03 / 3 * np.array([0.02**2 + 0.03**2, 0.01**2 + 0.03**2, 0.01**2 + 0.02**2])
+"""Principal moments, kg m^2, of the first link as a uniform box."""
+
+
+def two_links(link: float, tip: float) -> mujoco.MjSpec:
+    text = TWO_LINKS.format(link=f"{link} {link} {link}", tip=f"{tip} {tip} {tip}")
+    return mujoco.MjSpec.from_string(text)
+
+
+@pytest.mark.parametrize(
+    ("link", "tip", "told"),
+    [
+        (1e-5, 1e-6, ()),
+        (1e-5, 0.1, ("tip",)),
+        (0.1, 0.1, ("link", "tip")),
+        (1e-5, 8e-5, ("tip",)),  # a radius of gyration of 63 mm, above its diagonal of 36 mm
+        (4e-4, 1e-6, ()),  # more than its own, less than with all that it carries: a filler
+    ],
+)
+def test_inertias_beyond_size_and_mass_are_found(
+    link: float, tip: float, told: tuple[str, ...]
+) -> None:
+    found = impossible_inertias(two_links(link, tip).compile())
+    assert tuple(one.body for one in found) == told
+
+
+def test_an_inertia_from_geometry_is_that_of_a_uniform_solid() -> None:
+    spec = two_links(0.1, 0.1)
+    description = HandDescription(
+        schema=1,
+        name="it",
+        model="it.xml",
+        base_body="palm",
+        palm_body="palm",
+        palm_normal=(0, 0, 1),
+        repair=RepairDescription(inertia_from_geometry=("link", "tip")),
+    )
+    prepare_spec(spec, description, "it")
+    model = compile_spec(spec, "it")
+    assert impossible_inertias(model) == ()
+    np.testing.assert_allclose(np.sort(model.body("link").inertia), np.sort(BOX), rtol=1e-9)
+    np.testing.assert_allclose(model.body("tip").inertia, 0.4 * 0.02 * 0.01**2, rtol=1e-9)
+    for name, mass, center in (("link", 0.03, [0, 0, 0.03]), ("tip", 0.02, [0.001, 0, 0])):
+        assert model.body(name).mass[0] == mass
+        np.testing.assert_allclose(model.body(name).ipos, center)
+    gone = description.model_copy(
+        update={"repair": RepairDescription(inertia_from_geometry=("thumb",))}
+    )
+    with pytest.raises(NotFoundError, match="thumb"):
+        prepare_spec(two_links(0.1, 0.1), gone, "it")

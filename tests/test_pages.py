@@ -42,13 +42,13 @@ from planner.pages.plan_scene import stage_of
 from planner.pages.polar import resisted_forces
 from planner.pages.rows import pose_row
 from planner.pages.scene import Model
-from planner.pages.simplify import simplified
 from planner.pages.surroundings import MOST_TRIANGLES, object_model
 from planner.pages.three import three_source
 from planner.pages.viewpoint import hand_points, views_of
 from planner.quality import primitive_wrenches
 from planner.shapes import SIZED_SHAPES
 from planner.shapes.mesh import Mesh
+from planner.shapes.meshes.simplify import simplified
 from planner.showing import page_of
 from planner.spatial import SE3, FloatArray, minimum_jerk, pose_from_wxyz
 from sim.cli import app

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.plain import finite
+from planner.plain import finite, without_prefix
 
 NUMBERS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
 DATA = st.recursive(
@@ -44,3 +44,13 @@ def test_arrays_and_tuples_are_lists_and_what_is_not_finite_is_none() -> None:
 @pytest.mark.parametrize("value", [0, -3, 2.5, True, None, "nan"])
 def test_the_rest_is_kept(value: object) -> None:
     assert finite(value) is value
+
+
+def test_names_in_a_table_lose_what_all_begin_with() -> None:
+    names = ["orcahand_right_P-AP", "orcahand_right_P-PP", "orcahand_right_T"]
+    assert without_prefix(names) == ("orcahand_right_", ("P-AP", "P-PP", "T"))
+    # no part of a word goes, and no name is empty
+    assert without_prefix(["finger_a", "final_b"]) == ("", ("finger_a", "final_b"))
+    assert without_prefix(["a_", "a_b"]) == ("", ("a_", "a_b"))
+    assert without_prefix(["left_index_0"]) == ("", ("left_index_0",))
+    assert without_prefix([]) == ("", ())

@@ -1,17 +1,31 @@
-"""Links of a URDF without mass, or with an inertia that is none, which MuJoCo refuses.
+"""Links with an inertia that no link can have: none at all, or more than their size allows.
 
-URDF allows links that only join two joints. They get the least mass and inertia that count as none.
+MuJoCo refuses the first; URDF allows links that only join two joints, which get the least mass and
+inertia that count as none. It compiles the second without a word, radii of gyration of metres in
+links of centimetres, and such fingers hardly move.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 
+from planner.bridge.pinocchio_model import body_name
 from planner.spatial import FloatArray
 
-__all__ = ["LEAST_INERTIA", "LEAST_MASS", "give_least_inertias", "with_least_inertias"]
+__all__ = [
+    "LEAST_INERTIA",
+    "LEAST_MASS",
+    "ImpossibleInertia",
+    "give_least_inertias",
+    "impossible_inertias",
+    "with_least_inertias",
+    "worst_inertia",
+]
 
 LEAST_MASS = 1e-5
 """Mass of a link that has none, kg: a thousandth of a small fingertip's."""
@@ -67,3 +81,86 @@ def _principal(body: Any) -> FloatArray:
     xx, yy, zz, xy, xz, yz = full
     matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return np.asarray(np.linalg.eigvalsh(matrix), dtype=np.float64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImpossibleInertia:
+    """A body whose inertia is larger than its size and mass allow.
+
+    Attributes:
+        body: Its name.
+        mass: kg.
+        inertia: Its largest principal moment, kg m^2.
+        size: Diagonal of the box around its link, m.
+        has_solid: Whether it has a geom that collides, whose inertia can stand in.
+    """
+
+    body: str
+    mass: float
+    inertia: float
+    size: float
+    has_solid: bool
+
+    def __str__(self) -> str:
+        """The figures: "tip has 0.24 kg m2 at 0.047 kg, a radius of gyration of 2.26 m ..."."""
+        radius = float(np.sqrt(self.inertia / self.mass))
+        return (
+            f"{self.body} has an inertia of {self.inertia:.3g} kg m2 at {self.mass:.3g} kg: a "
+            f"radius of gyration of {1e3 * radius:.3g} mm in a link of {1e3 * self.size:.3g} mm"
+        )
+
+
+def worst_inertia(impossible: Sequence[ImpossibleInertia]) -> str:
+    """The figures of the body that is furthest off, and how many more there are."""
+    worst = max(impossible, key=lambda one: one.inertia / (one.mass * one.size**2))
+    more = len(impossible) - 1
+    return f"{worst}, which no body can have" + (f" (and {more} more such bodies)" if more else "")
+
+
+def impossible_inertias(model: Any) -> tuple[ImpossibleInertia, ...]:
+    """Moving bodies of a ``mujoco.MjModel`` whose inertia nothing of their mass and size has.
+
+    Told are bodies with a radius of gyration above the diagonal of their link (twice what a body of
+    that size can have, for motors that no geom shows) and an inertia above the mass times the
+    squared diagonal of the link with all that it carries: below that, a filler changes little. The
+    size of a link without any geom is not known.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    link_of = np.asarray(model.body_weldid)
+    # lower and upper corner of what each link consists of, then of what it carries too
+    low, high = np.full((model.nbody, 3), np.inf), np.full((model.nbody, 3), -np.inf)
+    solid, shown = np.zeros(model.nbody, dtype=bool), np.zeros(model.nbody, dtype=bool)
+
+    def widen(link: int, lowest: FloatArray, highest: FloatArray) -> None:
+        low[link], high[link] = np.minimum(low[link], lowest), np.maximum(high[link], highest)
+
+    for b in range(1, model.nbody):
+        for link in {int(link_of[b]), int(link_of[model.body_parentid[b]])}:
+            widen(link, data.xpos[b], data.xpos[b])
+    for g in range(model.ngeom):
+        body, radius = int(model.geom_bodyid[g]), float(model.geom_rbound[g])
+        widen(int(link_of[body]), data.geom_xpos[g] - radius, data.geom_xpos[g] + radius)
+        shown[link_of[body]] = True
+        solid[body] |= bool(model.geom_contype[g] or model.geom_conaffinity[g])
+    own = np.linalg.norm(high - low, axis=1)
+    carried = np.array(model.body_subtreemass)
+    for b in range(model.nbody - 1, 0, -1):  # children come after their parents
+        if link_of[model.body_parentid[b]]:
+            widen(int(link_of[model.body_parentid[b]]), low[link_of[b]], high[link_of[b]])
+    reach = np.linalg.norm(high - low, axis=1)
+    out = []
+    for b in range(1, model.nbody):
+        link, mass, inertia = int(link_of[b]), model.body_mass[b], model.body_inertia[b].max()
+        most = max(mass * own[link] ** 2, carried[link] * reach[link] ** 2, LEAST_INERTIA)
+        if link and shown[link] and mass > 0 and inertia > most:
+            out.append(
+                ImpossibleInertia(
+                    body=body_name(model, b),
+                    mass=float(mass),
+                    inertia=float(inertia),
+                    size=float(own[link]),
+                    has_solid=bool(solid[b]),
+                )
+            )
+    return tuple(out)

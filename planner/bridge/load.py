@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from planner.bridge.inertias import give_least_inertias
-from planner.bridge.mesh_files import convert_meshes, find_meshes
+from planner.bridge.mesh_files import add_visuals, convert_meshes, find_meshes
 from planner.errors import ModelError, NotFoundError
 
 __all__ = [
@@ -52,7 +52,7 @@ _INCLUDE = re.compile(r"<(?:include|model)\s[^>]*file\s*=\s*[\"']([^\"']+)[\"']"
 
 
 def load_spec(path: Path) -> Any:
-    """Read an MJCF or URDF file into a fresh ``mujoco.MjSpec``.
+    """Read an MJCF or URDF file, with what it only shows, into a fresh ``mujoco.MjSpec``.
 
     Raises:
         ModelError: The file is missing, MuJoCo cannot read it, it holds no body, a mesh of another
@@ -61,7 +61,9 @@ def load_spec(path: Path) -> Any:
         NotFoundError: A joint of a URDF mimics one that does not exist.
     """
     spec = _read(path)
-    convert_meshes(spec, path)
+    convert_meshes(spec)
+    if _is_urdf(path.read_text(encoding="utf-8", errors="replace")):
+        add_visuals(spec, path)
     return spec
 
 
@@ -80,13 +82,17 @@ def _read(path: Path) -> Any:
         raise ModelError(f"{path} holds no body; {_what_to_load_instead(path)}")
     spec.compiler.fusestatic = False  # a palm without joint must not vanish in the world
     text = path.read_text(encoding="utf-8", errors="replace")
-    if "<robot" in text:
+    if _is_urdf(text):
         _check_joints(text, path)
         for mimic in spec.equalities:  # a URDF has no word for how soft a gear is
             mimic.solref, mimic.solimp = RIGID_SOLREF, RIGID_SOLIMP
         give_least_inertias(spec)
     find_meshes(spec, path)
     return spec
+
+
+def _is_urdf(text: str) -> bool:
+    return "<robot" in text
 
 
 def _parsed(path: Path) -> Any:

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from planner.bridge.load import compile_spec
+from planner.bridge.mesh_files import HIDDEN_GROUP
 from planner.errors import HandError
 from planner.spatial import FloatArray
 
@@ -44,7 +45,8 @@ def mirror_spec(spec: Any, signs: FloatArray, what: str) -> None:
 
     A spec can hold a pose in many ways (Euler angles, end points, nested frames, inertia from
     geometry). It is therefore compiled first, and the compiled poses are written back, reflected.
-    Cameras and lights are removed: a scene brings its own.
+    Cameras and lights are removed: a scene brings its own. So are meshes that are only shown; what
+    collides is drawn in their place.
 
     Args:
         spec: The model; afterwards its mirror image, ready to be compiled or attached.
@@ -56,6 +58,10 @@ def mirror_spec(spec: Any, signs: FloatArray, what: str) -> None:
         HandError: The model has a part whose mirror image is not supported: a mesh, a plane or a
             height field, or an equality that ties two bodies at given points.
     """
+    for geom in [g for g in spec.geoms if g.meshname and _is_only_shown(g)]:
+        for other in geom.parent.geoms:
+            other.group = 0 if other.group == HIDDEN_GROUP else other.group
+        spec.delete(geom)
     model = compile_spec(spec, what)
     _check(spec, what)
     for element in (*spec.cameras, *spec.lights):
@@ -84,6 +90,10 @@ def mirror_spec(spec: Any, signs: FloatArray, what: str) -> None:
         i = joint.id
         polar = -1.0 if int(model.jnt_type[i]) == _HINGE else 1.0
         joint.pos, joint.axis = signs * model.jnt_pos[i], polar * signs * model.jnt_axis[i]
+
+
+def _is_only_shown(geom: Any) -> bool:
+    return not (geom.contype or geom.conaffinity) and 0.0 in (geom.density, geom.mass)
 
 
 def _place(element: Any, position: FloatArray, quaternion: FloatArray) -> None:

@@ -123,11 +123,14 @@ def repair_spec(spec: Any, description: HandDescription, what: str) -> None:
 
     Raises:
         NotFoundError: A geom, an equality or a body that the model does not have.
+        HandError: A body that is to get the inertia of its geometry has none that collides.
     """
     repair = description.repair
     for name in repair.drop_collision:
         geom = _need(spec.geoms, "geom", name, what)
         geom.contype = geom.conaffinity = 0
+    if repair.inertia_from_geometry:
+        _set_inertias(spec, repair.inertia_from_geometry, what)
     for name in repair.drop_couplings:
         _drop_coupling(spec, name, what)
     for pair in repair.exclude:
@@ -222,6 +225,36 @@ def _add_servo(
         actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.ctrlrange = (low, high)
     actuator.forcerange = (-servo.force_limit, servo.force_limit)
+
+
+def _set_inertias(spec: Any, names: Iterable[str], what: str) -> None:
+    """Give bodies the inertia of a uniform solid of their mass, shaped as they collide.
+
+    Raises:
+        NotFoundError: The model has no such body.
+        HandError: It has no geom that collides.
+    """
+    uniform, stated = spec.copy(), compile_spec(spec.copy(), what)
+    for name in names:
+        body = _need(uniform.bodies, "body", name, what)
+        solid = [g for g in body.geoms if g.contype or g.conaffinity]
+        if not solid:
+            raise HandError(
+                f"{what}: body {name!r} has no geom that collides; take it out of "
+                "inertia_from_geometry, and correct its inertia in the model"
+            )
+        body.explicitinertial, body.ipos = False, np.full(3, np.nan)  # MuJoCo goes by the latter
+        for geom in body.geoms:
+            geom.mass, geom.density = np.nan, float(geom in solid)
+    uniform.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    model = compile_spec(uniform, what)
+    for name in names:
+        b, body = model.body(name).id, _need(spec.bodies, "body", name, what)
+        mass = float(stated.body(name).mass[0])
+        body.explicitinertial, body.mass = True, mass
+        body.ipos, body.iquat = stated.body(name).ipos, model.body_iquat[b]
+        body.fullinertia, body.ialt.type = np.full(6, np.nan), _QUATERNION
+        body.inertia = mass / model.body_mass[b] * model.body_inertia[b]
 
 
 def _drop_coupling(spec: Any, name: str, what: str) -> None:

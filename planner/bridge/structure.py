@@ -16,6 +16,7 @@ import numpy as np
 from planner.bridge.decompile import spec_from_model
 from planner.bridge.joint_rows import actuator_row, is_fixed_tendon, tendon_row
 from planner.bridge.load import load_spec
+from planner.bridge.mesh_files import convert_meshes
 from planner.bridge.pinocchio_model import body_name
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
@@ -31,6 +32,8 @@ __all__ = [
 ]
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+_SITE = int(mujoco.mjtObj.mjOBJ_SITE)
 _BIAS_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
@@ -125,13 +128,17 @@ class TendonPart:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelStructure:
-    """Everything above of one model, in the model's order; nv is the number of joints."""
+    """Everything above of one model, in the model's order; nv is the number of joints.
+
+    ``loops`` are the active equalities that tie two bodies and so close a loop: name, both bodies.
+    """
 
     bodies: tuple[BodyPart, ...]
     joints: tuple[JointPart, ...]
     geoms: tuple[GeomPart, ...]
     actuators: tuple[ActuatorPart, ...]
     tendons: tuple[TendonPart, ...]
+    loops: tuple[tuple[str, int, int], ...] = ()
 
     @property
     def hinges_and_slides(self) -> bool:
@@ -164,7 +171,11 @@ def read_spec(source: Any) -> Any:
     """
     if isinstance(source, mujoco.MjModel):
         return spec_from_model(source)
-    return load_spec(source) if isinstance(source, Path) else source.copy()
+    if isinstance(source, Path):
+        return load_spec(source)
+    spec = source.copy()
+    convert_meshes(spec)
+    return spec
 
 
 def structure_of(model: Any) -> ModelStructure:
@@ -191,7 +202,23 @@ def structure_of(model: Any) -> ModelStructure:
         ),
         actuators=tuple(_actuator(model, i) for i in range(model.nu)),
         tendons=tuple(_tendon(model, t) for t in range(model.ntendon) if is_fixed_tendon(model, t)),
+        loops=tuple(_loop(model, e) for e in np.flatnonzero(model.eq_active0) if _ties(model, e)),
     )
+
+
+def _ties(model: Any, equality: int) -> bool:
+    """Whether an equality ties two bodies, or sites on them, none of them fixed to the world."""
+    if int(model.eq_type[equality]) not in (_CONNECT, _WELD):
+        return False
+    return all(model.body_weldid[b] for b in _loop(model, equality)[1:])
+
+
+def _loop(model: Any, equality: int) -> tuple[str, int, int]:
+    """Name of an equality and the bodies that it ties."""
+    first, second = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+    if int(model.eq_objtype[equality]) == _SITE:
+        first, second = (int(model.site_bodyid[s]) for s in (first, second))
+    return model.equality(equality).name or f"equality{equality}", first, second
 
 
 def _joint(model: Any, j: int) -> JointPart:

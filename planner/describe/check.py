@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from planner.bridge.measure import body_positions, geom_distance, touching_geoms
+from planner.bridge.inertias import impossible_inertias, worst_inertia
+from planner.bridge.measure import body_positions, geom_distance, joint_inertia, touching_geoms
 from planner.bridge.pinocchio_model import body_name
 from planner.describe.grip import check_pads, check_postures
 from planner.describe.overlaps import TOUCHING, check_overlaps
@@ -24,6 +25,13 @@ SAMPLES = 500
 
 STANDARD_GRAVITY = 9.81
 """m/s^2."""
+
+SLOWEST = 0.5
+"""Time (s) in which full torque moves a hinge 1 rad from rest, above which it lags: hands close
+within some 0.5 s. 0.07 s at most for the hands that ship."""
+
+HINGE = 3
+"""MuJoCo's number of that kind of joint."""
 
 KINEMATICS_TOL = 1e-10
 """Difference (m) between Pinocchio and MuJoCo that is rounding."""
@@ -45,6 +53,7 @@ def check_hand(hand: Hand, *, seed: int = 0) -> CheckReport:
     postures = check_postures(hand, fingers, findings)
     joints = _joints(hand, findings)
     _check_weight(hand, findings)
+    _check_inertias(hand, joints, findings)
     if all(f.level != "error" for f in findings):
         check_overlaps(hand, findings)
     return CheckReport(
@@ -134,6 +143,41 @@ def _check_weight(hand: Hand, findings: list[Finding]) -> None:
                 "wider control ranges",
             )
         )
+
+
+def _check_inertias(hand: Hand, joints: Sequence[JointRow], findings: list[Finding]) -> None:
+    """Warn of inertias that no link has, and of joints whose actuators hardly move them."""
+    impossible = impossible_inertias(hand.mj_model)
+    if impossible:
+        solid = [f'"{one.body}"' for one in impossible if one.has_solid]
+        mend = f", or write inertia_from_geometry = [{', '.join(solid)}] under [repair]"
+        findings.append(
+            Finding(
+                level="warning",
+                what=f"{worst_inertia(impossible)}: joints hardly move, and trials fail in "
+                "collisions or without contact",
+                what_to_do=f"correct the inertias in the model{mend if solid else ''}",
+            )
+        )
+    inertia = joint_inertia(hand.mj_model, hand.neutral)
+    for row, moved, armature in zip(joints, inertia, hand.mj_model.dof_armature, strict=True):
+        strength = min(-row.torque[0], row.torque[1])
+        hinge = int(hand.mj_model.joint(row.name).type[0]) == HINGE
+        if not (hinge and 0 < strength < np.inf):
+            continue
+        time = float(np.sqrt(2 * moved / strength))  # from rest over 1 rad
+        if time > SLOWEST:
+            findings.append(
+                Finding(
+                    level="warning",
+                    what=f"{row.name} moves {moved:.3g} kg m2 (armature {armature:.3g}) by "
+                    f"{strength:.3g} N m at most: {time:.2g} s for 1 rad, and it lags behind "
+                    "every plan",
+                    what_to_do="correct the armature of the joint (armature under "
+                    "[joint_defaults]) or the inertias of the links, or give its actuator more "
+                    "force",
+                )
+            )
 
 
 def _couplings(hand: Hand) -> tuple[str, ...]:

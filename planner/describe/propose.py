@@ -34,6 +34,7 @@ from planner.describe.reasons import Notes, Proposal
 from planner.describe.repairs import (
     prepared_model,
     repair_and_base,
+    with_possible_inertias,
     without_impossible_couplings,
     without_overlaps,
 )
@@ -111,7 +112,9 @@ class _Proposer:
             palm_normal=(0.0, 0.0, 1.0),
             repair=repair,
         )
-        description = without_impossible_couplings(self.spec, description, self.what, self.notes)
+        alone = prepared_model(self.spec, description, self.what)
+        description = with_possible_inertias(alone, description, self.notes)
+        description = without_impossible_couplings(alone, description, self.notes)
         description = self._anatomy(description)
         description = without_overlaps(self.spec, description, self.notes)
         description = self._postures(description)

@@ -8,7 +8,13 @@ from typing import Any, Literal
 import numpy as np
 
 from planner.bridge import compile_spec, couplings_from_mujoco
-from planner.bridge.inertias import LEAST_INERTIA, LEAST_MASS, with_least_inertias
+from planner.bridge.inertias import (
+    LEAST_INERTIA,
+    LEAST_MASS,
+    impossible_inertias,
+    with_least_inertias,
+    worst_inertia,
+)
 from planner.bridge.load import compile_balanced
 from planner.bridge.numbers import check_numbers, check_sizes
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
@@ -25,7 +31,13 @@ from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3
 
-__all__ = ["prepared_model", "repair_and_base", "without_impossible_couplings", "without_overlaps"]
+__all__ = [
+    "prepared_model",
+    "repair_and_base",
+    "with_possible_inertias",
+    "without_impossible_couplings",
+    "without_overlaps",
+]
 
 NARROW_HINGE, WIDE_HINGE = 0.1, 20.0
 """Widest range (rad) of all hinges below which a file was written in radians and read in degrees,
@@ -88,11 +100,37 @@ def repair_and_base(
     return RepairDescription(angle=angle, balance_inertia=balanced), base
 
 
+def with_possible_inertias(
+    model: Any, description: HandDescription, notes: Notes
+) -> HandDescription:
+    """A description in which inertias that no link can have are those of the links' geometry."""
+    impossible = impossible_inertias(model)
+    if not impossible:
+        return description
+    wrong = tuple(one.body for one in impossible if one.has_solid)
+    stay = [one.body for one in impossible if not one.has_solid]
+    mended = "the inertia of its geometry stands in for it" if wrong else ""
+    kept = f"{', '.join(stay)} without geometry stay as they are" if stay else ""
+    notes.ask(
+        f"{worst_inertia(impossible)}: {'; '.join(t for t in (mended, kept) if t)}; give the true "
+        "ones in the model"
+    )
+    if not wrong:
+        return description
+    notes.because(
+        "repair.inertia_from_geometry",
+        ", ".join(wrong),
+        "with the stated inertias these links would hardly move: their radii of gyration exceed "
+        "their size",
+    )
+    repair = description.repair.model_copy(update={"inertia_from_geometry": wrong})
+    return description.model_copy(update={"repair": repair})
+
+
 def without_impossible_couplings(
-    spec: Any, description: HandDescription, what: str, notes: Notes
+    model: Any, description: HandDescription, notes: Notes
 ) -> HandDescription:
     """A description that drops the couplings which the joint ranges forbid."""
-    model = prepared_model(spec, description, what)
     pin_model = pinocchio_from_mujoco(model)
     wrong = impossible_couplings(
         couplings_from_mujoco(model),

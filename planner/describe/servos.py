@@ -104,8 +104,9 @@ def missing_servos(
     if unbelieved:
         worst = max(structure.joints[index[n]].effort for n in unbelieved)
         questions.append(
-            f"the model allows up to {worst:g} N m on {_listed(unbelieved)}, which no finger has: "
-            f"{USUAL_EFFORT['hinge']} N m is proposed; set force_limit to your hand's"
+            f"the model allows up to {worst:g} N m on {_listed(unbelieved)}, more than most "
+            f"fingers have: {USUAL_EFFORT['hinge']} N m is proposed; set force_limit to the file's "
+            "where that is your hand's"
         )
     if unsaid:
         questions.append(

@@ -80,15 +80,18 @@ def find_base(
 
     Raises:
         NotFoundError: The user's choice does not exist.
-        HandError: Nothing in the model looks like a hand, or several things do equally.
+        HandError: Nothing in the model looks like a hand, or several things do equally; or its
+            links are tied into closed loops.
     """
     names = [b.name for b in structure.bodies]
     if base_body is not None:
         if base_body not in names[1:]:
             raise NotFoundError(f"body of {what}", base_body, names[1:])
+        _refuse_loops(structure, names.index(base_body), what)
         return base_body, "you named it", ()
     palms = _palms(structure)
     if not palms:
+        _refuse_loops(structure, 0, what)
         raise HandError(
             f"nothing in {what} looks like a hand: no body carries {FEWEST_FINGERS} or more chains "
             "of hinges or slides. If the fingers stand directly in the world, put them into one "
@@ -97,6 +100,7 @@ def find_base(
     best = max((p.chains, p.joints) for p in palms)
     first, *rest = [p for p in palms if (p.chains, p.joints) == best]
     if rest:
+        _refuse_loops(structure, 0, what)
         found = [_base_of(structure, p)[0] for p in (first, *rest)]
         if len(set(found)) < len(found):  # chains that branch: each branch could be a palm
             found = [structure.bodies[p.link].name for p in (first, *rest)]
@@ -105,6 +109,7 @@ def find_base(
             "meant: --base-body NAME (base_body in Python)"
         )
     base, upstream = _base_of(structure, first)
+    _refuse_loops(structure, names.index(base), what)
     why = f"the root above the link that carries {first.chains} chains of joints"
     if upstream <= LONGEST_WRIST:
         return base, why, ()
@@ -116,6 +121,31 @@ def find_base(
             "arm and left out; name another base_body (--base-body) to keep some as a wrist",
         ),
     )
+
+
+def _refuse_loops(structure: ModelStructure, base: int, what: str) -> None:
+    """Say so where links below a body are tied into loops, as in fingers that rods drive.
+
+    Raises:
+        HandError: They are.
+    """
+    loops = [
+        name
+        for name, *tied in structure.loops
+        if all(_is_below(structure, body, base) for body in tied)
+    ]
+    if loops:
+        some = ", ".join(loops[:4]) + (f" and {len(loops) - 4} more" if len(loops) > 4 else "")
+        others = sum(
+            j.kind == "other" for j in structure.joints if _is_below(structure, j.body, base)
+        )
+        balls = f" and has {others} ball or free joints" if others else ""
+        raise HandError(
+            f"{what} has closed loops: {some} tie links to each other (connect or weld){balls}. A "
+            "hand is a tree of hinges and slides here: in a copy of the model, take the rods and "
+            "these equalities out, and let each joint that they drove follow another one by "
+            '<equality><joint joint1="follower" joint2="driven" polycoef="..."/>'
+        )
 
 
 def read_tree(structure: ModelStructure, base_body: str, what: str) -> HandTree:

@@ -23,6 +23,7 @@ from planner.bridge import (
 from planner.bridge.geometry import allowed_pairs
 from planner.bridge.load import model_bytes, model_files
 from planner.bridge.numbers import check_numbers
+from planner.bridge.structure import read_spec
 from planner.couplings import check_held
 from planner.description import HandDescription
 from planner.errors import HandError
@@ -48,7 +49,7 @@ def build_from_spec(spec: Any, description: HandDescription) -> Hand:
     """
     what = f"the model {spec.modelname!r}"
     return build_hand(
-        spec.copy(),
+        read_spec(spec),
         description,
         mirror_axis=None,
         path=None,

@@ -9,8 +9,8 @@ from planner.pages.own_assets import own_scripts
 from planner.pages.page import Page
 from planner.pages.rows import pose_row
 from planner.pages.scene import Actor, Model
-from planner.pages.simplify import simplified
 from planner.plan import GraspPlan
+from planner.shapes.meshes.simplify import simplified
 
 __all__ = ["with_alternatives"]
 

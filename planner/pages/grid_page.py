@@ -16,9 +16,9 @@ from planner.pages.own_assets import asset
 from planner.pages.payload import pack
 from planner.pages.rows import pose_row
 from planner.pages.scene import Model
-from planner.pages.simplify import simplified
 from planner.pages.surroundings import object_model
 from planner.pages.three import three_source
+from planner.shapes.meshes.simplify import simplified
 from planner.task import GraspTask
 
 __all__ = ["grid_html", "grid_models", "grid_script"]

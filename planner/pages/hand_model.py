@@ -14,7 +14,7 @@ from planner.hands.fingers import Pad
 from planner.hands.hand import Hand
 from planner.pages.rows import pose_row
 from planner.pages.scene import Joint, Layer, Model, Part
-from planner.pages.simplify import simplified
+from planner.shapes.meshes.simplify import simplified
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["hand_model"]

@@ -20,6 +20,7 @@ from planner.pages.own_assets import own_scripts
 from planner.pages.page import Page
 from planner.pages.rows import IDENTITY_ROW
 from planner.pages.scene import Actor, Model, Scene, View
+from planner.plain import without_prefix
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["hand_page"]
@@ -192,6 +193,7 @@ def _extra(
             "q": [float(v) for v in q],
             "postures": {name: [float(v) for v in value] for name, value in postures.items()},
             "groups": _groups(hand),
+            "labels": list(without_prefix(hand.joint_names)[1]),
             "lines": [asdict(line) for line in described_lines(hand, reasons)],
             "questions": list(questions),
             "findings": [

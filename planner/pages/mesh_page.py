@@ -16,10 +16,10 @@ from planner.pages.own_assets import own_scripts
 from planner.pages.page import Page, without_folder
 from planner.pages.rows import IDENTITY_ROW, pose_row
 from planner.pages.scene import Actor, Model, Part, Scene
-from planner.pages.simplify import simplified
 from planner.pages.surroundings import object_model, table_model
 from planner.regions import TouchRegion
 from planner.shapes import Mesh
+from planner.shapes.meshes.simplify import simplified
 from planner.shapes.stable import StablePose
 from planner.shapes.triangulation import surface_triangles
 from planner.spatial import FloatArray, IntArray

@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 
 from planner.pages.scene import Layer, Model, Part
-from planner.pages.simplify import simplified
 from planner.shapes import Shape
 from planner.shapes.mesh import Mesh
+from planner.shapes.meshes.simplify import simplified
 from planner.shapes.triangulation import surface_triangles
 from planner.spatial import FloatArray, IntArray
 from planner.task import Obstacle

@@ -5,6 +5,7 @@ Behind ``opposable inspect`` and ``opposable check-hand``.
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from rich.table import Table
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
+from planner.plain import without_prefix
 
 if TYPE_CHECKING:
     from planner.describe import CheckReport
@@ -168,18 +170,31 @@ def print_check(report: CheckReport, console: Console) -> None:
     def say(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True)
 
-    joints = Table(title=f"{report.hand}: joints in the order of q")
-    for column in ("joint", "of", "q", "qpos", "range", "torque N m", "actuators"):
+    prefix, names = without_prefix([j.name for j in report.joints])
+    own = Counter(name for j in report.joints for name in j.actuators)
+    short = bool(prefix) and all(
+        len(j.actuators) == 1 and all(own[name] == 1 for name in j.actuators) for j in report.joints
+    )
+    joints = Table(
+        title=f"{report.hand}: joints in the order of q",
+        caption=escape(
+            f"without {prefix!r} before each name{', each with its own actuator' * short}"
+        )
+        if prefix
+        else None,
+    )
+    columns = ("joint", "of", "q", "qpos", "range", "torque N m", "actuators")
+    for column in columns[: len(columns) - short]:
         joints.add_column(column, overflow="fold")
-    for j in report.joints:
+    for j, name in zip(report.joints, names, strict=True):
         joints.add_row(
-            escape(j.name),
+            escape(name),
             j.belongs_to,
             str(j.q_index),
             str(j.qpos_index),
             f"{j.lower:.3f} .. {j.upper:.3f}",
             f"{j.torque[0]:.2f} .. {j.torque[1]:.2f}",
-            escape(", ".join(j.actuators)),
+            *([] if short else [escape(", ".join(j.actuators))]),
         )
     console.print(joints)
     for coupling in report.couplings:
@@ -195,10 +210,11 @@ def print_check(report: CheckReport, console: Console) -> None:
         "taxels",
     ):
         pads.add_column(column)
-    for p in report.pads:
+    _, geoms = without_prefix([p.geom for p in report.pads])
+    for p, geom in zip(report.pads, geoms, strict=True):
         pads.add_row(
             p.finger,
-            escape(f"{p.geom} ({p.kind})"),
+            escape(f"{geom} ({p.kind})"),
             f"{1e3 * p.radius:.2f}",
             f"{p.half_angle_deg:.0f}",
             f"{1e3 * p.stands_out:.2f}",

@@ -21,9 +21,9 @@ from sim.crosscheck.mujoco_side import MujocoSide, layout_of, left_out
 from sim.crosscheck.parts import Side
 from sim.crosscheck.quantities import Tally, Tolerances
 from sim.crosscheck.reader import ReaderResult, read_with_pinocchio
-from sim.crosscheck.reader_geometry import compare_boxes
+from sim.crosscheck.reader_geometry import compare_boxes, compare_geometries
 from sim.crosscheck.report import Column, CrosscheckReport, column_from
-from sim.crosscheck.sources import Source, compiled
+from sim.crosscheck.sources import Source, compiled, stated_velocities
 from sim.crosscheck.states import as_drawn, random_states
 
 __all__ = ["BRIDGE", "READER", "compare_models", "crosscheck"]
@@ -118,15 +118,17 @@ def compare_models(
     limits = tolerances or Tolerances()
     source = compiled(reference)
     layout = layout_of(source.model)
-    here = MujocoSide(source.model, source.name, layout)
+    here = MujocoSide(source.model, source.name, layout, None, stated_velocities(source))
     notes = list(source.notes)
     there: Side
     if isinstance(other, pin.Model):
         there = match(other, other.name or "pinocchio.Model", layout, names)
+        notes.append("not compared: collision geometries (a pinocchio.Model has none)")
     else:
         second = compiled(other)
         notes += second.notes
-        there = MujocoSide(second.model, second.name, layout, names)
+        speeds = stated_velocities(second)
+        there = MujocoSide(second.model, second.name, layout, names, speeds)
     _check_names(names or {}, here, there)
     run = _Run(source, here, seed, n_configurations, limits)
     return CrosscheckReport(
@@ -169,6 +171,7 @@ class _Run:
         notes: list[str] = []
         if isinstance(side, MujocoSide):
             compare_couplings(tally, self.reference, side)
+            compare_geometries(tally, self.reference, side)
         if engines:
             geometry = GeometryCheck(self.source.model, PAIRS_PER_CONFIGURATION)
             geometry.shuffle(np.random.default_rng(self._seed))

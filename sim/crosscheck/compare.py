@@ -36,7 +36,7 @@ _GRAVITY = 10.0
 
 
 def compare_parts(tally: Tally, layout: Layout, here: Parts, there: Parts) -> None:
-    """Names, kinds, limits, armature, damping, friction, efforts, masses and inertias."""
+    """Names, kinds, limits of all sorts, armature, damping, friction, masses and inertias."""
     for slot in layout.joints:
         tally.add("joints present", slot.name, float(slot.name not in there.joints))
     for body in layout.parents:
@@ -59,6 +59,8 @@ def compare_parts(tally: Tally, layout: Layout, here: Parts, there: Parts) -> No
         _relative(tally, "damping", name, mine.damping, theirs.damping)
         _relative(tally, "dry friction", name, mine.friction, theirs.friction)
         _relative(tally, "effort limit", name, mine.effort, theirs.effort)
+        if mine.velocity is not None and theirs.velocity is not None:
+            _relative(tally, "velocity limit", name, mine.velocity, theirs.velocity)
     tally.add(
         "gravity",
         "the model",

@@ -91,7 +91,12 @@ class MujocoSide:
     """A compiled model, seen in the names and the order of a reference."""
 
     def __init__(
-        self, model: Any, name: str, layout: Layout, names: Mapping[str, str] | None = None
+        self,
+        model: Any,
+        name: str,
+        layout: Layout,
+        names: Mapping[str, str] | None = None,
+        velocities: Mapping[str, float] | None = None,
     ) -> None:
         """Match the model's joints, bodies and sites with the reference's.
 
@@ -100,6 +105,8 @@ class MujocoSide:
             name: What the side is called in tables.
             layout: The reference's, of this model or of another.
             names: Reference's name -> this model's name, where they differ.
+            velocities: Joint of this model -> largest speed that its URDF states, rad/s or m/s;
+                None for a model of another kind: MuJoCo has no word for it.
         """
         self.name, self.layout = name, layout
         self.compiled, self.model = model, _smooth(model)
@@ -115,7 +122,7 @@ class MujocoSide:
         ]
         strength = efforts(model)
         self._joint_facts = {
-            slot.name: _facts(model, slots[other], strength)
+            slot.name: _facts(model, slots[other], strength, velocities)
             for slot in layout.joints
             if (other := self._other(slot.name)) in slots
         }
@@ -127,6 +134,11 @@ class MujocoSide:
         self._dofs = np.full(layout.nv, -1)
         for slot, mine in self._pairs:
             self._dofs[slot.v] = np.arange(mine.v.start, mine.v.stop)
+
+    @property
+    def bodies(self) -> Mapping[str, int]:
+        """Body of the reference -> number of this model's body; the world is one."""
+        return {"world": 0, **self._bodies}
 
     def _other(self, name: str) -> str:
         return self._names.get(name, name)
@@ -227,7 +239,9 @@ class MujocoSide:
         return out
 
 
-def _facts(model: Any, slot: Slot, strength: FloatArray) -> JointFacts:
+def _facts(
+    model: Any, slot: Slot, strength: FloatArray, velocities: Mapping[str, float] | None
+) -> JointFacts:
     """What a model, with its actuators, says about a joint; ``strength`` (nv, 2) of them."""
     j = int(np.flatnonzero(model.jnt_dofadr == slot.v.start)[0])
     bounds = None
@@ -242,6 +256,9 @@ def _facts(model: Any, slot: Slot, strength: FloatArray) -> JointFacts:
         damping=np.array(model.dof_damping[slot.v]),
         friction=np.array(model.dof_frictionloss[slot.v]),
         effort=strength[slot.v],
+        velocity=None
+        if velocities is None
+        else np.full(slot.v.stop - slot.v.start, velocities.get(slot.name, np.inf)),
     )
 
 

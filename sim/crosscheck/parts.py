@@ -112,6 +112,8 @@ class JointFacts:
         damping: (nv of the joint,), N m s/rad or N s/m.
         friction: Dry friction (nv of the joint,), N m or N.
         effort: Bounds (nv of the joint, 2), N m or N; infinite where nothing is stated.
+        velocity: Largest speed (nv of the joint,), rad/s or m/s, infinite where the file states
+            none; None where the kind of file has no word for it.
     """
 
     kind: str
@@ -120,6 +122,7 @@ class JointFacts:
     damping: FloatArray
     friction: FloatArray
     effort: FloatArray
+    velocity: FloatArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -263,4 +263,5 @@ class PinocchioSide:
             damping=np.array(m.damping[v]),
             friction=np.array(m.upperDryFrictionLimit[v]),
             effort=effort,
+            velocity=np.array(self.model.velocityLimit[joint.v]),
         )

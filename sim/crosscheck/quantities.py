@@ -62,6 +62,7 @@ def _rows() -> tuple[Quantity, ...]:
         sites present | | structure | | site
         joint kind | | structure | | joint
         geometries present | | structure | | geom
+        geometry kind | | structure | | geom
         body offset | m | parameters | kinematics | body
         body turn | rad | parameters | kinematics | body
         joint axis | rad | parameters | kinematics | joint
@@ -74,10 +75,14 @@ def _rows() -> tuple[Quantity, ...]:
         damping | relative | parameters | parameters | joint
         dry friction | relative | parameters | parameters | joint
         effort limit | relative | parameters | parameters | joint
+        velocity limit | relative | parameters | parameters | joint
         mass | relative | parameters | parameters | body
         link centre | m | parameters | kinematics | body
         inertia | relative | parameters | parameters | body
         geometry | m | parameters | distance | geom
+        geometry size | m | parameters | distance | geom
+        geometry offset | m | parameters | kinematics | geom
+        geometry turn | rad | parameters | kinematics | geom
         body position | m | kinematics | kinematics | body
         body orientation | rad | kinematics | kinematics | body
         site position | m | kinematics | kinematics | site

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 
 from planner.bridge import compile_spec, load_spec
+from planner.bridge.inertias import impossible_inertias, worst_inertia
 from planner.bridge.load import compile_balanced
+from planner.bridge.structure import read_spec
 from planner.errors import ModelError
 from planner.hand_loading import load_hand
 from planner.hands.catalog import find_hand
 
-__all__ = ["Source", "compiled"]
+__all__ = ["Source", "compiled", "stated_velocities"]
 
 DESCRIPTION = ".toml"
 """How the name of a file ends that describes a hand and is no model."""
@@ -47,7 +50,7 @@ class Source:
 
 
 def compiled(model: Any) -> Source:
-    """Compile what was given.
+    """Compile what was given, and note inertias that no body can have: engines read them alike.
 
     Args:
         model: Path of an MJCF or URDF file, a hand as for ``load_hand``, ``mujoco.MjSpec`` or
@@ -57,10 +60,37 @@ def compiled(model: Any) -> Source:
         NotFoundError: There is no such file or hand.
         ModelError: MuJoCo cannot read or compile it, or it is none of these.
     """
+    source = _compiled(model)
+    impossible = impossible_inertias(source.model)
+    if not impossible:
+        return source
+    note = (
+        f"{worst_inertia(impossible)}: correct it in the model, or, for a hand, write "
+        "inertia_from_geometry under [repair] in its hand.toml (opposable describe does)"
+    )
+    return replace(source, notes=(*source.notes, note))
+
+
+def stated_velocities(source: Source) -> dict[str, float] | None:
+    """Joint -> largest speed that a URDF states, rad/s or m/s; None for models of other kinds."""
+    if source.path is None:
+        return None
+    root = ElementTree.parse(source.path).getroot()  # MuJoCo has read it before
+    if root.tag != "robot":
+        return None
+    limits = {j.get("name", ""): j.find("limit") for j in root.findall("joint")}
+    return {
+        name: float(limit.get("velocity", "inf"))
+        for name, limit in limits.items()
+        if limit is not None
+    }
+
+
+def _compiled(model: Any) -> Source:
     if isinstance(model, mujoco.MjModel):
         return Source(name="model", model=model, spec=None, path=None)
     if isinstance(model, mujoco.MjSpec):
-        spec = model.copy()
+        spec = read_spec(model)
         name = spec.modelname or "model"
         return Source(name=name, model=compile_spec(spec, name), spec=spec, path=None)
     if not isinstance(model, str | Path):

@@ -15,12 +15,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.bridge.mesh_files import HIDDEN_GROUP
 from planner.spatial import FloatArray
 
 __all__ = ["HIDDEN_GROUP", "dress_hand"]
-
-HIDDEN_GROUP = 3
-"""Group of geoms that collide and are not drawn."""
 
 _TYPE = mujoco.mjtGeom
 BOX, CYLINDER = int(_TYPE.mjGEOM_BOX), int(_TYPE.mjGEOM_CYLINDER)

@@ -43,7 +43,7 @@ class HandPanel {
     const joint = this.joints[k], tied = this.rows.some((row) => row[k] !== 0);
     const label = element("label", "joint", parent);
     const name = element("span", "name", label);
-    element("span", "", name, joint.name).title = joint.name;
+    element("span", "", name, this.data.labels[k]).title = joint.name;
     if (tied) element("span", "tied", name, "coupled");
     const input = element("input", "", label);
     Object.assign(input, { type: "range", min: joint.lower, max: joint.upper, step: "any" });

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes.meshes.mending import Mending, mended
+from planner.shapes.meshes.mending import Mending, mended, too_wide
 from planner.shapes.meshes.polyhedron import digest_of
 from planner.shapes.meshes.soundness import faults_of, size_fault
 from planner.shapes.meshes.union import manifold_is_installed
@@ -97,6 +97,8 @@ def check_solid(
     if mending.faults:
         tried = "; ".join(mending.done) if mending.done else "nothing could be mended"
         left = "; ".join(fault.what for fault in mending.faults)
+        hole = too_wide(mending.vertices, mending.faces) if len(mending.faces) else ""
+        left = f"{left}; {hole}" if hole else left
         raise ObjectError(
             f"{what}. Mending was tried ({tried}), and then {left}; close it, or unite its parts, "
             "in the program that made it"

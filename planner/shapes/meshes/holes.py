@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from planner.shapes.meshes.edges import directed_edges
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["close_holes", "rims"]
+__all__ = ["close_holes", "hole_widths", "rims"]
 
 LONGEST_RIM = 160
 """Corners of a rim, at most, that is closed by triangles of least area, which takes time with the
@@ -46,6 +46,11 @@ def rims(faces: IntArray) -> list[IntArray]:
     return [loop for loop in loops if len(loop) >= 3]
 
 
+def hole_widths(vertices: FloatArray, faces: IntArray) -> list[float]:
+    """Extents (m) of the holes, in the order of ``rims``: longest side of the box around each."""
+    return [float(np.ptp(vertices[ring], axis=0).max()) for ring in rims(faces)]
+
+
 def close_holes(
     vertices: FloatArray, faces: IntArray, widest: float
 ) -> tuple[FloatArray, IntArray, list[float]]:
@@ -58,8 +63,7 @@ def close_holes(
     """
     points, parts, widths = [vertices], [faces], []
     count = len(vertices)
-    for ring in rims(faces):
-        width = float(np.ptp(vertices[ring], axis=0).max())
+    for ring, width in zip(rims(faces), hole_widths(vertices, faces), strict=True):
         if width > widest:
             continue
         widths.append(width)

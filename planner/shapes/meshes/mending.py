@@ -14,6 +14,7 @@ import numpy as np
 
 from planner.shapes.meshes.deviation import deviation
 from planner.shapes.meshes.edges import bodies_of, body_volumes, paired_edges
+from planner.shapes.meshes.holes import hole_widths
 from planner.shapes.meshes.patches import crossed_in_bodies, without_crossings
 from planner.shapes.meshes.repair import right_side_out, with_paired_edges
 from planner.shapes.meshes.soundness import Fault, faults_of
@@ -104,6 +105,19 @@ class Mending:
                 f"{100 * VOLUME:g} %"
             )
         return ""
+
+
+def too_wide(vertices: FloatArray, faces: IntArray) -> str:
+    """The widest hole that no mending closes, and the limit, in words; "" if there is none."""
+    length = float(np.ptp(vertices, axis=0).max())
+    width = max(hole_widths(vertices, faces), default=0.0)
+    if width <= WIDEST_HOLE * length:
+        return ""
+    return (
+        f"a hole is {1e3 * width:.3g} mm wide, {width / length:.2f} of the object's length, and "
+        f"holes are closed up to {WIDEST_HOLE:g} of it ({1e3 * WIDEST_HOLE * length:.3g} mm), with "
+        "--repair too: a wider one is taken for the shape itself"
+    )
 
 
 def mended(vertices: FloatArray, faces: IntArray) -> Mending:

@@ -1,4 +1,4 @@
-"""Fewer triangles for a page: vertices in one cell of a grid become one."""
+"""Fewer triangles, to be looked at: vertices in one cell of a grid become one."""
 
 from __future__ import annotations
 
