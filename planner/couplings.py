@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.errors import HandError
-from planner.numerics.lp import solve_lp
+from planner.errors import HandError, PlannerError
+from planner.numerics.lp import NOT_KNOWN, solve_lp
 from planner.numerics.qp import solve_qp
 from planner.spatial import FloatArray
 
@@ -131,7 +131,7 @@ def coupled_extreme(
         upper: Joint limits (nq,), finite.
 
     Raises:
-        PlannerError: A number is NaN, or the solver met numerical trouble.
+        PlannerError: A number is NaN, or no solver decides.
     """
     value = np.array([c.value for c in couplings])
     found = solve_lp(
@@ -140,6 +140,11 @@ def coupled_extreme(
         np.column_stack([value, value]),
         np.column_stack([lower, upper]),
     )
+    if found is NOT_KNOWN:
+        raise PlannerError(
+            f"no solver decides whether joints keep the couplings {[c.name for c in couplings]} "
+            "within their ranges; write coefficients and ranges nearer to 1, or drop a coupling"
+        )
     return None if found is None else found.x
 
 

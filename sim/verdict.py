@@ -51,6 +51,7 @@ Reason: TypeAlias = Literal[
     "interrupted",
     "stopped",
     "diverged",
+    "not run",
 ]
 """Why a trial did not succeed; "" if it did."""
 

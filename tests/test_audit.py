@@ -25,7 +25,7 @@ from planner.audit import (
     scaled_object,
 )
 from planner.audit.judge import Judge
-from planner.errors import FileFormatError, TaskError
+from planner.errors import FileFormatError, PlannerError, TaskError
 from planner.exchange.formats import Reading, Writing
 from planner.exchange.given import GivenGrasp, GivenGrasps
 from planner.exchange.table import read_table, write_table
@@ -437,6 +437,26 @@ def test_workers_give_the_same_rows(good: Good, monkeypatch: pytest.MonkeyPatch)
     alone = audit_grasps(task, many)
     shared = audit_grasps(task, many, workers=2)
     assert [r.to_dict() for r in alone.rows] == [r.to_dict() for r in shared.rows]
+
+
+def test_a_grasp_that_cannot_be_judged_ends_itself_alone(
+    good: Good, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row, asked = Judge.row, []
+
+    def fails_once(self: Judge, grasp: GivenGrasp, index: int = 0, source: str = "") -> AuditRow:
+        asked.append(index)
+        if index == 0:
+            raise PlannerError("no solver decides it")
+        return row(self, grasp, index, source)
+
+    monkeypatch.setattr(Judge, "row", fails_once)
+    task, _, several = good
+    given = replace(several, grasps=several.grasps[:1] * 2)
+    report = audit_grasps(task, given, fingers_told=True)
+    first, second = report.rows
+    assert asked == [0, 1] and second.passed and not first.passed and not report.ok
+    assert first.stages["joints"].reason == "no solver decides it"
 
 
 def test_ctrl_c_keeps_the_rows(good: Good, tmp_path: Path) -> None:

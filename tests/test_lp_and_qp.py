@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,12 +18,16 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.sparse import csc_matrix
 
+from planner.certify.resist import Resistance
+from planner.contacts import ContactSet
 from planner.errors import PlannerError
-from planner.numerics.lp import LpSolution, solve_lp
+from planner.forces import build_force_problem, distribute_forces
+from planner.numerics.lp import NOT_KNOWN, LpAnswer, LpSolution, solve_lp
 from planner.numerics.qp import solve_qp
 from planner.spatial import FloatArray
 
 INF = np.inf
+DATA = Path(__file__).parent / "data"
 
 
 def quadratic(rng: np.random.Generator) -> dict[str, FloatArray]:
@@ -40,7 +46,7 @@ def quadratic(rng: np.random.Generator) -> dict[str, FloatArray]:
     }
 
 
-def linear(given: dict[str, FloatArray]) -> LpSolution | None:
+def linear(given: dict[str, FloatArray]) -> LpAnswer:
     """Solve it without its P."""
     limits = np.column_stack([given["low"], given["high"]])
     bounds = np.column_stack([given["lower"], given["upper"]])
@@ -93,7 +99,7 @@ def test_the_linear_solver_and_its_duals_agree_with_scipy(
         monkeypatch.setattr("planner.numerics.lp.run_daqp", lambda *given, **settings: None)
     given = quadratic(np.random.default_rng(seed))
     found = linear(given)
-    assert found is not None
+    assert isinstance(found, LpSolution)
     theirs = linprog(
         given["q"],
         A_ub=-given["a"][2:],
@@ -123,7 +129,7 @@ def test_duals_of_rows_limited_on_both_sides_prove_the_least_cost(seed: int) -> 
         bounds=bounds,
     )
     assert (found is None) == (theirs.status == 2)
-    if found is None:
+    if not isinstance(found, LpSolution):
         return
     # duality: what the duals say of the limits is the least cost, and stationarity holds
     stationary = given["q"] - given["a"].T @ found.row_duals - found.bound_duals
@@ -159,13 +165,95 @@ def test_programmes_of_any_shape_agree_with_scipy(seed: int, n: int, m: int) -> 
         bounds=bounds,
     )
     if theirs.status == 3:  # unbounded
-        with pytest.raises(PlannerError, match="gave up"):
+        with pytest.raises(PlannerError, match="no least cost"):
             solve_lp(cost, rows, limits, bounds)
         return
     found = solve_lp(cost, rows, limits, bounds)
     assert (found is None) == (theirs.status == 2)
     if found is not None:
+        assert isinstance(found, LpSolution)
         assert found.value == pytest.approx(theirs.fun, rel=1e-7, abs=1e-7)
+
+
+def undecided() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Cost, rows, their limits and bounds of an infeasible programme that HiGHS cannot decide."""
+    told = json.loads((DATA / "undecided_programme.json").read_text(encoding="utf-8"))
+    # None is no limit, below or above
+    limits, bounds = (
+        np.array([[-INF if a is None else a, INF if b is None else b] for a, b in told[name]])
+        for name in ("row_limits", "bounds")
+    )
+    return np.array(told["cost"], dtype=float), np.array(told["rows"]), limits, bounds
+
+
+def test_a_programme_that_highs_leaves_undecided_is_proven_infeasible() -> None:
+    assert solve_lp(*undecided()) is None
+
+
+def test_infeasible_programmes_are_proven_so_without_highs(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("HiGHS was asked")
+
+    monkeypatch.setattr("planner.numerics.lp._by_highs", refuse)
+    cost, rows, limits, bounds = undecided()
+    assert solve_lp(cost, rows, limits, bounds) is None
+    # x + y <= 1 and x + y >= 1 + gap, both free
+    for gap in (1e-5, 1.0):
+        sides = np.array([[-INF, 1.0], [1.0 + gap, INF]])
+        assert solve_lp(np.zeros(2), np.ones((2, 2)), sides, np.tile([-INF, INF], (2, 1))) is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_undecided_programme_is_scaled_and_asked_of_the_other_methods(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = quadratic(np.random.default_rng(seed))
+    wanted = linear(given)
+    asked = []
+
+    def only_inner_point(*args: Any, method: str, **more: Any) -> Any:
+        asked.append(method)
+        return linprog(*args, method=method, **more) if method == "highs-ipm" else Undecided()
+
+    monkeypatch.setattr("planner.numerics.lp.run_daqp", lambda *given, **settings: None)
+    monkeypatch.setattr("scipy.optimize.linprog", only_inner_point)
+    found = linear(given | {name: 1e4 * given[name] for name in ("a", "low", "high")})
+    assert asked == ["highs-ds", "highs-ipm"]
+    assert isinstance(found, LpSolution) and isinstance(wanted, LpSolution)
+    assert found.value == pytest.approx(wanted.value, abs=1e-8)
+    np.testing.assert_allclose(1e4 * found.row_duals, wanted.row_duals, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(found.bound_duals, wanted.bound_duals, rtol=0, atol=1e-7)
+
+
+class Undecided:
+    """What HiGHS answers where it gives up."""
+
+    status, message = 4, "model_status is Unknown"
+
+
+def test_what_no_solver_decides_is_not_known_and_ends_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pinch = ContactSet.from_arrays(
+        0.02 * np.array([[1.0, 0, 0], [-1.0, 0, 0]]), [[-1.0, 0, 0], [1.0, 0, 0]], mu=0.1
+    )
+    ask: Any = {"wrench": [0, 0, -1.0, 0, 0, 0], "max_normal": 1.0}
+    decided = distribute_forces(pinch, **ask)
+    assert not decided.found and decided.fraction == pytest.approx(0.2, rel=0.02)
+    monkeypatch.setattr("planner.numerics.lp.run_daqp", lambda *given, **settings: None)
+    monkeypatch.setattr("scipy.optimize.linprog", lambda *args, **more: Undecided())
+    assert linear(quadratic(np.random.default_rng(0))) is NOT_KNOWN
+    left = distribute_forces(pinch, **ask)
+    assert not left.found and "not known" in left.reason and np.isnan(left.fraction)
+    with pytest.raises(PlannerError, match="not known"):
+        left.raise_if_infeasible()
+    # bounds of what a grasp resists stay bounds: wider, never below the true value
+    problem = build_force_problem(pinch, wrench=np.zeros(6), max_normal=1.0)
+    oracle = Resistance(problem, np.eye(6)[:, 2:3], gap=0.01)
+    monkeypatch.undo()
+    true = Resistance(problem, np.eye(6)[:, 2:3], gap=0.01).support(np.ones(1))[0]
+    monkeypatch.setattr("planner.certify.resist.solve_lp", lambda *given: NOT_KNOWN)
+    assert oracle.held is None and oracle.support(np.ones(1))[0] >= true > 0.0
 
 
 @pytest.mark.parametrize("name", ["q", "a", "low", "high", "lower", "upper"])
@@ -228,7 +316,7 @@ def test_what_contradicts_itself_has_no_solution_and_leaves_nothing_behind() -> 
     given["low"] = np.array([1.5])
     found, best = solve_qp(**given), linear(given)
     assert found is not None
-    assert best is not None
+    assert isinstance(best, LpSolution)
     assert found.sum() == pytest.approx(1.5)
     assert best.x.sum() == pytest.approx(1.5)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -25,9 +26,11 @@ from planner.search import plan_grasp
 from planner.spatial import pose_to_wxyz
 from planner.task import GraspTask
 from sim.physics import PhysicsOptions
+from sim.reset_states.scene import write_scene
 from sim.scene import HAND_PREFIX, build_scene
 from sim.scene_export import MJCF_SCENE, check, export_scene
 
+DATA = Path(__file__).parent / "data"
 SCENES = (("allegro_hand", "ellipsoid"), ("shadow_hand", "box"), ("allegro_hand", "lbracket"))
 
 
@@ -158,6 +161,51 @@ def test_it_uses_only_what_other_readers_follow(folder: Path) -> None:
     assert not any("class" in e.attrib or "childclass" in e.attrib for e in root.iter())
 
 
+@pytest.fixture(scope="module")
+def scenes(
+    plan: GraspPlan, folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, ...]:
+    """What is written for others: the scene of an export and that of states."""
+    states = write_scene(plan.task, PhysicsOptions(), tmp_path_factory.mktemp("states"))
+    return folder / "scene.xml", states
+
+
+def test_only_what_mujoco_3_3_reads_is_written(scenes: tuple[Path, ...]) -> None:
+    """The list is what ``mujoco.mj_printSchema(False, False)`` says in 3.3.2."""
+    known = json.loads((DATA / "mjcf_of_mujoco_3_3_2.json").read_text(encoding="utf-8"))
+    for scene in scenes:
+        for element in ET.parse(scene).getroot().iter():
+            unknown = set(element.attrib) - set(known.get(element.tag, "").split()) - {"class"}
+            assert not unknown, f"<{element.tag}> of {scene} has {unknown}"
+
+
+def test_mujoco_3_3_loads_what_is_written_as_ours_does(scenes: tuple[Path, ...]) -> None:
+    """Runs where OPPOSABLE_OLDER_PYTHON names a Python with ``pip install mujoco==3.3.2``."""
+    older = os.environ.get("OPPOSABLE_OLDER_PYTHON", "")
+    if not older:
+        pytest.skip("OPPOSABLE_OLDER_PYTHON names no Python with an older MuJoCo")
+    code = """
+import json, mujoco, sys
+model = mujoco.MjModel.from_xml_path(sys.argv[1])
+arrays = ("body_mass", "geom_size", "jnt_range", "actuator_gainprm", "actuator_biasprm",
+          "actuator_forcerange", "geom_friction", "key_ctrl")
+print(mujoco.__version__)
+print(json.dumps({name: getattr(model, name)[:, :3].tolist() if getattr(model, name).ndim > 1
+                  else getattr(model, name).tolist() for name in arrays}))
+"""
+    for scene in scenes:
+        said = [
+            subprocess.run(
+                [python, "-I", "-c", code, str(scene)], capture_output=True, text=True, check=True
+            ).stdout.splitlines()
+            for python in (older, sys.executable)
+        ]
+        assert said[0][0] < said[1][0]
+        theirs, ours = (json.loads(lines[1]) for lines in said)
+        for name, values in ours.items():
+            np.testing.assert_allclose(theirs[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
 # --- held by those who know nothing of us ---------------------------------------------------------
 
 
@@ -242,22 +290,25 @@ def test_the_urdf_moves_and_weighs_like_the_model(plan: GraspPlan, folder: Path)
         q = rng.uniform(hand.q_lower, hand.q_upper)
         mine = np.zeros(model.nq)
         for name, value in zip(hand.joint_names, q, strict=True):
-            mine[model.joints[model.getJointId(name)].idx_q] = value
+            mine[model.joints[model.getJointId(HAND_PREFIX + name)].idx_q] = value
         pin.framesForwardKinematics(model, data, mine)
-        palm = data.oMf[model.getFrameId(hand.description.palm_body)]
+        palm = data.oMf[model.getFrameId(HAND_PREFIX + hand.description.palm_body)]
         np.testing.assert_allclose(
             palm.homogeneous, HandState(hand, q).T_base_palm.homogeneous, rtol=0, atol=1e-9
         )
         for finger in hand.fingers.values():
             body = hand.mj_model.body(hand.mj_model.geom(finger.pad.geom).bodyid[0]).name
-            frame = data.oMf[model.getFrameId(body)]
+            frame = data.oMf[model.getFrameId(HAND_PREFIX + body)]
             own = hand.pin_model.getFrameId(body)
             theirs = hand.pin_model.createData()
             pin.framesForwardKinematics(hand.pin_model, theirs, q)
             np.testing.assert_allclose(
                 frame.homogeneous, theirs.oMf[own].homogeneous, rtol=0, atol=1e-9
             )
-    place = [model.joints[model.getJointId(name)].idx_v for name in hand.joint_names]
+    told = json.loads((folder / "physics.json").read_text())
+    names = [joint["name"] for joint in told["joints"]]  # both files name joints alike
+    assert set(names) == set(model.names.tolist()[1:]) == set(told["key_frames"]["grasp"]["joints"])
+    place = [model.joints[model.getJointId(name)].idx_v for name in names]
     theirs = pin.crba(model, data, mine)[np.ix_(place, place)]
     ours = pin.crba(hand.pin_model, hand.pin_model.createData(), q)
     ours -= np.diag(hand.pin_model.armature)  # which URDF does not have

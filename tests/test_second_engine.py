@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import builtins
+import itertools
 import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from planner.errors import FileFormatError, TaskError
 from planner.files import write_plan
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
+from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.cli import main
 from sim.physics import PhysicsOptions
 from sim.protocols import IN_ALL, PROTOCOLS, run_protocol, unsuitable
 from sim.scene_export import export_scene
-from sim.second_engine import drake_missing, hold_in_drake, load_drake_scene
+from sim.second_engine import Held, drake_missing, hold_in_drake, load_drake_scene
 
 WEIGHT = 0.1 * 9.81
 
@@ -117,7 +121,7 @@ def test_the_same_geoms_may_touch(folder: Path) -> None:
     """Pairs that MuJoCo filters by its bits or as neighbours are not even candidates in Drake."""
     need_drake()
     scene = load_drake_scene(folder)
-    graph = scene.diagram.GetSubsystemByName("scene_graph")
+    graph = scene.simulator.get_system().GetSubsystemByName("scene_graph")
     view = graph.model_inspector()
     theirs = {
         frozenset(view.GetName(g).split("::", 1)[-1] for g in pair)
@@ -198,6 +202,66 @@ def test_slippery_fingers_lose_it(plan: GraspPlan, tmp_path: Path) -> None:
     need_drake()
     export_scene(plan, tmp_path / "scene", physics=PhysicsOptions(mu=0.05))
     assert not hold_in_drake(tmp_path / "scene").held
+
+
+def with_box_of(corners: FloatArray, folder: Path, copy: Path) -> Path:
+    """A copy of the export of a box that is now the hull of its corners (n, 3), m."""
+    shutil.copytree(folder, copy)
+    lines = [f"v {x:.12g} {y:.12g} {z:.12g}" for x, y, z in corners.tolist()]
+    faces = ConvexHull(corners, qhull_options="QJ").simplices + 1
+    lines += [f"f {a} {b} {c}" for a, b, c in faces.tolist()]
+    (copy / "meshes" / "corners.obj").write_text("\n".join(lines) + "\n")
+    mjcf = ElementTree.parse(copy / "scene.xml")
+    asset = next(iter(mjcf.getroot().iter("asset")), None)
+    asset = ElementTree.SubElement(mjcf.getroot(), "asset") if asset is None else asset
+    ElementTree.SubElement(asset, "mesh", name="corners", file="meshes/corners.obj")
+    (geom,) = [g for g in mjcf.iter("geom") if g.get("type") == "box" and g.get("name") == "object"]
+    del geom.attrib["size"]
+    geom.attrib |= {"type": "mesh", "mesh": "corners"}
+    mjcf.write(copy / "scene.xml")
+    return copy
+
+
+def corners_of(plan: GraspPlan) -> FloatArray:
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    return np.asarray(signs * plan.task.object.shape.half_extents)
+
+
+def test_a_sliver_of_the_mesh_does_not_keep_drake_from_it(
+    plan: GraspPlan, folder: Path, tmp_path: Path
+) -> None:
+    """Drake cannot fill a box with a corner cut off 3 nm from its end."""
+    need_drake()
+    if plan.task.hand.name != "allegro_hand":
+        pytest.skip("one hand is enough")
+    corners = corners_of(plan)
+    cut = np.vstack([corners[:7], corners[7] - 3e-9 * np.eye(3)])
+    seen = hold_in_drake(with_box_of(cut, folder, tmp_path / "cut"), seconds=0.3)
+    assert seen.held, seen.detail
+
+
+def test_a_mesh_that_drake_cannot_fill_ends_its_own_trials_alone(
+    plan: GraspPlan, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need_drake()
+    if plan.task.hand.name != "allegro_hand":
+        pytest.skip("one hand is enough")
+    needle = corners_of(plan) * np.array([1.0, 1e-7, 1e-7])
+    made = with_box_of(needle, folder, tmp_path / "needle")
+    with pytest.raises(FileFormatError, match="leave this plan out"):
+        load_drake_scene(made)
+
+    def held_but_the_first(export: Path, *, wrench: FloatArray | None) -> Held:
+        where = made if wrench is None else export
+        return hold_in_drake(where, seconds=0.2, wrench=wrench)
+
+    monkeypatch.setattr("sim.protocols.drake.hold_in_drake", held_but_the_first)
+    file = tmp_path / "trials.jsonl"
+    report = run_protocol(plan, "drake", only=["hold", "push +x"], file=file)
+    first, second = report.outcomes
+    assert (first.reason, second.reason) == ("not run", "") and second.held and not first.held
+    assert not report.success and "degenerate" in first.to_row()["detail"]
+    assert len(file.read_text().splitlines()) == 2 and "not run" in str(report)
 
 
 def test_a_folder_that_is_no_export_is_refused(tmp_path: Path) -> None:

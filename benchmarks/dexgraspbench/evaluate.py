@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import statistics
 from collections.abc import Sequence
@@ -62,7 +63,7 @@ def run_dexgraspbench(
     compare: bool = True,
     runner: Runner,
 ) -> Row:
-    """Evaluate batches; Ctrl-C while comparing keeps what is done.
+    """Evaluate batches; the same call after an end goes on, Ctrl-C keeps what is compared.
 
     Args:
         installed: The benchmark.
@@ -76,7 +77,6 @@ def run_dexgraspbench(
         PlannerError: A batch cannot be read or exported, or the benchmark fails.
     """
     home = home.resolve()
-    shutil.rmtree(home / "evaluation", ignore_errors=True)
     exports: dict[str, Row] = {}
     jobs: list[_GraspJob] = []
     for folder in batches:
@@ -136,9 +136,18 @@ def run_dexgraspbench(
 def _evaluated(
     installed: Installed, home: Path, hand: str, setting: str, workers: int
 ) -> dict[str, Row]:
-    """The benchmark's rows of an export by file: OBJECT/K.npy."""
+    """The benchmark's rows of an export by file, OBJECT/K.npy; those that are there are kept."""
     export = home / "export"
     out = home / "evaluation" / setting / hand
+    note, stamp = out / "export.sha256", _digest(export, hand)
+    if not (note.is_file() and note.read_text(encoding="utf-8") == stamp):
+        shutil.rmtree(out, ignore_errors=True)
+        out.mkdir(parents=True)
+        note.write_text(stamp, encoding="utf-8")
+    there = len(list((export / "graspdata" / hand).glob("*/*.npy")))
+    rows = {row["file"]: row for row in installed.results(out)}
+    if len(rows) == there:
+        return rows
     installed.evaluate(
         [
             "--config-dir",
@@ -147,7 +156,7 @@ def _evaluated(
             f"hand={hand}",
             f"setting={setting}",
             f"n_worker={workers}",
-            "skip=False",
+            "skip=True",  # what is in eval_dir already
             "task.analytic_fc_metrics=null",
             f"grasp_dir={export / 'graspdata' / hand}",
             f"eval_dir={out}",
@@ -156,13 +165,24 @@ def _evaluated(
         ]
     )
     rows = {row["file"]: row for row in installed.results(out)}
-    there = len(list((export / "graspdata" / hand).glob("*/*.npy")))
     if len(rows) != there:
         raise TaskError(
             f"DexGraspBench evaluated {len(rows)} of {there} grasps by {hand} in its setting "
             f"{setting}; its log is in {home / 'evaluation' / 'log' / setting / hand}"
         )
     return rows
+
+
+def _digest(export: Path, hand: str) -> str:
+    """Of the grasps by a hand, their objects and the hand."""
+    grasps = export / "graspdata" / hand
+    folders = [grasps, export / "hand" / hand]
+    folders += [export / "object" / item.name for item in grasps.iterdir()]
+    files = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file())
+    whole = hashlib.sha256()
+    for path in [export / "hand" / f"{hand}.yaml", *files]:
+        whole.update(f"{path.relative_to(export)}\n".encode() + path.read_bytes())
+    return whole.hexdigest()
 
 
 def _judge(job: _GraspJob, check: Check) -> Row:

@@ -17,7 +17,7 @@ from planner.audit.sources import given_of_plans
 from planner.batch.jobs import end_with
 from planner.batch.pool import default_backend, finished
 from planner.batch.recipe import recipe_of, task_of
-from planner.errors import TaskError
+from planner.errors import PlannerError, TaskError
 from planner.exchange.formats import Reading
 from planner.exchange.given import GivenGrasp, GivenGrasps
 from planner.hands.hand import Hand
@@ -246,17 +246,22 @@ def _judge_of(recipe: str, told: bool, approach: bool) -> Judge:
 def _judged(
     judge: Judge, grasp: GivenGrasp, index: int, source: str, execute: Execute | None
 ) -> AuditRow:
-    row = judge.row(grasp, index, source)
-    if execute is None:
-        return row
-    held = execute(judge.task_of(grasp, row.fingers), grasp)
+    """The row of a grasp, also where it comes to no verdict."""
+    try:
+        row = judge.row(grasp, index, source)
+        if execute is None:
+            return row
+        held = execute(judge.task_of(grasp, row.fingers), grasp)
+    except PlannerError as error:
+        return _not_judged(grasp, index, source, str(error))
     return replace(row, stages={**row.stages, "held": held})
 
 
 def _given_up(job: AuditJob, reason: str) -> list[AuditRow]:
     """Rows of grasps whose process died."""
+    return [_not_judged(g, job.first + i, job.source, reason) for i, g in enumerate(job.grasps)]
+
+
+def _not_judged(grasp: GivenGrasp, index: int, source: str, reason: str) -> AuditRow:
     stages = {"joints": StageResult(passed=None, reason=reason)}
-    return [
-        AuditRow(index=job.first + i, name=g.name, source=job.source, stages=stages)
-        for i, g in enumerate(job.grasps)
-    ]
+    return AuditRow(index=index, name=grasp.name, source=source, stages=stages)

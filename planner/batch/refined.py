@@ -19,7 +19,7 @@ from typing import Any
 from planner.batch.jobs import end_with
 from planner.batch.pool import check_backend, default_backend, finished
 from planner.batch.recipe import recipe_of, task_of
-from planner.errors import HandError, TaskError
+from planner.errors import PlannerError, TaskError
 from planner.failure import Failure
 from planner.refine import RefinedGrasp, refine_grasp, with_fingers
 from planner.spatial import SE3, FloatArray
@@ -94,7 +94,7 @@ def _refined(
     """The result of one pose, also where it is refused."""
     try:
         return refine_grasp(task, T_world_base, q, clamp=clamp, options=options)
-    except (TaskError, HandError) as error:
+    except PlannerError as error:
         return RefinedGrasp.untried(
             task, T_world_base, q, Failure(kind="bad_pose", text=f"bad pose: {error}")
         )

@@ -202,7 +202,9 @@ def structure_of(model: Any) -> ModelStructure:
         ),
         actuators=tuple(_actuator(model, i) for i in range(model.nu)),
         tendons=tuple(_tendon(model, t) for t in range(model.ntendon) if is_fixed_tendon(model, t)),
-        loops=tuple(_loop(model, e) for e in np.flatnonzero(model.eq_active0) if _ties(model, e)),
+        loops=tuple(
+            _loop(model, e) for e in map(int, np.flatnonzero(model.eq_active0)) if _ties(model, e)
+        ),
     )
 
 

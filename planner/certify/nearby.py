@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike
 
 from planner.certify.neighbourhood import NEAR, Changes, Neighbourhood
 from planner.contacts import ContactSet
-from planner.errors import ContactError, PlannerError, shown
+from planner.errors import ContactError, shown
 from planner.kinematics.state import HandState
 from planner.numerics.lp import LpSolution, solve_lp
 from planner.plan import GraspPlan
@@ -177,13 +177,11 @@ class _Search:
         return np.inf
 
     def _solve(self) -> LpSolution | None:
-        """Unknowns of the least bound under the present cuts."""
+        """Unknowns of the least bound under the present cuts; None where none are known."""
         rows = np.vstack([self._rows, *self._cuts])
         limits = np.vstack([self._limits, np.tile([-np.inf, -TIGHT], (len(self._cuts), 1))])
-        try:
-            return solve_lp(self._cost * self._unit, rows * self._unit, limits, self._bounds)
-        except PlannerError:
-            return None
+        found = solve_lp(self._cost * self._unit, rows * self._unit, limits, self._bounds)
+        return found if isinstance(found, LpSolution) else None
 
     def _fixed(self, moment: FloatArray, stops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """W . u = 1; |mu|; R mu in two parts; stops that may be active are not left."""

@@ -23,12 +23,13 @@ given.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from planner.contacts import ContactSet, Pyramid, pyramid_faces, round_cone
 from planner.forces import ForceProblem
-from planner.numerics.lp import solve_lp
+from planner.numerics.lp import NOT_KNOWN, LpSolution, Undecided, solve_lp
 from planner.spatial import FloatArray
 
 __all__ = ["Resistance", "without_grip"]
@@ -114,6 +115,8 @@ class Resistance:
         bound = np.inf
         for _ in range(ROUNDS):
             x = self._solve(cost, self._faces, self._bounds)
+            if x is NOT_KNOWN:  # S is within the bounds
+                return self.reach * float(np.abs(direction).sum()), point
             if x is None:
                 return -np.inf, point
             value = -float(cost @ x)
@@ -164,7 +167,7 @@ class Resistance:
         bounds[total - k : total] = 0.0
         cost = np.concatenate([np.zeros(total), -np.ones(n)])
         x = self._solve(cost, np.hstack([inner, owner]), bounds)
-        if x is not None:
+        if isinstance(x, np.ndarray):
             inside = [
                 normal @ x[:total] - np.linalg.norm(s @ x[:total]) for normal, s in self._cones
             ]
@@ -187,14 +190,16 @@ class Resistance:
             at += dim
         return np.vstack(blocks)
 
-    def _solve(self, cost: FloatArray, faces: FloatArray, bounds: FloatArray) -> FloatArray | None:
+    def _solve(
+        self, cost: FloatArray, faces: FloatArray, bounds: FloatArray
+    ) -> FloatArray | Literal[Undecided.NOT_KNOWN] | None:
         """A minimiser of cost . x with faces @ x <= 0, None where there is no solution."""
         self.programmes += 1
         rows = np.zeros((len(self._rows), len(cost)))
         rows[:, : self._rows.shape[1]] = self._rows
         limits = np.vstack([self._limits, np.tile([-np.inf, 0.0], (len(faces), 1))])
         found = solve_lp(cost, np.vstack([rows, faces]), limits, bounds)
-        return None if found is None else found.x
+        return found.x if isinstance(found, LpSolution) else found
 
 
 def _cone_maps(

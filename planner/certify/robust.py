@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from planner.certify.sphere import halved, icosphere
 from planner.contacts import ContactSet
 from planner.contacts.friction import check_edges
-from planner.errors import ContactError, PlannerError, shown
+from planner.errors import ContactError, shown
 from planner.numerics.lp import LpSolution, solve_lp
 from planner.quality import measure_hull
 from planner.spatial import FloatArray, IntArray
@@ -253,11 +253,9 @@ class _Proof:
         limits = np.vstack([np.tile([0.0, np.inf], (len(rows), 1)), np.zeros((4, 2))])
         limits[-1] = 1.0
         bounds = np.vstack([np.tile([0.0, np.inf], (m, 1)), np.tile([-np.inf, np.inf], (extra, 1))])
-        try:
-            return solve_lp(cost, np.vstack([rows, balance]), limits, bounds)
-        except PlannerError:
-            # Cones next to nothing bring numerical trouble: no forces, no proof.
-            return None
+        found = solve_lp(cost, np.vstack([rows, balance]), limits, bounds)
+        # Cones next to nothing bring numerical trouble: no forces, no proof.
+        return found if isinstance(found, LpSolution) else None
 
 
 def _robust_forces(mu: float, mu_torsion: float, tilt: float, edges: int) -> FloatArray:

@@ -21,7 +21,7 @@ import numpy as np
 
 from planner.contacts.friction import outline_faces
 from planner.forces.problem import RESIDUAL_TOL, ForceProblem
-from planner.numerics.lp import LpSolution, solve_lp
+from planner.numerics.lp import NOT_KNOWN, LpAnswer, LpSolution, solve_lp
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["FEASIBLE", "Infeasibility", "explain_infeasibility", "outlined"]
@@ -38,10 +38,12 @@ class Infeasibility:
     """The independent verdict on a force problem.
 
     Attributes:
-        feasible: Whether forces exist, within the tolerance of ``RESIDUAL_TOL``.
-        wrench: (6,), part of the wrench that cannot be resisted, N and N m; 0 if feasible.
+        feasible: Whether forces exist, within the tolerance of ``RESIDUAL_TOL``; False too where
+            that is not known.
+        wrench: (6,), part of the wrench that cannot be resisted, N and N m; 0 if feasible, NaN
+            where that is not known.
         fraction: Largest s in [0, 1] such that s times the wrench can be resisted (-); 0 if none
-            can, not even nothing at all.
+            can, not even nothing at all; NaN where that is not known.
         limits: Names of the limits that stand in the way.
         reason: The verdict in words, "" if feasible.
     """
@@ -55,6 +57,16 @@ class Infeasibility:
 
 FEASIBLE = Infeasibility(feasible=True, wrench=np.zeros(6), fraction=1.0, limits=(), reason="")
 """The verdict where forces exist."""
+
+UNDECIDED = Infeasibility(
+    feasible=False,
+    wrench=np.full(6, np.nan),
+    fraction=np.nan,
+    limits=(),
+    reason="whether there are contact forces is not known: the solver found none, and no linear "
+    "programme decides it",
+)
+"""The verdict where nothing is proven."""
 
 
 def explain_infeasibility(problem: ForceProblem) -> Infeasibility:
@@ -80,6 +92,8 @@ def explain_infeasibility(problem: ForceProblem) -> Infeasibility:
         return Infeasibility(feasible=False, wrench=wrench, fraction=0.0, limits=(), reason=reason)
     phase = _Phase1(problem)
     result = phase.least_unbalanced(np.arange(6))
+    if result is NOT_KNOWN:
+        return UNDECIDED
     if result is None:
         limits = phase.contradiction()
         return Infeasibility(
@@ -92,6 +106,9 @@ def explain_infeasibility(problem: ForceProblem) -> Infeasibility:
     if result.value <= RESIDUAL_TOL:
         return FEASIBLE
     left, fraction = phase.unbalanced(result), phase.fraction()
+    share = f"at best {100 * fraction:.3g} % of the wrench is resisted"
+    if np.isnan(fraction):
+        share = "which share of the wrench is resisted at best is not known"
     limits = phase.limits(result)
     return Infeasibility(
         feasible=False,
@@ -99,8 +116,8 @@ def explain_infeasibility(problem: ForceProblem) -> Infeasibility:
         fraction=fraction,
         limits=limits,
         reason=(
-            f"no contact forces balance {_words(wrench)}: {_words(left)} is left over, and at best "
-            f"{100 * fraction:.3g} % of the wrench is resisted" + _list(limits)
+            f"no contact forces balance {_words(wrench)}: {_words(left)} is left over, and "
+            f"{share}" + _list(limits)
         ),
     )
 
@@ -148,11 +165,11 @@ class _Phase1:
         self.rows, self.limits_of_rows = qp.a, np.column_stack([qp.low, qp.high])
         self.bounds = np.column_stack([qp.lower, qp.upper])
 
-    def least_unbalanced(self, relaxed: IntArray, first: int = 0) -> LpSolution | None:
+    def least_unbalanced(self, relaxed: IntArray, first: int = 0) -> LpAnswer:
         """Least sum of absolute violations of the ``relaxed`` rows; rows before ``first`` are off.
 
         Returns:
-            A solution, or None where the other limits have none.
+            A solution, None where the other limits have none, or ``NOT_KNOWN``.
         """
         kept = np.arange(first, len(self.rows))
         slack = (kept[:, None] == relaxed).astype(float)
@@ -167,7 +184,7 @@ class _Phase1:
         """Limits that leave joint torques unbalanced even if the wrench does not matter."""
         first = 6 + self.problem.n_faces
         result = self.least_unbalanced(np.arange(first, len(self.rows)), first=6)
-        return () if result is None else self.limits(result)
+        return self.limits(result) if isinstance(result, LpSolution) else ()
 
     def unbalanced(self, result: LpSolution) -> FloatArray:
         """G f + wrench (6,) of a solved phase 1, N and N m; rounding is taken off."""
@@ -184,6 +201,8 @@ class _Phase1:
             np.vstack([np.zeros((6, 2)), self.limits_of_rows[6:]]),
             np.vstack([self.bounds, [0.0, 1.0]]),
         )
+        if found is NOT_KNOWN:
+            return float("nan")
         return 0.0 if found is None else max(0.0, float(found.x[-1]))
 
     def limits(self, result: LpSolution) -> tuple[str, ...]:

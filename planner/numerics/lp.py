@@ -4,9 +4,10 @@
 
 DAQP's proximal-point method solves most of them fast, and is sometimes wrong. Its answer counts
 only with a proof: of a solution, multipliers that bound the cost from below by the same value (weak
-duality); of infeasibility, Farkas' lemma. Everything else goes to SciPy's HiGHS, which is slower.
-Programmes of many unknowns x >= 0 and few rows are solved by their duals, which have few unknowns
-and many rows:
+duality); of infeasibility, such multipliers of the least violation of any row (Farkas' lemma).
+Everything else goes to SciPy's HiGHS, which is slower. A programme that HiGHS leaves undecided is
+scaled and asked again of both; then the answer is ``NOT_KNOWN``. Programmes of many unknowns x >= 0
+and few rows are solved by their duals, which have few unknowns and many rows:
 
     max  b . y    s.t.  A'y <= cost,  y >= 0 of rows >= b,  y <= 0 of rows <= b.
 
@@ -20,6 +21,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -27,7 +30,7 @@ from planner.errors import PlannerError
 from planner.numerics.qp import run_daqp, violation
 from planner.spatial import FloatArray
 
-__all__ = ["LpSolution", "solve_lp"]
+__all__ = ["NOT_KNOWN", "LpAnswer", "LpSolution", "Undecided", "solve_lp"]
 
 PROXIMAL = 1e-3
 """Weight (-) of the step in DAQP's proximal-point method. Of 300 min-weight programmes of random
@@ -46,6 +49,10 @@ the larger of the cost and 1 (-)."""
 ALLOWED_TOL = 1e-8
 """Largest violation of a row or a bound, by the larger of the largest unknown and 1 (-)."""
 
+MISSED_TOL = 1e-7
+"""Least violation of any row above which a programme is infeasible (-): ten times what a solution
+may have."""
+
 BEYOND = 1e6
 """A programme counts as infeasible where every feasible x would be larger than this (-)."""
 
@@ -56,8 +63,11 @@ with 236 unknowns and 5 rows (the proofs of ``planner.certify.robust``)."""
 _HIGHS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 """HiGHS at its tightest."""
 
-_INFEASIBLE = 2
-"""SciPy's status of an infeasible programme."""
+_OPTIMAL, _INFEASIBLE, _UNBOUNDED = 0, 2, 3
+"""SciPy's status of a programme; every other one leaves it undecided."""
+
+SCALINGS = 3
+"""Rounds (-) in which rows and columns are divided by the roots of their largest entries."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,9 +88,22 @@ class LpSolution:
     bound_duals: FloatArray
 
 
+class Undecided(Enum):
+    """The answer that is none."""
+
+    NOT_KNOWN = "not known"
+
+
+NOT_KNOWN: Literal[Undecided.NOT_KNOWN] = Undecided.NOT_KNOWN
+"""The answer where no solver proves anything."""
+
+LpAnswer: TypeAlias = LpSolution | Literal[Undecided.NOT_KNOWN] | None
+"""A solution, None for an infeasible programme, or ``NOT_KNOWN``."""
+
+
 def solve_lp(
     cost: FloatArray, rows: FloatArray, row_limits: FloatArray, bounds: FloatArray
-) -> LpSolution | None:
+) -> LpAnswer:
     """Least cost . x with row limits on rows @ x and bounds on x.
 
     Args:
@@ -90,34 +113,83 @@ def solve_lp(
         bounds: (n, 2), the same of x.
 
     Returns:
-        The solution; None if the programme is infeasible, or has no unknowns (n = 0).
+        The solution; None if the programme is infeasible, or has no unknowns (n = 0); ``NOT_KNOWN``
+        if no solver decides it.
 
     Raises:
-        PlannerError: There is no least cost, a number is NaN, or HiGHS met numerical trouble.
+        PlannerError: There is no least cost, or a number is NaN.
     """
     if not len(cost):
         return None
     limits = np.concatenate([bounds, row_limits]).T.copy()
     if not math.isfinite(cost.sum() + rows.sum()) or np.isnan(limits).any():
         raise PlannerError("a linear programme holds NaN; give finite costs and rows")
-    if len(cost) > BY_DUAL and _is_standard(limits, len(cost)):
+    answer = _asked(cost, rows, limits, "highs-ds")
+    if answer is NOT_KNOWN:
+        row, column = _scales(rows)
+        scaled = limits * np.concatenate([1.0 / column, row])
+        answer = _asked(cost * column, row[:, None] * rows * column, scaled, "highs-ipm")
+        if isinstance(answer, LpSolution):
+            answer = LpSolution(
+                value=answer.value,
+                x=column * answer.x,
+                row_duals=row * answer.row_duals,
+                bound_duals=answer.bound_duals / column,
+            )
+    return answer
+
+
+def _asked(cost: FloatArray, rows: FloatArray, limits: FloatArray, method: str) -> LpAnswer:
+    """The answer of DAQP if it is proven, else that of HiGHS."""
+    standard = len(cost) > BY_DUAL and _is_standard(limits, len(cost))
+    if standard:
         found = _by_dual(cost, rows, limits)
-        if found is None and _is_infeasible(cost, rows, limits):
-            return None
     else:
         found = run_daqp(None, cost, rows, limits[0], limits[1], **_SETTINGS)
     proven = None if found is None else _proven(cost, rows, limits, found[0], found[1][len(cost) :])
-    return proven or _by_highs(cost, rows, row_limits, bounds)
+    if proven is not None:
+        return proven
+    if (_is_infeasible if standard else _misses_rows)(cost, rows, limits):
+        return None
+    return _by_highs(cost, rows, limits, method)
+
+
+def _scales(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Factors of rows (m,) and columns (n,), after which the largest entry of each is near 1."""
+    row, column = np.ones(len(rows)), np.ones(rows.shape[1])
+    for _ in range(SCALINGS):
+        size = np.abs(row[:, None] * rows * column)
+        row /= _root(size.max(axis=1, initial=0.0))
+        column /= _root(size.max(axis=0, initial=0.0))
+    return row, column
+
+
+def _root(most: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.where(most > 0.0, most, 1.0)))
 
 
 def _proven(
     cost: FloatArray, rows: FloatArray, limits: FloatArray, x: FloatArray, row_duals: FloatArray
 ) -> LpSolution | None:
     """The solution if x (n,) is feasible and multipliers (m,) prove it optimal."""
-    n = len(cost)
     if violation(x, rows, *limits) > ALLOWED_TOL * max(1.0, float(np.abs(x).max())):
         return None
     value, scale = float(cost @ x), max(1.0, float(np.abs(cost).max()))
+    least, missed, row_duals, bound_duals = _weak_duality(cost, rows, limits, row_duals)
+    if missed > GAP_TOL * scale or not value - least <= GAP_TOL * max(1.0, abs(value)):
+        return None
+    return LpSolution(value=value, x=x, row_duals=row_duals, bound_duals=bound_duals)
+
+
+def _weak_duality(
+    cost: FloatArray, rows: FloatArray, limits: FloatArray, row_duals: FloatArray
+) -> tuple[float, float, FloatArray, FloatArray]:
+    """What multipliers of rows (m,) prove: cost . x >= the first - the second times sum |x|.
+
+    Returns:
+        Both numbers, and the multipliers of rows (m,) and bounds (n,) that prove it.
+    """
+    n = len(cost)
     # a multiplier of a limit that is not there proves nothing; bounds take up what rows leave over
     (lower, low), (upper, high) = ((side[:n], side[n:]) for side in limits)
     row_ends = np.where(row_duals > 0.0, low, high)
@@ -125,14 +197,10 @@ def _proven(
     bound_duals = cost - row_duals @ rows
     ends = np.where(bound_duals > 0.0, lower, upper)
     absent = np.isinf(ends)
-    if np.abs(bound_duals[absent]).max(initial=0.0) > GAP_TOL * scale:
-        return None
+    missed = float(np.abs(bound_duals[absent]).max(initial=0.0))
     bound_duals[absent] = 0.0
     ends, row_ends = np.where(absent, 0.0, ends), np.where(row_duals == 0.0, 0.0, row_ends)
-    proven = float(bound_duals @ ends + row_duals @ row_ends)
-    if not value - proven <= GAP_TOL * max(1.0, abs(value)):
-        return None
-    return LpSolution(value=value, x=x, row_duals=row_duals, bound_duals=bound_duals)
+    return float(bound_duals @ ends + row_duals @ row_ends), missed, row_duals, bound_duals
 
 
 def _is_standard(limits: FloatArray, n: int) -> bool:
@@ -188,13 +256,37 @@ def _is_infeasible(cost: FloatArray, rows: FloatArray, limits: FloatArray) -> bo
     return bool(target @ y > BEYOND * missed and target @ y > ALLOWED_TOL)
 
 
-def _by_highs(
-    cost: FloatArray, rows: FloatArray, row_limits: FloatArray, bounds: FloatArray
-) -> LpSolution | None:
-    """The solution by HiGHS; None if infeasible."""
+def _misses_rows(cost: FloatArray, rows: FloatArray, limits: FloatArray) -> bool:
+    """Whether DAQP proves that every x up to ``BEYOND`` within the bounds misses a row by more.
+
+    The least violation is itself a programme, t >= 0 beside x, which always has a solution.
+    """
+    n, m = len(cost), len(rows)
+    low, high = limits[:, n:]
+    both, free = (
+        np.hstack([np.vstack([rows, rows]), np.repeat([[1.0], [-1.0]], m, 0)]),
+        np.full(m, np.inf),
+    )
+    ends = np.array(
+        [
+            np.concatenate([limits[0, :n], [0.0], low, -free]),
+            np.concatenate([limits[1, :n], [np.inf], free, high]),
+        ]
+    )
+    least = np.append(np.zeros(n), 1.0)
+    found = run_daqp(None, least, both, ends[0], ends[1], **_SETTINGS)
+    if found is None:
+        return False
+    proven, missed, *_ = _weak_duality(least, both, ends, found[1][n + 1 :])
+    return proven > max(MISSED_TOL, BEYOND * missed)
+
+
+def _by_highs(cost: FloatArray, rows: FloatArray, limits: FloatArray, method: str) -> LpAnswer:
+    """The answer of HiGHS by one of its methods."""
     from scipy.optimize import linprog  # here, since SciPy loads slowly
 
-    low, high = row_limits.T
+    n = len(cost)
+    low, high = limits[:, n:]
     equal = low == high
     up, down = ~equal & np.isfinite(high), ~equal & np.isfinite(low)
     found = linprog(
@@ -203,17 +295,18 @@ def _by_highs(
         b_eq=low[equal],
         A_ub=np.vstack([rows[up], -rows[down]]),
         b_ub=np.concatenate([high[up], -low[down]]),
-        bounds=bounds,
-        method="highs-ds",
+        bounds=limits[:, :n].T,
+        method=method,
         options=_HIGHS,
     )
     if found.status == _INFEASIBLE:
         return None
-    if found.status != 0:
+    if found.status == _UNBOUNDED:
         raise PlannerError(
-            f"HiGHS gave up on a linear programme ({found.message}); report these contacts, and "
-            "meanwhile try another width or number of edges"
+            "a linear programme has no least cost: it falls without end; bound its unknowns"
         )
+    if found.status != _OPTIMAL:
+        return NOT_KNOWN
     row_duals = np.zeros(len(rows))
     row_duals[equal] = found.eqlin.marginals
     of_upper, of_lower = np.split(found.ineqlin.marginals, [int(up.sum())])

@@ -28,7 +28,7 @@ import numpy as np
 
 from planner.contacts import ContactSet
 from planner.errors import ContactError, PlannerError
-from planner.numerics.lp import solve_lp
+from planner.numerics.lp import LpSolution, solve_lp
 from planner.plain import finite
 from planner.quality.cones import primitive_wrenches
 from planner.spatial import FloatArray
@@ -205,10 +205,10 @@ def _solve(basis: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         np.column_stack([target, target]),
         np.column_stack([lower, np.full(m + 1, np.inf)]),
     )
-    if found is None:
+    if not isinstance(found, LpSolution):
         raise PlannerError(
-            "the min-weight programme, which always has a solution, was called infeasible; report "
-            "these contacts, and try another number of edges"
+            "no solver decides the min-weight programme, which always has a solution; report these "
+            "contacts, and try another number of edges"
         )
     weight, a = _on_rows(basis, found.x)
     return weight, a, -found.row_duals[:rank]

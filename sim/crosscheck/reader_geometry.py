@@ -123,7 +123,7 @@ class _Solid:
 
     def _size_and_turn(self, other: _Solid) -> tuple[float, float]:
         """Size and turn, with axes exchanged as they fit best, without the kind's symmetries."""
-        orders = [(0, 1, 2)]
+        orders: list[tuple[int, ...]] = [(0, 1, 2)]
         if self.kind in ("box", "ellipsoid"):
             orders = list(permutations(range(3)))
         axes = [2] if self.kind in ("capsule", "cylinder", "plane") else [0, 1, 2]

@@ -1,7 +1,7 @@
 """``run_protocol``: all trials of a protocol, on all cores, with what is done kept.
 
 Trials are independent of each other and of the number of workers: every one begins with the plan as
-it is in its file.
+it is in its file, and one that cannot be run is an outcome with the reason "not run".
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import mujoco
+import numpy as np
 from rich.console import Console
 
 from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError
@@ -40,9 +41,11 @@ from sim.protocols.settings import Settings
 from sim.protocols.shake import on_an_arm, shake_cases
 from sim.reality import AnyReality, Drawn, as_reality, drawn_numbers, draws_in_words
 from sim.runner import Runner, made_with
+from sim.samples import CHANNELS, Samples
 from sim.scene import build_scene
 from sim.second_engine import drake_missing
 from sim.simulation import filmed
+from sim.verdict import Fault
 
 __all__ = ["IN_ALL", "PROTOCOLS", "cases_of", "run_protocol", "trials_of", "unsuitable"]
 
@@ -219,7 +222,7 @@ def run_protocol(
             console=console or Console(quiet=True),
             check=check,
             workers=(os.cpu_count() or 1) if workers < 0 else workers,
-        ).run(_run, jobs, title=f"{protocol} {name}".strip(), keep=keep, given_up=_given_up)
+        ).run(_run, jobs, title=f"{protocol} {name}".strip(), keep=keep, given_up=_not_run)
     task = plan.task
     own = {} if protocol in REPLAYED else asdict(settings)
     if not (protocol in REPLAYED or reality.ideal):
@@ -322,17 +325,29 @@ def _plan_of(text: str, hand: Hand | None = None) -> GraspPlan:
 
 
 def _run(job: _Job, check: Callable[[], None]) -> Outcome:
-    """One trial."""
+    """One trial; one that cannot be run ends itself alone."""
     plan = _plan_of(job.plan)
-    with filmed(job.video):
-        outcome = job.case.run(plan, job.conditions)
+    try:
+        with filmed(job.video):
+            outcome = job.case.run(plan, job.conditions)
+    except PlannerError as error:
+        outcome = _not_run(job, str(error))
     check()
     return outcome
 
 
-def _given_up(job: _Job, reason: str) -> Outcome:
-    """End: a trial without samples is no outcome, and what was done is on disk."""
-    raise PlannerError(f"trial {job.case.name!r} {reason}; leave it out with --only, or report it")
+def _not_run(job: _Job, reason: str) -> Outcome:
+    """The outcome of a trial that came to no verdict: not held, without samples."""
+    fingers = _plan_of(job.plan).task.finger_names
+    return Outcome(
+        index=job.case.index,
+        name=job.case.name,
+        held=False,
+        fault=Fault(reason="not run", detail=reason, time=0.0),
+        fingers=fingers,
+        samples=Samples.of({name: () for name in CHANNELS}, len(fingers)),
+        load=np.zeros(0),
+    )
 
 
 def _name(kind: Any, value: int) -> str:

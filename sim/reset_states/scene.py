@@ -1,4 +1,4 @@
-"""The scene in which states are held, as files that MuJoCo loads alone: hand, object, nothing else.
+"""The scene in which states are held, as files that MuJoCo 3.3 and 4 load: hand and object alone.
 
 The hand's base stands fixed at the world's origin, so that the world is the frame of the base. The
 object is a free body. There is no gantry, table or picture: what does not touch only costs time.
@@ -24,6 +24,7 @@ from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 from sim.physics import PhysicsOptions
 from sim.scene import OBJECT, add_solid_object, hand_spec
+from sim.scene_export.mjcf import portable_mjcf
 
 __all__ = ["SCENE_FILE", "HoldScene", "load_scene", "write_scene"]
 
@@ -57,9 +58,9 @@ def write_scene(task: GraspTask, physics: PhysicsOptions, folder: Path) -> Path:
     base.pos, base.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     spec.worldbody.add_light(pos=(0.0, 0.0, 1.5))
     add_solid_object(spec, item, SE3.Identity(), physics)
-    compile_spec(spec, what)
+    model = compile_spec(spec, what)
     folder.mkdir(parents=True, exist_ok=True)
-    root = ET.fromstring(spec.to_xml())
+    root = portable_mjcf(spec, model)
     _copy_meshes(root, spec, folder)
     _drop_pictures(root)
     for inertial in root.iter("inertial"):

@@ -27,7 +27,7 @@ from sim.physics import PhysicsOptions
 from sim.scene import SUPPORT, Scene, index_scene, scene_spec
 from sim.scene_export.keyframes import KeyFrame
 
-__all__ = ["MESHES", "MeshFile", "mesh_files", "plain_scene", "scene_mjcf"]
+__all__ = ["MESHES", "MeshFile", "mesh_files", "plain_scene", "portable_mjcf", "scene_mjcf"]
 
 MESHES = "meshes"
 """Folder of the meshes beside the model."""
@@ -163,9 +163,7 @@ def scene_mjcf(
         meshes: Files of the meshes, by number.
     """
     model = scene.model
-    root = ET.fromstring(spec.to_xml())
-    for actuator in root.findall("actuator/general"):
-        _as_servo(actuator, model, model.actuator(actuator.attrib["name"]).id)
+    root = portable_mjcf(spec, model)
     for mesh in root.iter("mesh"):
         number = model.mesh(mesh.attrib["name"]).id
         mesh.attrib.pop("vertex", None)
@@ -183,13 +181,22 @@ def scene_mjcf(
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
+def portable_mjcf(spec: Any, model: Any) -> ET.Element:
+    """What MuJoCo writes of a spec and its compiled model, in words that MuJoCo 3.3 reads too."""
+    root = ET.fromstring(spec.to_xml())
+    for actuator in root.findall("actuator/general"):
+        _as_servo(actuator, model, model.actuator(actuator.attrib["name"]).id)
+    for element in root.iter("general"):
+        element.attrib.pop("input", None)
+    return root
+
+
 def _as_servo(element: ET.Element, model: Any, number: int) -> None:
     """Say <position>, which more readers know, for an actuator whose law is kp (ctrl - length)."""
     gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
     constant = int(model.actuator_gaintype[number]) == int(mujoco.mjtGain.mjGAIN_FIXED)
     affine = int(model.actuator_biastype[number]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
     direct = int(model.actuator_dyntype[number]) == int(mujoco.mjtDyn.mjDYN_NONE)
-    element.attrib.pop("input", None)
     if not (constant and affine and direct and bias[0] == 0.0 and bias[1] == -gain[0]):
         return
     element.tag = "position"

@@ -1,7 +1,8 @@
 """``physics.json``: what decides whether an exported grasp holds, in words and numbers, by name.
 
 Units are m, kg, s, N, rad (N m and rad of a hinge are N and m of a slide); quaternions are w, x, y,
-z. Names are those of ``scene.xml``; ``joint`` of a joint is its name in the hand's own model.
+z. Names are those of ``scene.xml`` and ``hand.urdf``; ``joint`` of a joint is its name in the
+hand's own model.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ _NO_SPEED_LIMIT = 1e3
 
 
 def body_urdf(
-    model: Any, root: int, name: str, prefix: str, meshes: Sequence[MeshFile], effort: FloatArray
+    model: Any, root: int, name: str, meshes: Sequence[MeshFile], effort: FloatArray
 ) -> str:
     """The text of a URDF file; its root link has the frame of the body.
 
@@ -45,12 +45,11 @@ def body_urdf(
         model: Compiled ``mujoco.MjModel``.
         root: Id of the body at the root; how it is fixed or moves is left out.
         name: Of the robot.
-        prefix: Taken off the names of bodies and joints.
         meshes: Files of the model's meshes, by number.
         effort: Largest force (nv,) of each degree of freedom, N m or N; infinite for none.
     """
     robot = ET.Element("robot", name=name)
-    frames = {root: (_link(robot, model, root, prefix, SE3.Identity(), meshes), SE3.Identity())}
+    frames = {root: (_link(robot, model, root, SE3.Identity(), meshes), SE3.Identity())}
     for body in range(root + 1, model.nbody):
         parent = int(model.body_parentid[body])
         if parent not in frames:
@@ -59,19 +58,19 @@ def body_urdf(
         placed = T_link_parent * pose_from_wxyz(model.body_pos[body], model.body_quat[body])
         below = SE3.Identity()
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        label = model.body(body).name.removeprefix(prefix)
+        label = model.body(body).name
         for k, j in enumerate(range(first, first + count)):
             at = placed * below * SE3(np.eye(3), model.jnt_pos[j]) * _back(model, j)
             last = k == count - 1
             child = label if last else f"{label}/{k}"
-            _joint(robot, model, j, prefix, above, child, at, effort)
+            _joint(robot, model, j, above, child, at, effort)
             if not last:
                 ET.SubElement(robot, "link", name=child)
             above, placed = child, SE3.Identity()
             below = SE3(np.eye(3), -np.array(model.jnt_pos[j]))
         if not count:
             _fixed(robot, above, label, placed)
-        frames[body] = (_link(robot, model, body, prefix, below, meshes), below)
+        frames[body] = (_link(robot, model, body, below, meshes), below)
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode") + "\n"
 
@@ -116,7 +115,6 @@ def _joint(
     robot: ET.Element,
     model: Any,
     j: int,
-    prefix: str,
     parent: str,
     child: str,
     at: SE3,
@@ -125,7 +123,7 @@ def _joint(
     hinge, dof = int(model.jnt_type[j]) == _HINGE, int(model.jnt_dofadr[j])
     limited = bool(model.jnt_limited[j])
     kind = ("revolute" if limited else "continuous") if hinge else "prismatic"
-    joint = ET.SubElement(robot, "joint", name=model.joint(j).name.removeprefix(prefix), type=kind)
+    joint = ET.SubElement(robot, "joint", name=model.joint(j).name, type=kind)
     _origin(joint, at)
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
@@ -158,12 +156,11 @@ def _link(
     robot: ET.Element,
     model: Any,
     body: int,
-    prefix: str,
     T_link_body: SE3,
     meshes: Sequence[MeshFile],
 ) -> str:
     """Add the link of a body; its name."""
-    name: str = model.body(body).name.removeprefix(prefix)
+    name: str = model.body(body).name
     link = ET.SubElement(robot, "link", name=name)
     if model.body_mass[body] > 0:
         inertial = ET.SubElement(link, "inertial")

@@ -25,7 +25,7 @@ from planner.exchange.formats import GraspFormat, Writing, register_format
 from planner.files import write_json
 from planner.plan import GraspPlan
 from sim.physics import AnyPhysics, as_physics
-from sim.scene import HAND_PREFIX, OBJECT, Scene
+from sim.scene import OBJECT, Scene
 from sim.scene_export.keyframes import key_frames
 from sim.scene_export.mjcf import MESHES, mesh_files, plain_scene, scene_mjcf
 from sim.scene_export.physics_file import PHYSICS_FORMAT, physics_data
@@ -70,11 +70,11 @@ def export_scene(
     texts = {mesh.file: mesh.text for mesh in (*meshes, *ellipsoid_files(scene.model))}
     texts[SCENE] = scene_mjcf(scene, spec, keys, meshes)
     effort = _effort(scene)
-    for name, body, prefix, title in (
-        (HAND_URDF, scene.base_body, HAND_PREFIX, hand.name),
-        (OBJECT_URDF, scene.object_body, "", OBJECT),
+    for name, body, title in (
+        (HAND_URDF, scene.base_body, hand.name),
+        (OBJECT_URDF, scene.object_body, OBJECT),
     ):
-        texts[name] = body_urdf(scene.model, body, title, prefix, meshes, effort)
+        texts[name] = body_urdf(scene.model, body, title, meshes, effort)
     texts[CHECK] = Path(check_script.__file__).read_text(encoding="utf-8")
     urdf = {"frames": about, "cannot_say": not_in_urdf(scene.model)}
     data = physics_data(plan, scene, keys, urdf)

@@ -19,22 +19,28 @@ for fingertips of 8 mm (``RESOLUTION``). Its other model, points of deepest pene
 used here: its normals (FCL's EPA) are off by 9 to 19 degrees between a sphere and an ellipsoid that
 overlap by 0.01 to 1 mm, and by up to 40 degrees at ends of capsules in a grasp, which then rolled
 out of the hand. Two frictions mix as 2 a b / (a + b), which is mu where both are mu.
+
+Drake fills convex meshes with tetrahedra and refuses a scene with a degenerate one: a decomposition
+leaves faces of 1e-17 m2. The vertices of such a scene are rounded (``GRID``).
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import shutil
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from planner.errors import FileFormatError, TaskError
+from planner.shapes.decomposition.hulls import hull_of
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
 __all__ = ["INSTALL", "TIME_STEP", "DrakeScene", "drake_missing", "load_drake_scene"]
@@ -49,6 +55,10 @@ RESOLUTION = 0.005
 """Edge length (m) of the meshes that carry pressure. A coarse mesh lies inside of its shape: at the
 grasp a finger moves until the meshes touch: by 3 to over 10 mm at 20 mm (Drake's default), 0.2 to
 0.7 mm at 5 mm, 0.1 to 0.3 mm at 2 mm, which takes four times as long."""
+
+GRID = 1e-5
+"""Step (m) to which vertices are rounded where Drake cannot fill a mesh: every face has at least
+half of its square then, and the error is far below that of ``RESOLUTION``."""
 
 STOP_STIFFNESS, STOP_DAMPING = 20.0, 0.1
 """Of a stop or tie between joints, N m/rad and N m s/rad: 0.2 N m, the torque of a firm grip, bends
@@ -112,7 +122,7 @@ class DrakeScene:
 
     Attributes:
         plant: ``MultibodyPlant``.
-        diagram: Plant and scene graph.
+        simulator: Of the diagram of plant and scene graph.
         inspector: Of the scene graph: which geometry belongs to which frame.
         object_body: The object.
         q_index, v_index: (nq,), where the hand's joints stand in the plant's state.
@@ -126,7 +136,7 @@ class DrakeScene:
     """
 
     plant: Any
-    diagram: Any
+    simulator: Any
     inspector: Any
     object_body: Any
     q_index: IntArray
@@ -148,13 +158,35 @@ def load_drake_scene(folder: Path, *, time_step: float = TIME_STEP) -> DrakeScen
 
     Raises:
         TaskError: Drake is not installed.
-        FileFormatError: The folder is no export, or Drake cannot read its scene.
+        FileFormatError: The folder is no export, or Drake cannot read its scene, not even with
+            rounded meshes.
     """
     if reason := drake_missing():
         raise TaskError(f"{folder} is not executed: {reason}")
+    try:
+        return _loaded(folder, time_step)
+    except RuntimeError:  # of Drake: one of its tetrahedra is degenerate
+        with TemporaryDirectory() as made:
+            copy = _rounded(folder, Path(made) / "scene")
+            try:
+                return _loaded(copy, time_step)
+            except RuntimeError as error:
+                raise FileFormatError(
+                    f"Drake cannot compute the scene in {folder}: {error}; leave this plan out of "
+                    "the protocol drake, or give the object a mesh without slivers"
+                ) from error
+
+
+def _loaded(folder: Path, time_step: float) -> DrakeScene:
+    """The scene of a folder as it is.
+
+    Raises:
+        RuntimeError: Drake cannot fill one of its meshes.
+    """
     from pydrake.geometry import SceneGraphConfig
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
+    from pydrake.systems.analysis import Simulator
     from pydrake.systems.framework import DiagramBuilder
 
     try:
@@ -178,12 +210,12 @@ def load_drake_scene(folder: Path, *, time_step: float = TIME_STEP) -> DrakeScen
     _may_touch(plant, graph, mjcf)
     plant.mutable_gravity_field().set_gravity_vector(told["gravity"])
     plant.Finalize()
-    diagram = builder.Build()
+    simulator = Simulator(builder.Build())
     hand = [plant.GetJointByName(name) for name in names]
     place = told["object"]["T_world_object"]
     return DrakeScene(
         plant=plant,
-        diagram=diagram,
+        simulator=simulator,
         inspector=graph.model_inspector(),
         object_body=plant.GetBodyByName(told["object"]["body"]),
         q_index=np.array([joint.position_start() for joint in hand]),
@@ -200,6 +232,29 @@ def load_drake_scene(folder: Path, *, time_step: float = TIME_STEP) -> DrakeScen
         explicit=explicit,
         check=told["check"],
     )
+
+
+def _rounded(folder: Path, copy: Path) -> Path:
+    """A copy of an export in which meshes that may touch have vertices on a grid."""
+    shutil.copytree(folder, copy)
+    mjcf = ET.parse(copy / "scene.xml").getroot()
+    touching = {
+        geom.get("mesh")
+        for geom in mjcf.iter("geom")
+        if int(geom.get("contype", "1")) or int(geom.get("conaffinity", "1"))
+    }
+    for mesh in mjcf.iter("mesh"):
+        if mesh.get("name") in touching:
+            path = copy / mesh.attrib["file"]
+            lines = path.read_text(encoding="utf-8").splitlines()
+            vertices = np.array([line.split()[1:4] for line in lines if line[:2] == "v "], float)
+            hull = hull_of(GRID * np.unique(np.round(vertices / GRID), axis=0))
+            if hull is None:
+                continue  # thinner than the grid
+            text = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in hull.points.tolist()]
+            text += [f"f {a} {b} {c}" for a, b, c in (hull.faces + 1).tolist()]
+            path.write_text("\n".join(text) + "\n", encoding="utf-8")
+    return copy
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.errors import TaskError
 from planner.spatial import SE3, FloatArray, IntArray, pose_change
 from sim.second_engine.drake_scene import TIME_STEP, DrakeScene, load_drake_scene
 
@@ -83,7 +84,7 @@ def hold_in_drake(
         time_step: Of Drake's solver, s.
 
     Raises:
-        TaskError: Drake is not installed.
+        TaskError: Drake is not installed, or its solver gave up.
         FileFormatError: The folder is no export, or Drake cannot read it.
     """
     scene = load_drake_scene(folder, time_step=time_step)
@@ -96,10 +97,9 @@ class _Trial:
     def __init__(self, scene: DrakeScene) -> None:
         """Put hand and object where they are at the grasp, and command the squeeze."""
         from pydrake.math import RigidTransform
-        from pydrake.systems.analysis import Simulator
 
         self._scene, plant = scene, scene.plant
-        self._simulator = Simulator(scene.diagram)
+        self._simulator = scene.simulator
         root = self._simulator.get_mutable_context()
         self._context = plant.GetMyMutableContextFromRoot(root)
         q = plant.GetPositions(self._context)
@@ -130,7 +130,13 @@ class _Trial:
         for k in range(1, steps + 1):
             late = k * step > seconds / 2
             self._push(wrench if wrench is not None and late else None)
-            self._simulator.AdvanceTo(k * step)
+            try:
+                self._simulator.AdvanceTo(k * step)
+            except RuntimeError as error:
+                raise TaskError(
+                    f"Drake gave up after {k * step:.3f} s: {error}; leave this plan out, or try a "
+                    "smaller time step"
+                ) from error
             if not (lost := k % look == 0 and self._lost(begin, check)) and k % sample:
                 continue
             pose = self._object_pose()

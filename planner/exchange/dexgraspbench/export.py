@@ -24,7 +24,7 @@ import numpy as np
 from planner.batch.dataset import GraspSet
 from planner.batch.recipe import with_fingers_of
 from planner.contacts import ContactSet
-from planner.errors import FileFormatError, TaskError, shown
+from planner.errors import FileFormatError, PlannerError, TaskError, shown
 from planner.exchange.dexgraspbench.hand_file import T_model_base, file_name, write_hand
 from planner.exchange.dexgraspbench.object_files import frame_shift, write_object
 from planner.exchange.dexgraspbench.squeeze import Squeeze, plan_squeeze, without_servos
@@ -106,14 +106,14 @@ def export_dexgraspbench(
             for old in target.glob("*.npy"):
                 old.unlink()  # of an export before
             for _, row in grasps.found(label):
-                squeeze = row_squeeze(with_fingers_of(task, row), row)
-                if squeeze.reason:
+                reason, squeeze = _pressed(task, row)
+                if squeeze is None:
                     if need_all:
                         raise FileFormatError(
                             f"grasp {row['k']} of {label!r} cannot press without gravity: "
-                            f"{squeeze.reason}; leave out such grasps, or plan with a smaller grip"
+                            f"{reason}; leave out such grasps, or plan with a smaller grip"
                         )
-                    left_out[squeeze.reason.split(";")[0]] += 1  # the same for many
+                    left_out[reason.split(";")[0]] += 1  # the same for many
                     continue
                 data: Any = grasp_dict(task, row, place, squeeze, T_base_model)
                 np.save(target / f"{row['k']}.npy", data, allow_pickle=True)
@@ -168,6 +168,15 @@ def row_squeeze(task: GraspTask, row: Mapping[str, Any]) -> Squeeze:
         fingers=task.finger_names,
     ).transformed(task.T_world_object)
     return plan_squeeze(task, contacts, task.T_world_object * _base(row), np.array(row["q_rad"]))
+
+
+def _pressed(task: GraspTask, row: Mapping[str, Any]) -> tuple[str, Squeeze | None]:
+    """Why a row has no squeeze, "" if it has, and the squeeze; one that fails ends itself alone."""
+    try:
+        squeeze = row_squeeze(with_fingers_of(task, row), row)
+    except PlannerError as error:
+        return str(error), None
+    return squeeze.reason, None if squeeze.reason else squeeze
 
 
 def _need_distinct_folders(labels: Sequence[str]) -> None:
