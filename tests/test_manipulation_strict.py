@@ -130,6 +130,7 @@ class TurnsTo:
     """A run whose object is found turned by an angle after every phase, whatever is asked."""
 
     def __init__(self, plan: ManipulationPlan, degrees: float) -> None:
+        """Whose controller does nothing."""
         self.simulation = SimpleNamespace(timestep=0.002)
         self.driver = ManipulationDriver(plan, ObjectImpedance(plan.grasp), rate=1.0)
         moved = (math.radians(degrees), 0.0, np.zeros(3))
@@ -171,7 +172,9 @@ def test_what_is_brought_back_too_far_goes_on(plan: ManipulationPlan) -> None:
     for degrees, fault in ((5.1, "5.1 short"), (4.9, ""), (-5.1, "")):
         run: Any = TurnsTo(plan, degrees)
         phases = Phases(plan, run, QUICK, SuccessCriteria())
-        run.driver.reference.advance(0.002, SE3.Identity(), np.zeros((3, 3)), plan.grasp.q, missed=0)
+        run.driver.reference.advance(
+            0.002, SE3.Identity(), np.zeros((3, 3)), plan.grasp.q, missed=0
+        )
         run.driver.begin_back = lambda: None
         told, _ = phases.perform(PhaseCall(phase="back", ending=plan.ending))
         assert (fault in told) if fault else not told, told

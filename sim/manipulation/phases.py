@@ -282,7 +282,7 @@ class Phases:
         return self._standing_at_target(fault, ending)
 
     def _retreat(self, ending: Ending) -> Measured:
-        out = self._plan.way_out(self._run.simulation.T_world_base, ending)
+        out = self._plan.way_out(self._run.T_world_base, ending)
         self._run.mover.go(out, self._timeline.retreat)
         fault = self._run.run("retreat", self._timeline.retreat)
         if not fault and self._run.touched:

@@ -132,7 +132,8 @@ def plan_manipulation(
 
     Raises:
         NoGraspFoundError: The budget ended; carries the failures of strokes and of regrasps.
-        TaskError: No table; no turn and no translation; or a translation with regrasps.
+        TaskError: No table; no turn and no translation; a translation with regrasps; or regrasps by
+            a hand on an arm.
     """
     moved = bool(np.any(shift))
     if moved and (regrasp or abs(angle) > LARGEST_TURN):
@@ -141,6 +142,11 @@ def plan_manipulation(
             "translation or the regrasps out, and turn by half a turn at most"
         )
     direction = np.asarray(axis, dtype=np.float64)
+    if task.hand.arm is not None and (regrasp or abs(angle) > LARGEST_TURN):
+        raise TaskError(
+            f"{task.hand.name} is on an arm; turns with regrasps are planned for hands whose base "
+            "is free: turn by half a turn at most, without regrasps, or take the hand alone"
+        )
 
     def stroke() -> ManipulationPlan:
         return plan_single_stroke(
@@ -167,7 +173,8 @@ def plan_manipulation(
 
     if regrasp or abs(angle) > LARGEST_TURN:
         return strokes()
-    if abs(angle) > ONE_STROKE and not moved and not tilts(direction):
+    on_arm = task.hand.arm is not None
+    if abs(angle) > ONE_STROKE and not (moved or on_arm or tilts(direction)):
         try:
             return strokes()
         except PlannerError as error:
@@ -181,7 +188,7 @@ def plan_manipulation(
     except NoGraspFoundError as error:
         no_stroke = error
     unit = direction / np.linalg.norm(direction)
-    if moved or not stands(task, unit, angle, rests=rests):
+    if moved or on_arm or not stands(task, unit, angle, rests=rests):
         raise no_stroke
     try:
         return strokes()
