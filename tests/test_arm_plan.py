@@ -11,21 +11,28 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from manipulations import QUICK, task_of
 
 from planner.approach.arm_path import LIFT_HEIGHT, _Radii, verify_arm_path, verify_lift
 from planner.approach.pregrasp import APPROACH_CLEARANCE, Approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.errors import FileFormatError, TaskError
 from planner.files import read_plan, write_plan
+from planner.files.manipulations import manipulation_from_dict, manipulation_to_dict
 from planner.hands.hand import Hand
-from planner.kinematics.arm_ik import palm_pose
+from planner.kinematics.arm_ik import palm_path, palm_pose
+from planner.kinematics.state import HandState
+from planner.motion.manipulation import ManipulationPlan, plan_manipulation
+from planner.motion.manipulation.on_arm import OnArm
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, interpolate_path, rotation_angle
 from planner.task import GraspTask, Obstacle
 from sim.carrier import ArmCarrier
+from sim.manipulation import manipulate
 from sim.scene import build_scene
+from sim.simulation import Simulation
 from sim.timeline import Timeline
 from sim.trial import Trial
 
@@ -360,3 +367,108 @@ def test_the_arm_holds_the_object_up(plan: GraspPlan) -> None:
 def test_a_lift_that_was_not_planned_is_refused(plan: GraspPlan) -> None:
     with pytest.raises(TaskError, match=r"lifts by 0\.2 m; with an arm a plan lifts by 0\.1 m"):
         Trial(plan, timeline=Timeline(lift_height=0.2))
+
+
+# --- turned in the hand -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def turning() -> ManipulationPlan:
+    task = task_of("cylinder:0.03x0.08", "allegro_on_arm7", mass=0.1)
+    return plan_manipulation(task, angle=np.deg2rad(45.0), place=(0.03, 0.06), seed=0)
+
+
+def test_while_the_hand_turns_the_object_its_arm_stands(turning: ManipulationPlan) -> None:
+    hand, motion = turning.task.hand, turning.motion
+    root = turning.task.T_world_base
+    assert root is not None and motion.T_world_base.isApprox(root)
+    for knot in motion.knots:
+        np.testing.assert_array_equal(knot.q[hand.arm_index], motion.knots[0].q[hand.arm_index])
+        # by the other engine: pads of all fingers are where the contacts are
+        data = mujoco.MjData(hand.mj_model)
+        data.qpos[:] = knot.q
+        mujoco.mj_kinematics(hand.mj_model, data)
+        for finger, contact in zip(turning.task.fingers, knot.contacts, strict=True):
+            body = data.geom(finger.pad.geom)
+            off = np.linalg.norm(root.act(body.xpos.copy()) - contact.position)
+            assert off < 0.03, "a fingertip is nearer to its contact than that"
+
+
+def test_the_arm_carries_what_the_hand_turns(turning: ManipulationPlan) -> None:
+    arm: dict[str, list[FloatArray]] = {}
+
+    def watch(simulation: Simulation) -> None:
+        hand, scene = simulation.plan.task.hand, simulation.scene
+        q = simulation.data.qpos[scene.hand_qpos][hand.arm_index].copy()
+        arm.setdefault(simulation.phase, []).append(q)
+
+    report = manipulate(turning, timeline=QUICK, on_step=watch)
+    assert report.complete and report.success_with_closure, str(report)
+    assert np.ptp(arm["turn"], axis=0).max() < 0.01 < 0.05 < np.ptp(arm["lift"], axis=0).max()
+    assert np.ptp(arm["carry"], axis=0).max() > 0.05
+    trajectory = turning.joint_trajectory()
+    steps = np.abs(np.diff(trajectory.positions[:, turning.task.hand.arm_index], axis=0)).max(1)
+    phases = np.array(trajectory.phases[1:])
+    assert steps[phases == "turn"].max() == 0.0 and steps[phases == "carry"].max() > 0.0
+    assert steps.max() < 0.1, "and it never jumps"
+    end = with_arm(turning.grasp, trajectory.positions[-1], trajectory.positions[-1][:7])
+    target = turning.ending.T_world_target.translation
+    assert np.linalg.norm(palm_by_mujoco(turning.grasp, end).translation - target) < 0.4
+
+
+def test_its_file_holds_the_way_out(turning: ManipulationPlan) -> None:
+    data = manipulation_to_dict(turning)
+    again = manipulation_from_dict(json.loads(json.dumps(data)), "a file")
+    assert again.ending.release.arm is not None and turning.ending.release.arm is not None
+    np.testing.assert_allclose(
+        again.ending.release.arm.approach, turning.ending.release.arm.approach
+    )
+    for rows in data["ending"]["arm_out"]["approach_q_rad"]:
+        rows[0] += 0.02
+    with pytest.raises(FileFormatError, match="way out fails its checks"):
+        manipulation_from_dict(data, "a file")
+    data["ending"]["arm_out"] = None
+    with pytest.raises(FileFormatError, match="way in and lift are missing"):
+        manipulation_from_dict(data, "a file")
+
+
+def test_what_the_arm_cannot_do_is_refused(turning: ManipulationPlan) -> None:
+    task = turning.task
+    with pytest.raises(TaskError, match="is on an arm; turns with regrasps"):
+        plan_manipulation(task, angle=np.deg2rad(200.0))
+    carrier = OnArm(task_of("cylinder:0.03x0.08", "allegro_on_arm7", mass=0.1))
+    far = dataclasses.replace(
+        turning.ending,
+        T_world_target=SE3(
+            turning.ending.T_world_target.rotation,
+            turning.ending.T_world_target.translation + np.array([0.6, 0.0, 0.0]),
+        ),
+    )
+    assert carrier.blocked(turning.motion, turning.ending) is None
+    blocked = carrier.blocked(turning.motion, far)
+    assert blocked is not None and "the arm cannot carry the object" in blocked.text
+    hand, q = task.hand, turning.grasp.q
+    moved = SE3(np.eye(3), np.array([2.0, 0.0, 0.0])) * task.T_world_base
+    alone = carrier.alone
+    columns = [hand.joint_names.index(name) for name in alone.hand.joint_names]
+    palm = HandState(alone.hand, q[columns]).T_base_palm
+    base = turning.grasp.T_world_palm * palm.inverse()
+    assert carrier.reaches(base, q[columns])
+    assert not carrier.reaches(moved * task.T_world_base.inverse() * base, q[columns])
+
+
+def test_a_way_of_the_palm_ends_where_it_was_asked(turning: ManipulationPlan) -> None:
+    hand, q = turning.task.hand, turning.grasp.q
+    turn, shift = pin.exp3(np.array([0.1, -0.05, 0.2])), np.array([0.02, 0.01, 0.04])
+    begin = palm_pose(hand, q)
+    goal = SE3(turn @ begin.rotation, begin.translation + shift)
+    path = palm_path(hand, q, goal)
+    assert path is not None and len(path) > 4
+    np.testing.assert_array_equal(path[0], q[hand.arm_index])
+    end = palm_by_mujoco(turning.grasp, with_arm(turning.grasp, q, path[-1]))
+    wanted = turning.motion.T_world_base * goal
+    np.testing.assert_allclose(end.homogeneous, wanted.homogeneous, atol=2e-4)
+    middle = palm_pose(hand, with_arm(turning.grasp, q, path[len(path) // 2]))
+    part = len(path) // 2 / (len(path) - 1)
+    np.testing.assert_allclose(middle.translation, begin.translation + part * shift, atol=2e-5)
+    assert palm_path(hand, q, SE3(begin.rotation, begin.translation + 3.0 * shift / 0.04)) is None

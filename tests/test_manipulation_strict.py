@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pinocchio as pin
 import pytest
 import trimesh
 from conftest import of_trimesh
-from manipulations import QUICK, UP, task_of
+from manipulations import QUICK, UP, task_of, with_log
 from typer.testing import CliRunner
 
 from benchmarks.conditions import FRICTION, REGRASP_FRICTION
@@ -47,7 +48,10 @@ from sim.manipulation import (
     rests,
     settled,
 )
-from sim.manipulation.pressing import ASKED_SHARE, LEAST_ASKED, finger_forces, force_limit
+from sim.manipulation.driver import ManipulationDriver
+from sim.manipulation.machine import PhaseCall
+from sim.manipulation.phases import Phases
+from sim.manipulation.pressing import finger_forces, force_limit
 from sim.manipulation.regrasping import margin_without
 from sim.verdict import Thresholds, first_collision
 
@@ -119,6 +123,63 @@ def test_the_command_says_no_where_the_hand_collided(
     assert again.collision is not None
 
 
+# --- how far it turned --------------------------------------------------------------------------
+
+
+class TurnsTo:
+    """A run whose object is found turned by an angle after every phase, whatever is asked."""
+
+    def __init__(self, plan: ManipulationPlan, degrees: float) -> None:
+        """Whose controller does nothing."""
+        self.simulation = SimpleNamespace(timestep=0.002)
+        self.driver = ManipulationDriver(plan, ObjectImpedance(plan.grasp), rate=1.0)
+        moved = (math.radians(degrees), 0.0, np.zeros(3))
+        self.recorder = SimpleNamespace(moved=lambda: moved)
+        self.reading = SimpleNamespace(
+            mark_reference=lambda: None, turned=lambda: moved[0], deviation=lambda: 0.0
+        )
+        self.touching_fingers = set(plan.task.finger_names)
+
+    def run(self, *_: object, **__: object) -> str:
+        return ""
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("degrees", "fault"), [(39.9, "5.1 short (at most 5)"), (40.1, ""), (50.1, ""), (75.0, "")]
+)
+def test_one_rule_says_in_every_phase_how_far_is_far_enough(
+    plan: ManipulationPlan, sign: float, degrees: float, fault: str
+) -> None:
+    """45 degrees are asked for. What turns 5.1 further is as good in "turn" as in "hold"."""
+    asked = replace(plan, angle=sign * plan.angle)
+    run: Any = TurnsTo(plan, sign * degrees)
+    phases = Phases(asked, run, QUICK, SuccessCriteria())
+    for phase in ("turn", "hold"):
+        told, _ = phases.perform(PhaseCall(phase=phase, ending=plan.ending))
+        assert (fault in told) if fault else not told, (phase, told)
+
+
+def test_a_turn_too_far_is_a_success_and_one_too_short_is_none(report: ManipulationReport) -> None:
+    asked = math.radians(45.0)
+    for turned, success in ((44.9, False), (45.0, True), (50.1, True), (75.0, True)):
+        turn = np.full_like(report.log.turn, math.radians(turned))
+        assert with_log(report, turn=turn).success is success
+        assert with_log(replace(report, asked=-asked), turn=-turn).success is success
+
+
+def test_what_is_brought_back_too_far_goes_on(plan: ManipulationPlan) -> None:
+    for degrees, fault in ((5.1, "5.1 short"), (4.9, ""), (-5.1, "")):
+        run: Any = TurnsTo(plan, degrees)
+        phases = Phases(plan, run, QUICK, SuccessCriteria())
+        run.driver.reference.advance(
+            0.002, SE3.Identity(), np.zeros((3, 3)), plan.grasp.q, missed=0
+        )
+        run.driver.begin_back = lambda: None
+        told, _ = phases.perform(PhaseCall(phase="back", ending=plan.ending))
+        assert (fault in told) if fault else not told, told
+
+
 # --- forces -------------------------------------------------------------------------------------
 
 
@@ -146,9 +207,14 @@ def test_a_finger_that_presses_harder_than_it_may_is_a_fault(
     assert all(f.peak == f.mean == 0.0 for f in finger_forces(empty, report.fingers))
 
 
-def test_the_limit_follows_from_the_plan(plan: ManipulationPlan) -> None:
+def test_the_limit_follows_from_the_plan(
+    plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And from nothing that a controller is tuned by."""
     planned = max(k.contacts.forces[:, 0].max() for k in plan.motion.knots)
-    assert force_limit(plan) == pytest.approx(max(LEAST_ASKED, 1.25 * planned) / ASKED_SHARE)
+    assert force_limit(plan) == pytest.approx(max(18.0, 1.875 * planned))
+    monkeypatch.setattr("sim.manipulation.pressing.ASKED_SHARE", 0.5)  # the controller's
+    assert force_limit(plan) == pytest.approx(max(18.0, 1.875 * planned))
     with pytest.raises(TaskError, match="normal_N is 0"):
         SuccessCriteria(normal_N=0.0)
     with pytest.raises(TaskError, match="largest normal force is -1"):

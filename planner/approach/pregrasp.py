@@ -24,10 +24,12 @@ from planner.approach.arm_path import (
 from planner.approach.pregrasp_ik import PregraspIk, undetermined_joints
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
+from planner.hands.hand import Hand
+from planner.kinematics.arm_ik import palm_pose
 from planner.spatial import SE3, FloatArray
 from planner.tolerances import JOINT_TOL
 
-__all__ = ["APPROACH_KINDS", "Approach", "find_approach", "verify_approach"]
+__all__ = ["APPROACH_KINDS", "Approach", "find_approach", "verify_approach", "way_back"]
 
 APPROACH_KINDS = frozenset(
     (
@@ -73,6 +75,23 @@ class Approach:
     pregrasp_distance: float
     T_world_base_start: SE3
     arm: ArmPath | None = None
+
+
+def way_back(hand: Hand, T_world_base: SE3, approach: Approach) -> FloatArray:
+    """From a grasp or a release to where its straight way begins: the palm's shift (3,), m, world.
+
+    Args:
+        hand: Whose approach it is.
+        T_world_base: Base pose of the grasp; on an arm that of the arm's root.
+        approach: The way.
+    """
+    if approach.arm is None:
+        return np.asarray(approach.T_world_base_start.translation - T_world_base.translation)
+    q, ends = approach.q.copy(), []
+    for posture in approach.arm.approach[[0, -1]]:
+        q[hand.arm_index] = posture
+        ends.append(palm_pose(hand, q).translation)
+    return np.asarray(T_world_base.rotation @ (ends[0] - ends[1]))
 
 
 def find_approach(

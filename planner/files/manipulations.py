@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.approach.pregrasp import Approach
 from planner.errors import FileFormatError, TaskError, shown
-from planner.files.data import Finite, NotNegative, PoseData, Vector3
+from planner.files.data import ArmData, Finite, NotNegative, PoseData, Vector3
 from planner.files.gaits import GaitFile, gait_from_dict, gait_to_dict
 from planner.files.json_csv import checked_file, read_json, write_json
 from planner.files.motions import MotionFile, motion_from_dict, motion_to_dict
@@ -39,13 +39,17 @@ SAME = 1e-6
 
 
 class EndingData(StrictData):
-    """How the object is put down; joints in the order of the grasp's ``joint_names``."""
+    """How the object is put down; joints in the order of the grasp's ``joint_names``.
+
+    ``arm_out`` is the arm's way out, reversed, if the hand is on one.
+    """
 
     T_world_target: PoseData
     q_open_rad: list[Finite]
     opening_m: NotNegative
     T_world_base_out: PoseData
     made_backwards_because: str
+    arm_out: ArmData | None = None
 
 
 class ManipulationFile(StrictData):
@@ -80,6 +84,7 @@ def manipulation_to_dict(plan: ManipulationPlan) -> dict[str, Any]:
             opening_m=ending.release.pregrasp_distance,
             T_world_base_out=PoseData.of(ending.release.T_world_base_start),
             made_backwards_because=ending.back,
+            arm_out=None if (arm := ending.release.arm) is None else ArmData.of(plan.grasp, arm),
         ),
         torque_reserve=plan.reserve,
         attempts=plan.attempts,
@@ -150,6 +155,7 @@ def manipulation_from_dict(
         q=motion.grasp.task.hand.checked_q(file.ending.q_open_rad, "q_open_rad"),
         pregrasp_distance=file.ending.opening_m,
         T_world_base_start=file.ending.T_world_base_out.pose(),
+        arm=file.ending.arm_out and file.ending.arm_out.path(motion.grasp.task.hand),
     )
     plan = ManipulationPlan(
         motion=motion,

@@ -22,7 +22,16 @@ from planner.hands.hand import Hand
 from planner.numerics.ik_step import Task, ik_step
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["POSITION_TOL", "ROTATION_TOL", "Reach", "follow", "palm_pose", "reach", "straight_path"]
+__all__ = [
+    "POSITION_TOL",
+    "ROTATION_TOL",
+    "Reach",
+    "follow",
+    "palm_path",
+    "palm_pose",
+    "reach",
+    "straight_path",
+]
 
 POSITION_TOL = 1e-5
 """Distance (m) from the wanted place that counts as being there: far below what a pad's touch
@@ -46,6 +55,9 @@ RESTARTS = 6
 PATH_STEP = 0.01
 """Distance (m) between two postures of a straight path; a palm that moves linearly in the joints
 between them leaves the line by less than 0.1 mm."""
+
+ROUNDING = 1e-9
+"""A way longer than a whole number of steps by this share of one (-) has that number."""
 
 LARGEST_TURN = 0.35
 """Largest change (rad, m) of a joint between two postures of a path: more is a flip of the arm into
@@ -135,14 +147,29 @@ def straight_path(hand: Hand, q: FloatArray, shift: FloatArray) -> FloatArray | 
         q: Joints (nq,) where the path begins.
         shift: Where the palm goes from there (3,), m, in the axes of the arm's root.
     """
+    begin = palm_pose(hand, q)
+    return palm_path(hand, q, SE3(begin.rotation, begin.translation + shift))
+
+
+def palm_path(hand: Hand, q: FloatArray, T_base_palm: SE3) -> FloatArray | None:
+    """Arm postures (m, n) along which the palm moves straight to a pose; None if it cannot.
+
+    Args:
+        hand: A hand on an arm.
+        q: Joints (nq,) where the path begins.
+        T_base_palm: Where the palm goes, in the arm's root; it turns evenly on the way.
+    """
     chain, index = _arm(hand).chain, _arm(hand).index
     begin = palm_pose(hand, q)
-    count = max(1, int(np.ceil(np.linalg.norm(shift) / PATH_STEP)))
+    shift = T_base_palm.translation - begin.translation
+    turn = pin.log3(T_base_palm.rotation @ begin.rotation.T)
+    far = max(np.linalg.norm(shift), LEVER * np.linalg.norm(turn))
+    count = max(1, int(np.ceil(far / PATH_STEP - ROUNDING)))
     q = np.array(q, dtype=np.float64)
     path = [q[index].copy()]
-    for k in range(1, count + 1):
-        goal = SE3(begin.rotation, begin.translation + k / count * shift)
-        reached = follow(hand, goal, q)
+    for share in np.arange(1, count + 1) / count:
+        rotation = pin.exp3(share * turn) @ begin.rotation
+        reached = follow(hand, SE3(rotation, begin.translation + share * shift), q)
         if not reached.there or np.abs(reached.q[chain] - q[chain]).max() > LARGEST_TURN:
             return None
         q = reached.q

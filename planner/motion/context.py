@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -15,7 +17,9 @@ from planner.motion.stances import Stance
 from planner.motion.starts import on_opposed_sides
 from planner.motion.verify import MotionVerifier
 from planner.plan import SolveRecord
+from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.problem import Start
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.synthesis.symbols import GraspPoint
@@ -23,7 +27,13 @@ from planner.synthesis.terms.term import first_failure
 from planner.system.threads import kept_by_thread
 from planner.task import GraspTask
 
-__all__ = ["MotionContext", "merit"]
+__all__ = ["MotionContext", "Reaches", "merit"]
+
+Reaches: TypeAlias = Callable[[SE3, FloatArray], bool]
+"""Whether the hand's base can be at a pose, in the world, with joints q (nq,)."""
+
+DRAWS = 50
+"""Starts drawn per attempt until one is within reach: a few milliseconds each."""
 
 LEAST_SHARE = 0.02
 """Share of a path (-) below which nothing of it is reached."""
@@ -44,12 +54,14 @@ class MotionContext:
         solver: Solves from them.
         full: Whether the whole path is asked for; else the longest part is.
         build_s: Time that building the problem took, s.
+        reaches: Whether what carries the hand brings its base there; anywhere if None.
     """
 
     seeder: Seeder
     solver: MotionSolver
     full: bool
     build_s: float
+    reaches: Reaches | None = None
 
     @classmethod
     def of(
@@ -64,6 +76,7 @@ class MotionContext:
         rounds: int = 0,
         exact_end: bool = False,
         stances: tuple[Stance, ...] = (),
+        reaches: Reaches | None = None,
     ) -> MotionContext:
         """Build it.
 
@@ -77,6 +90,7 @@ class MotionContext:
             rounds: How many rounds work on closure once all of the path is reached.
             exact_end: Whether the object ends on its path.
             stances: Contacts that must close the grasp while a finger swings.
+            reaches: As the attribute.
         """
         seeder = turning_seeder_for(task)
         problem, build_s = motion_problem_for(task, n_knots, stances, options.form.terms)
@@ -91,7 +105,7 @@ class MotionContext:
             exact_end=exact_end,
         )
         _verifier(task)  # refuses what stands in something else, before anything is solved
-        return cls(seeder=seeder, solver=solver, full=full, build_s=build_s)
+        return cls(seeder=seeder, solver=solver, full=full, build_s=build_s, reaches=reaches)
 
     def attempt(self, rng: np.random.Generator) -> MotionPlan | Failure:
         """One attempt: the best candidate that passes the verdict, or why the last one fails.
@@ -99,7 +113,7 @@ class MotionContext:
         Where all of the path is asked for that is the one with the largest margin, else the
         longest, which comes first.
         """
-        start = self.seeder.draw(rng)
+        start = self._start(rng)
         if isinstance(start, Failure):
             return start
         start = on_opposed_sides(start, self.seeder)
@@ -118,6 +132,20 @@ class MotionContext:
             return best
         assert failure is not None  # a solver gives at least one candidate
         return failure
+
+    def _start(self, rng: np.random.Generator) -> Start | Failure:
+        """A start within reach of what carries the hand."""
+        T_world_object = self.solver.task.T_world_object
+        for _ in range(DRAWS):
+            start = self.seeder.draw(rng)
+            if isinstance(start, Failure) or self.reaches is None:
+                return start
+            if self.reaches(T_world_object * start.T_object_base, start.q):
+                return start
+        return Failure(
+            kind="out_of_reach",
+            text=f"out of reach: of {DRAWS} palm poses drawn the arm reaches none",
+        )
 
     def _verified(self, candidate: MotionCandidate) -> MotionPlan | Failure:
         """A plan out of what the solver found, or why not."""

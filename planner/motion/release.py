@@ -18,7 +18,7 @@ from planner.failure import Failure
 from planner.motion.plan import MotionPlan
 from planner.task import GraspTask
 
-__all__ = ["SINKS", "find_release", "verify_release"]
+__all__ = ["SINKS", "find_release", "standing", "verify_release"]
 
 SINKS = 0.01
 """Largest change of height (m) of a turned object on the obstacles that carry it."""
@@ -30,7 +30,7 @@ def find_release(motion: MotionPlan) -> Approach | Failure:
     Poses are relative to the grasp, like those of the motion: put down elsewhere, hand and object
     move together.
     """
-    there, end = _standing(motion), motion.knots[-1]
+    there, end = standing(motion), motion.knots[-1]
     if isinstance(there, Failure):
         return there
     return find_approach(CollisionWorld(there), motion.T_world_base, end.q, end.contacts.normals)
@@ -38,13 +38,13 @@ def find_release(motion: MotionPlan) -> Approach | Failure:
 
 def verify_release(motion: MotionPlan, release: Approach) -> Failure | None:
     """Why a way out at the end of a motion fails, None if it is free."""
-    there, end = _standing(motion), motion.knots[-1]
+    there, end = standing(motion), motion.knots[-1]
     if isinstance(there, Failure):
         return there
     return verify_approach(CollisionWorld(there), motion.T_world_base, end.q, release)
 
 
-def _standing(motion: MotionPlan) -> GraspTask | Failure:
+def standing(motion: MotionPlan) -> GraspTask | Failure:
     """The task with table and obstacles below the object at the end of a motion; or why not.
 
     The object stays where the motion has it.

@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
 from planner.errors import NoGraspFoundError, TaskError
-from planner.motion.context import MotionContext, merit
+from planner.motion.context import MotionContext, Reaches, merit
 from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.motion.plan import MotionPlan
 from planner.motion.starts import finger_sets, with_rolling_pads
@@ -72,6 +72,7 @@ def motion_attempts(
     seed: int = 0,
     improve_closure: bool = False,
     options: SynthesisOptions = MOTION_OPTIONS,
+    reaches: Reaches | None = None,
 ) -> Iterator[MotionAttempt]:
     """Endless independent attempts; attempt i depends on ``seed`` and i alone.
 
@@ -86,6 +87,7 @@ def motion_attempts(
         seed: Same seed, same attempts.
         improve_closure: Whether to work on closure once all of the path is reached.
         options: Margins and weights at each knot.
+        reaches: Whether what carries the hand brings its base there; anywhere if None.
 
     Raises:
         TaskError: The task or the path cannot work, found out before solving.
@@ -99,6 +101,7 @@ def motion_attempts(
         seed=seed,
         improve_closure=improve_closure,
         options=options,
+        reaches=reaches,
     )
 
 
@@ -111,6 +114,7 @@ def _alternating(
     seed: int,
     improve_closure: bool,
     options: SynthesisOptions,
+    reaches: Reaches | None = None,
 ) -> Iterator[MotionAttempt]:
     """Attempts that take turns between tasks that differ in their fingers; see above."""
 
@@ -124,6 +128,7 @@ def _alternating(
             full=full,
             path_tolerance=path_tolerance,
             rounds=ROUNDS * improve_closure,
+            reaches=reaches,
         )
 
     context(0)  # refuses a task that cannot work now, not when the first attempt is asked for

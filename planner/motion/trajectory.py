@@ -11,8 +11,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from planner.errors import TaskError
+from planner.kinematics.arm_ik import palm_path, palm_pose
 from planner.plan import GraspPlan, JointTrajectory
-from planner.spatial import SE3, FloatArray, minimum_jerk
+from planner.spatial import SE3, FloatArray, interpolate_path, minimum_jerk
 
 __all__ = ["JOINT_RATE", "TURN_RATE", "TrajectoryBuilder"]
 
@@ -66,7 +67,7 @@ class TrajectoryBuilder:
                 raise TaskError(f"{name} of a trajectory is {value}; give a finite number > 0")
         self._joint_rate, self._turn_rate, self._rate_hz = joint_rate, turn_rate, rate_hz
         first = grasp.joint_trajectory(approach_s=approach_s, close_s=close_s, rate_hz=rate_hz)
-        self._names = first.joint_names
+        self._grasp, self._names = grasp, first.joint_names
         self._times, self._positions = [first.times], [first.positions]
         self._phases, self._bases = list(first.phases), list(first.T_world_base)
 
@@ -81,6 +82,9 @@ class TrajectoryBuilder:
             parameters: Path parameter (m,) of each posture, increasing.
             angle: Turn of the object meanwhile, rad.
         """
+        arm = self._grasp.task.hand.arm_index
+        postures = np.array(postures)
+        postures[:, arm] = self._positions[-1][-1][arm]  # it stands still
         way = PchipInterpolator(parameters, postures)
         at = np.linspace(parameters[0], parameters[-1], LOOKS)
         steps = np.abs(np.diff(way(at), axis=0)).max() * (LOOKS - 1)
@@ -94,10 +98,24 @@ class TrajectoryBuilder:
 
         Args:
             phase: Name of the phase.
-            T_world_base: Its pose at the end.
+            T_world_base: Its pose at the end. Of an arm, whose root stands, that of a base that
+                moves with the palm and was at the root in the grasp; the arm's joints move.
             duration: s.
+
+        Raises:
+            TaskError: The arm cannot go there.
         """
         share, begin = self._shares(duration), self._bases[-1]
+        hand, q = self._grasp.task.hand, self._positions[-1][-1]
+        if hand.arm is not None:
+            goal = begin.inverse() * T_world_base * palm_pose(hand, self._grasp.q)
+            path = palm_path(hand, q, goal)
+            if path is None:
+                raise TaskError(f"the arm cannot {phase} within its limits; plan again")
+            joints = np.tile(q, (len(share), 1))
+            joints[:, hand.arm_index] = interpolate_path(path, share)
+            self._add(phase, duration, joints, [begin] * len(share))
+            return
         bases = [_between(begin, T_world_base, s) for s in share.tolist()]
         self._add(phase, duration, np.tile(self._positions[-1][-1], (len(share), 1)), bases)
 

@@ -179,7 +179,9 @@ class MotionVerifier:
     ) -> Knot | Failure:
         """One knot; or why it, or the interval from the knot before, fails."""
         task = self._lifted
-        verification = verify_geometry(self._free, self._base(waypoint), waypoint.q, touches)
+        verification = verify_geometry(
+            self._free, self._base(waypoint), waypoint.q, touches, object_moved=True
+        )
         if verification.failure is not None:
             return verification.failure
         T_world_object = T_world_base * waypoint.T_object_base.inverse()

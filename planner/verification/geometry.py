@@ -55,10 +55,10 @@ def edge_failures(task: GraspTask, touches: Sequence[PadContact]) -> list[Failur
     ]
 
 
-def _fixed_failures(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[Failure]:
+def _fixed_failures(task: GraspTask, T_world_base: SE3 | None, q: FloatArray) -> list[Failure]:
     """Whether base and wrist are where the task fixes them."""
     failures = []
-    if task.T_world_base is not None:
+    if task.T_world_base is not None and T_world_base is not None:
         off = task.T_world_base.inverse() * T_world_base
         if not np.allclose(off.homogeneous, np.eye(4), atol=JOINT_TOL):
             text = "the base is not where the task fixes it"
@@ -101,6 +101,8 @@ def verify_geometry(
     T_world_base: SE3,
     q: FloatArray,
     touches: Sequence[PadContact] | None = None,
+    *,
+    object_moved: bool = False,
 ) -> Verification:
     """Recompute everything that must hold of a grasp, on the true geometry.
 
@@ -109,6 +111,8 @@ def verify_geometry(
         T_world_base: Base pose.
         q: Joints (nq,).
         touches: The touch of every finger there, if it is at hand.
+        object_moved: Whether the base is where it is because the object has moved in the hand, so
+            that it need not be where the task fixes it.
     """
     task = world.task
     hand = task.hand
@@ -177,7 +181,7 @@ def verify_geometry(
     if limits > JOINT_TOL:
         text = f"a joint limit is violated by {limits:.1e} rad"
         failures.append(Failure(kind="joint_limit", text=text, numbers={"violation": limits}))
-    failures += _fixed_failures(task, T_world_base, q)
+    failures += _fixed_failures(task, None if object_moved else T_world_base, q)
     return Verification(
         pad_gaps=gaps,
         pad_geometry_gaps=whole,

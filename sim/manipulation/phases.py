@@ -22,7 +22,7 @@ from sim.controllers import Observation
 from sim.controllers.retouch import AGAIN_TIME, closed
 from sim.manipulation.machine import CLOSE_TO, PhaseCall
 from sim.manipulation.regrasping import Regrasping
-from sim.manipulation.results import Measured, off_target, placed, undisturbed
+from sim.manipulation.results import Measured, off_target, placed, too_short, undisturbed
 from sim.manipulation.simulation import ManipulationSim
 from sim.manipulation.timeline import ManipulationPhase, ManipulationTimeline, SuccessCriteria
 
@@ -184,10 +184,10 @@ class Phases:
         self._run.driver.begin_back()
         fault = self._follow("back")
         numbers = self._in_hand()
+        asked = float(np.rad2deg(self._plan.angle))
+        short = too_short(-asked, numbers["turn_deg"] - asked, self._criteria)
         fault = fault or self._tilted(numbers)
-        if not fault and abs(numbers["turn_deg"]) > self._criteria.angle_deg:
-            fault = f"{numbers['turn_deg']:.1f} degrees are left of the turn: {self._obstacle()}"
-        return fault, numbers
+        return fault or (short and f"{short}: {self._obstacle()}"), numbers
 
     def _in_hand(self) -> dict[str, float]:
         """How the object lies in the palm, against how it lay when the turn began."""
@@ -206,9 +206,8 @@ class Phases:
     def _shortfall(self, numbers: dict[str, float]) -> str:
         """Why the turn is not what was asked for, "" if it is."""
         asked = float(np.rad2deg(self._plan.angle))
-        turned = numbers["turn_deg"]
-        if abs(asked - turned) > self._criteria.angle_deg:
-            return f"turned {turned:.1f} of {asked:.1f} degrees: {self._obstacle()}"
+        if short := too_short(asked, numbers["turn_deg"], self._criteria):
+            return f"{short}: {self._obstacle()}"
         off = numbers.get("shift_off_mm", 0.0)
         fault = self._tilted(numbers)
         if not fault and off > self._criteria.shift_mm:
@@ -283,7 +282,7 @@ class Phases:
         return self._standing_at_target(fault, ending)
 
     def _retreat(self, ending: Ending) -> Measured:
-        out = self._plan.way_out(self._run.simulation.T_world_base, ending)
+        out = self._plan.way_out(self._run.T_world_base, ending)
         self._run.mover.go(out, self._timeline.retreat)
         fault = self._run.run("retreat", self._timeline.retreat)
         if not fault and self._run.touched:

@@ -21,7 +21,7 @@ from sim.manipulation.log import ManipulationLog
 from sim.manipulation.modes import mode_table, told_modes
 from sim.manipulation.pressing import FingerForce, finger_forces
 from sim.manipulation.report_file import ManipulationReportFile
-from sim.manipulation.results import PhaseResult
+from sim.manipulation.results import PhaseResult, short_of
 from sim.manipulation.simulation import DROPPED
 from sim.manipulation.timeline import (
     IN_THE_AIR,
@@ -289,7 +289,7 @@ class ManipulationReport(Shown):
 
     def _reached(self) -> NDArray[np.bool_]:
         """At which samples (m,) the object was turned as far and moved as asked for."""
-        far = self.log.turn * np.sign(self.asked) >= abs(self.asked)
+        far = short_of(self.asked, self.log.turn) <= 0.0
         if not self.asked_shift.any():
             return np.asarray(far)
         off = np.linalg.norm(self.log.shift @ self.R_world_palm.T - self.asked_shift, axis=1)

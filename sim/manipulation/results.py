@@ -10,7 +10,16 @@ import numpy as np
 from planner.spatial import SE3, FloatArray, signed_twist
 from sim.manipulation.timeline import ManipulationPhase, SuccessCriteria
 
-__all__ = ["Measured", "PhaseResult", "off_target", "placed", "tilt_between", "undisturbed"]
+__all__ = [
+    "Measured",
+    "PhaseResult",
+    "off_target",
+    "placed",
+    "short_of",
+    "tilt_between",
+    "too_short",
+    "undisturbed",
+]
 
 Measured: TypeAlias = tuple[str, dict[str, float]]
 """Why a phase failed, "" if it did not, and its numbers by name with unit."""
@@ -54,6 +63,27 @@ class PhaseResult:
         if self.reason:
             line += f"\n     {self.reason}"
         return f"{line}\n     then: {self.then}" if self.then else line
+
+
+def short_of(asked: float, turned: FloatArray | float) -> FloatArray:
+    """By how much a turn is short of the asked one, in its unit; negative where it went beyond.
+
+    The one rule of all phases and of the verdict: a turn is made from the asked angle on, however
+    far it goes beyond, since the hand brings the object to its target from where it is then.
+    """
+    return np.asarray(np.sign(asked) * (asked - np.asarray(turned)))
+
+
+def too_short(asked_deg: float, turned_deg: float, criteria: SuccessCriteria) -> str:
+    """Why a run does not go on after a turn, in degrees, "" if it does; see ``short_of``.
+
+    Where no turn is asked for, any turn is off by its size.
+    """
+    short = float(short_of(asked_deg, turned_deg)) if asked_deg else abs(turned_deg)
+    if short <= criteria.angle_deg:
+        return ""
+    told = f"turned {turned_deg:.1f} of {asked_deg:.1f} degrees"
+    return f"{told}, {short:.1f} {'short' if asked_deg else 'off'} (at most {criteria.angle_deg:g})"
 
 
 def undisturbed(first: SE3, now: SE3, criteria: SuccessCriteria) -> Measured:

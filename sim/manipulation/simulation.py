@@ -15,7 +15,7 @@ from planner.task import GraspTask
 from sim.contacts import hand_contacts
 from sim.controllers import Observation
 from sim.estimation import AnyEstimator
-from sim.manipulation.driver import BaseMover, ManipulationDriver
+from sim.manipulation.driver import ManipulationDriver, mover_of
 from sim.manipulation.in_hand import InHandController
 from sim.manipulation.log import ManipulationRecorder
 from sim.manipulation.reading import Reading
@@ -65,7 +65,7 @@ class ManipulationSim:
     Attributes:
         simulation: Scene, data and the loop.
         driver: Drives the fingers.
-        mover: Moves the base.
+        mover: Moves the base, or the arm.
         recorder: Takes samples, of the truth.
         reading: What the robot knows of the object.
     """
@@ -94,7 +94,7 @@ class ManipulationSim:
             reality=reality,
             estimator=estimator,
         )
-        self.mover = BaseMover(self.simulation.scene.gantry, grasp.T_world_base_start)
+        self.mover = mover_of(grasp, self.simulation.scene)
         self.simulation.carrier = self.mover
         axis = self.driver.reference.axis
         self.recorder = ManipulationRecorder(self.simulation, axis)
@@ -123,6 +123,8 @@ class ManipulationSim:
             Why it ended early, "" if it did not: diverged, stopped, or the object fell.
         """
         simulation, recorder, driver = self.simulation, self.recorder, self.driver
+        if self.mover.fault:
+            return self.mover.fault
         if phase == "turn" and self._turn_began is None:
             self._turn_began = simulation.time
         pushed = self._push if phase in ("turn", "regrasp") else None
@@ -158,10 +160,15 @@ class ManipulationSim:
         """Names of the fingers that press on the object, the palm left out."""
         return set(hand_contacts(self.simulation.scene, self.simulation.data).fingers) - {""}
 
+    @property
+    def T_world_base(self) -> SE3:
+        """Pose of the hand's base; on an arm of one that moves with the palm, see ``ArmMover``."""
+        return self.mover.T_world_base(self.simulation)
+
     def base_for(self, T_world_object: SE3) -> SE3:
         """Where the base must be for the object, as it is read now, to be at a pose."""
         now = self.reading.T_world_object()
-        return T_world_object * now.inverse() * self.simulation.T_world_base
+        return T_world_object * now.inverse() * self.T_world_base
 
     def _push_object(self, push: Push) -> None:
         """Push while it is time to."""

@@ -114,8 +114,11 @@ def _where_it_rests(task: GraspTask) -> SE3:
 
 def _scene(task: GraspTask) -> tuple[Scene, Any]:
     """The scene with the hand far above, and its data."""
-    above = task.T_world_object.translation + np.array([0.0, 0.0, CLEAR])
-    T_world_base = SE3(np.eye(3), above)
+    stands = SE3(np.eye(3), task.T_world_object.translation)
+    if task.T_world_base is not None:  # an arm, or a fixed base: all of it goes up
+        stands = SE3(task.T_world_base)
+    stands.translation = stands.translation + np.array([0.0, 0.0, CLEAR])
+    T_world_base = stands
     scene = build_scene(task, T_world_base=T_world_base, physics=PhysicsOptions(mu=task.mu))
     return scene, scene.start(task.hand.neutral, T_world_base)
 

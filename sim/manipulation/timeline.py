@@ -128,8 +128,9 @@ class SuccessCriteria:
     Attributes:
         disturbed_mm: Movement of the object before it is held, mm.
         slip_mm: Movement in the palm while it is lifted, mm.
-        angle_deg: How far off the turn may be for the run to go on, degrees; and how far heading
-            and tilt may be off at last. Success asks for all of the angle.
+        angle_deg: How short the turn may be for the run to go on, degrees
+            (``sim.manipulation.results.short_of``); and how far heading and tilt may be off at
+            last. Success asks for all of the angle.
         tilt_deg: Tilt off the axis of the turn, and before the grip, degrees.
         shift_mm: How far from where it was to be moved in the hand the object may be, mm; asked
             only where it was to be moved.

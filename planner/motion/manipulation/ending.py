@@ -103,6 +103,7 @@ def backwards(motion: MotionPlan, place: tuple[float, float] | None, why: str) -
         q=grasp.q_pregrasp,
         pregrasp_distance=grasp.pregrasp_distance,
         T_world_base_start=grasp.T_world_base_start,
+        arm=grasp.arm,
     )
     target = object_at_target(grasp.task, path.axis, 0.0, place)
     return Ending(T_world_target=target, release=release, back=why)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from planner.approach.pregrasp import way_back
 from planner.immutable import freeze
 from planner.motion.gait import GaitPlan
 from planner.motion.manipulation.ending import Ending, standing_under
@@ -125,7 +126,7 @@ class ManipulationPlan(Shown):
             ending: How the object is put down; the plan's if None.
         """
         planned, release = self.motion.T_world_base, (ending or self.ending).release
-        way = release.T_world_base_start.translation - planned.translation
+        way = way_back(self.task.hand, planned, release)
         return _moved(T_world_base, T_world_base.rotation @ planned.rotation.T @ way)
 
     def turned_object(self) -> tuple[SE3, FloatArray]:

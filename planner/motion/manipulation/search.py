@@ -135,7 +135,8 @@ def plan_manipulation(
 
     Raises:
         NoGraspFoundError: The budget ended; carries the failures of strokes and of regrasps.
-        TaskError: No table; no turn and no translation; or a translation with regrasps.
+        TaskError: No table; no turn and no translation; a translation with regrasps; or regrasps by
+            a hand on an arm.
     """
     checked_number("angle", angle, unit="rad", error=TaskError)
     check_place(place)
@@ -146,6 +147,11 @@ def plan_manipulation(
             "translation or the regrasps out, and turn by half a turn at most"
         )
     direction = checked_axis(axis)
+    if task.hand.arm is not None and (regrasp or abs(angle) > LARGEST_TURN):
+        raise TaskError(
+            f"{task.hand.name} is on an arm; turns with regrasps are planned for hands whose base "
+            "is free: turn by half a turn at most, without regrasps, or take the hand alone"
+        )
 
     def stroke() -> ManipulationPlan:
         return plan_single_stroke(
@@ -172,7 +178,8 @@ def plan_manipulation(
 
     if regrasp or abs(angle) > LARGEST_TURN:
         return strokes()
-    if abs(angle) > ONE_STROKE and not moved and not tilts(direction):
+    on_arm = task.hand.arm is not None
+    if abs(angle) > ONE_STROKE and not (moved or on_arm or tilts(direction)):
         try:
             return strokes()
         except PlannerError as error:
@@ -186,7 +193,7 @@ def plan_manipulation(
     except NoGraspFoundError as error:
         no_stroke = error
     unit = direction / np.linalg.norm(direction)
-    if moved or not stands(task, unit, angle, rests=rests):
+    if moved or on_arm or not stands(task, unit, angle, rests=rests):
         raise no_stroke
     try:
         return strokes()

@@ -17,6 +17,7 @@ from planner.attempt import nothing_found
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.motion.manipulation.ending import Rests, planned_ending
+from planner.motion.manipulation.on_arm import OnArm
 from planner.motion.manipulation.plan import ManipulationPlan, torque_reserve
 from planner.motion.manipulation.task import with_fingers
 from planner.motion.path import (
@@ -189,10 +190,11 @@ def plan_single_stroke(
     if path_tolerance is None:
         turning = TILT_TOLERANCE if tilts(direction) else TURN_TOLERANCE
         path_tolerance = SHIFT_TOLERANCE if moved.any() else turning
+    on_arm = None if task.hand.arm is None else OnArm(task)
     made: list[MotionAttempt] = []
     tried: list[tuple[str, ...]] = []
     found: list[ManipulationPlan] = []
-    for fallback in fallback_schedule(task):
+    for fallback in fallback_schedule(task if on_arm is None else on_arm.alone):
         attempts = fallback.attempts
         if len(made) >= max_attempts or good_enough(found) or (attempts is None and found):
             break
@@ -200,30 +202,22 @@ def plan_single_stroke(
         path = _with_overshoot(direction, angle, moved, fallback.overshoot)
         most = max_attempts if attempts is None else min(max_attempts, len(made) + attempts)
         for attempt in motion_attempts(
-            fallback.task, path, path_tolerance=path_tolerance, seed=seed
+            fallback.task,
+            path,
+            path_tolerance=path_tolerance,
+            seed=seed,
+            reaches=on_arm and on_arm.reaches,
         ):
             if len(made) >= most or good_enough(found):
                 break
             made.append(attempt)
             if attempt.plan is None:
                 continue
-            ending = _pivoting(attempt.plan) or planned_ending(
-                attempt.plan, angle, place, rests=rests
-            )
-            if isinstance(ending, Failure):
-                made[-1] = replace(attempt, plan=None, failure=ending)
+            whole = _whole(attempt.plan, on_arm, angle, moved, place, rests)
+            if isinstance(whole, Failure):
+                made[-1] = replace(attempt, plan=None, failure=whole)
                 continue
-            found.append(
-                ManipulationPlan(
-                    motion=attempt.plan,
-                    angle=angle,
-                    shift=moved,
-                    ending=ending,
-                    reserve=torque_reserve(attempt.plan),
-                    attempts=0,
-                    cpu_s=0.0,
-                )
-            )
+            found.append(whole)
     if found:
         best = max(found, key=merit)
         return replace(best, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
@@ -233,6 +227,34 @@ def plan_single_stroke(
         f"way to turn or move {task.object.name} by {asked} with {task.hand.name} ({sets})",
         made,
         "Try a smaller turn, a larger path tolerance, other fingers or more attempts",
+    )
+
+
+def _whole(
+    motion: MotionPlan,
+    on_arm: OnArm | None,
+    angle: float,
+    shift: FloatArray,
+    place: tuple[float, float] | None,
+    rests: Rests | None,
+) -> ManipulationPlan | Failure:
+    """A motion with its ending, made by the arm that the hand is on; or why there is none."""
+    carried = _pivoting(motion) or (motion if on_arm is None else on_arm.carried(motion))
+    if isinstance(carried, Failure):
+        return carried
+    ending = planned_ending(carried, angle, place, rests=rests)
+    if isinstance(ending, Failure):
+        return ending
+    if on_arm is not None and (blocked := on_arm.blocked(carried, ending)):
+        return blocked
+    return ManipulationPlan(
+        motion=carried,
+        angle=angle,
+        shift=shift,
+        ending=ending,
+        reserve=torque_reserve(carried),
+        attempts=0,
+        cpu_s=0.0,
     )
 
 

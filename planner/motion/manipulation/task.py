@@ -46,16 +46,8 @@ def manipulation_task(
         mu: Sliding friction (-), the least that there may be.
         fingers: Finger names; if None the hand's default set, of which planning may leave some out
             (``planner.motion.manipulation.single_stroke``).
-
-    Raises:
-        TaskError: A hand on an arm.
     """
     task = GraspTask.create(hand, object, mu=mu, fingers=fingers)
-    if task.hand.arm is not None:
-        raise TaskError(
-            f"{task.hand.name} is carried by an arm; objects are turned in the hand by hands whose "
-            "base is free: give the hand without its arm ('opposable hands' lists what there is)"
-        )
     return replace(task, grip_force=max(LEAST_GRIP, _carrying_force(task, len(task.finger_names))))
 
 
