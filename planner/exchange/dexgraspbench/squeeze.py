@@ -1,32 +1,34 @@
 """Squeeze pose for DexGraspBench: how far beyond the grasp its servos are commanded.
 
-The benchmark commands one posture and holds it throughout: its servos are springs about that
-posture. So the forces on the object change by stiffness times displacement, and the squeeze must be
-large enough that after every change that the protocol brings, each contact still holds:
+The benchmark commands one posture and holds it throughout: its servos are springs about it, and a
+grasp gives way as ``planner.verification.GraspStiffness`` tells. A squeeze of s times the planned
+forces f0, which press without a load and balance, is good when after every change that the protocol
+brings each contact still holds:
 
-    f_i = s f0_i - K_i G_i^T d(load) -+ e_i,     |tangential| <= mu normal,     for all loads,
+    f_i = s f0_i + change_i(s, load) -+ e_i(s),
 
-where f0 are the planned forces that press without a load (they balance, so s f0 does too), K_i the
-stiffness of finger i at its contact through its servos, d = (sum G_j K_j G_j^T)^-1 load the
-movement of the object under the load, and e_i what the misplaced contacts change: they are not
-where the plan has them, by ``MISPLACED``. The squeeze is the least s >= 1 that does it, as far as
-the actuators reach.
+in the soft-finger cone of the benchmark, for all loads, where e_i is what the misplaced contacts
+change: they are not where the plan has them, by ``MISPLACED``. Too small an s leaves no friction
+to the loads. Too large a one turns the object aside, by forces that miss the points where they
+balance and at last by themselves: s stays below ``STABLE`` of that, and turns less than ``TURNED``.
+The squeeze is the least s that leaves ``SPARE`` of every normal force, or the one that leaves most.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import eigh
 
 from planner.contacts import ContactSet
 from planner.errors import PlannerError
 from planner.forces import ForceSolution
 from planner.hands.hand import Hand
-from planner.spatial import SE3, FloatArray, skew
+from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from planner.verification.grasp import force_arguments, plan_forces
+from planner.verification.grasp import plan_forces
+from planner.verification.stiffness import GraspStiffness
 
 __all__ = [
     "FRICTION",
@@ -34,6 +36,7 @@ __all__ = [
     "MASS",
     "MISPLACED",
     "PUSH",
+    "SPARE",
     "STABLE",
     "Squeeze",
     "plan_squeeze",
@@ -61,26 +64,31 @@ LOADS = np.vstack(
 FRICTION = 0.6
 """Friction coefficient of the benchmark (-) (``config/task/eval.yaml``)."""
 
+TORSION = 0.02
+"""Its torsional friction, m."""
+
 FRICTION_SHARES = (0.3, 0.5, 0.8)
 """Shares of the planned friction coefficient (-) with which pressing forces are tried: with little
-friction in use, more is left to the loads, but balanced forces may be very unequal. The set whose
-wanted squeeze is farthest from buckling is taken."""
+friction in use, more is left to the loads, but balanced forces may be very unequal. The set that
+leaves most friction is taken, and of those with enough the gentlest."""
 
-STABLE = 1.0 / 3.0
-"""Share of the force at which a grasp buckles that a squeeze may use (-): tips roll and slide,
-which the stiffness leaves out. A larger share loses grasps in the benchmark
-(``opposable bench dexgraspbench``)."""
+SPARE = 0.3
+"""Share of normal forces (-) that a squeeze leaves under every load: contacts creep and the object
+turns a little, which the stiffness of a small displacement leaves out."""
+
+STABLE = 0.5
+"""Share of the force at which a grasp buckles that a squeeze may use (-): a load moves the object
+at most 1 / (1 - 0.5) times as far as springs alone would let it."""
+
+FACTORS = 1.1 ** np.arange(-7.0, 22.0)
+"""Multiples of the planned forces that are tried (-), 0.5 to 7.4: in steps of a tenth."""
+
+TURNED = math.radians(15.0)
+"""Rotation with which the benchmark calls an object lost, rad."""
 
 MISPLACED = 0.001
 """Distance (m) between a contact and its plan: the servos lag by different times, so that the first
 finger to touch pushes the object before the last one does."""
-
-SOFTEST = 0.001
-"""Stiffness (N m/rad) of a joint without a servo, which keeps matrices invertible."""
-
-STIFFEST_SHARE = 0.01
-"""Compliance of a tip where no joint moves it, as share of the mean (-): the links are stiff, and
-contact and weld give way by about this much."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,7 +99,8 @@ class Squeeze:
         reason: Why not; "" if there is one.
         ctrl: Commands (nu,) of the actuators; empty without one.
         factor: Planned forces are multiplied by this (-); NaN without one.
-        wanted: What the loads ask for (-); above ``factor`` where the grasp would buckle.
+        use: Share of a normal force, or of the rotation that is let pass, that the loads need at
+            most (-); above 1 they may win. NaN without one.
         forces: Normal forces (n,) at the grasp, N, but for what actuators that stand at their limit
             lack; empty without one.
     """
@@ -99,7 +108,7 @@ class Squeeze:
     reason: str = ""
     ctrl: FloatArray
     factor: float
-    wanted: float
+    use: float
     forces: FloatArray
 
     def posture(self, task: GraspTask, q: FloatArray) -> FloatArray:
@@ -138,95 +147,56 @@ def plan_squeeze(
         q: Joints (nq,).
     """
     floating = replace(task, gravity=np.zeros(3))
-    jacobians = np.asarray(force_arguments(floating, contacts, T_world_base, q)["jacobians"])
-    stiffness = _stiffness(task, jacobians)
-    best: tuple[float, float, ForceSolution] | None = None
+    best: tuple[float, float, float, ForceSolution] | None = None
     for share in FRICTION_SHARES:
         forces = plan_forces(floating, contacts, T_world_base, q, friction_scale=share)
         if forces.found:
-            wanted = _wanted(forces.contacts, stiffness)
-            limit = STABLE * _buckling(forces.contacts, stiffness)
-            if best is None or wanted / limit < best[0] / best[1]:
-                best = wanted, limit, forces
+            stiffness = GraspStiffness.of(floating, forces, T_world_base, q)
+            use, factor = _least_factor(task, stiffness, forces, q)
+            found = max(use, 1.0 - SPARE), factor * forces.forces[:, 0].max(), factor, forces
+            if best is None or found[:2] < best[:2]:
+                best = found
     if best is None:
         none = np.zeros(0)
         return Squeeze(
-            reason=forces.reason, ctrl=none, factor=float("nan"), wanted=float("nan"), forces=none
+            reason=forces.reason, ctrl=none, factor=float("nan"), use=float("nan"), forces=none
         )
-    wanted, limit, forces = best
-    factor = min(wanted, limit)
+    use, _, factor, forces = best
     torque = factor * forces.joint_torques
     ctrl, _ = task.hand.actuation.ctrl_for_torque(q, np.zeros_like(q), torque)
-    return Squeeze(ctrl=ctrl, factor=factor, wanted=wanted, forces=factor * forces.forces[:, 0])
+    return Squeeze(ctrl=ctrl, factor=factor, use=use, forces=factor * forces.forces[:, 0])
 
 
-def _wanted(contacts: ContactSet, stiffness: FloatArray) -> float:
-    """Least factor (-) >= 1 with which every contact holds under every load."""
-    n = len(contacts)
-    normals = contacts.normals
-    gathered = _gathered(contacts)
-    response = stiffness @ gathered.T @ np.linalg.pinv(gathered @ stiffness @ gathered.T)
-    loads = np.hstack([LOADS, np.zeros_like(LOADS)])
-    changes = -(loads @ response.T).reshape(len(LOADS), n, 3)
+def _least_factor(
+    task: GraspTask, stiffness: GraspStiffness, forces: ForceSolution, q: FloatArray
+) -> tuple[float, float]:
+    """Share of the friction in use, and the factor of the forces; see the module."""
+    limit, actuation = STABLE * stiffness.buckling, task.hand.actuation
+    tried = [
+        factor
+        for factor in FACTORS
+        if factor < limit and not actuation.short_of(q, factor * forces.joint_torques, 1e-9).any()
+    ]
+    uses = [_use(stiffness, factor) for factor in tried]
+    for i, (use, factor) in enumerate(zip(uses, tried, strict=True)):
+        if factor >= 1.0 and use <= 1.0 - SPARE:
+            if factor == 1.0:
+                return use, factor
+            share = (uses[i - 1] - (1.0 - SPARE)) / (uses[i - 1] - use)
+            return 1.0 - SPARE, tried[i - 1] + share * (factor - tried[i - 1])
+    return min(zip(uses, tried, strict=True), default=(float("inf"), 1.0))
+
+
+def _use(stiffness: GraspStiffness, factor: float) -> float:
+    """Largest share (-) of a contact's normal force, or of ``TURNED``, that any load needs."""
+    m, n = len(LOADS), len(stiffness.forces)
+    wrenches = np.hstack([LOADS, np.zeros_like(LOADS)])
+    changes, turned = stiffness.under(factor, wrenches, MISPLACED)
     # a finger out of place presses on all others, and the object settles between them
-    settled = stiffness - response @ gathered @ stiffness
-    along = np.zeros((n, 3 * n))
-    for i in range(n):
-        along[i, 3 * i : 3 * i + 3] = normals[i]
-    lost = MISPLACED * np.linalg.norm(along @ settled @ along.T, axis=1)
-    planned = contacts.forces_in_axes()[:, :3]
-    return max(
-        1.0,
-        *(
-            _least(planned[i], change[i] - lost[i] * normals[i], normals[i], FRICTION)
-            for change in changes
-            for i in range(n)
-        ),
-    )
-
-
-def _buckling(contacts: ContactSet, stiffness: FloatArray) -> float:
-    """Factor (-) of the planned forces at which the object turns aside; infinite if none does."""
-    gathered = _gathered(contacts)
-    destabilising = np.zeros((6, 6))
-    arms = contacts.positions - contacts.center
-    for r, f in zip(arms, contacts.forces_in_axes()[:, :3], strict=True):
-        destabilising[3:, 3:] += (np.outer(r, f) + np.outer(f, r)) / 2 - (r @ f) * np.eye(3)
-    largest = float(eigh(destabilising, gathered @ stiffness @ gathered.T, eigvals_only=True)[-1])
-    return 1.0 / largest if largest > 0.0 else float("inf")
-
-
-def _gathered(contacts: ContactSet) -> FloatArray:
-    """Wrench about the centre of mass out of forces (3n,) at the contacts: (6, 3n)."""
-    arms = contacts.positions - contacts.center
-    return np.hstack([np.vstack([np.eye(3), skew(r)]) for r in arms])
-
-
-def _stiffness(task: GraspTask, jacobians: FloatArray) -> FloatArray:
-    """Of all contacts (3n, 3n), N/m, through the servos: force on the object per displacement."""
-    actuation = task.hand.actuation
-    servos = actuation.moment.T @ (-actuation.bias[:, 1, None] * actuation.moment)
-    joints = servos + actuation.stiffness + SOFTEST * np.eye(len(servos))
-    rows = jacobians[:, :3].reshape(-1, len(servos))  # (3n, nq)
-    compliance = rows @ np.linalg.solve(joints, rows.T)
-    # a direction in which no joint moves a tip is as stiff as the hand's links: bounded, not inf
-    least = STIFFEST_SHARE * np.trace(compliance) / len(compliance)
-    out: FloatArray = np.linalg.inv(compliance + least * np.eye(len(compliance)))
-    return out
-
-
-def _least(planned: FloatArray, change: FloatArray, normal: FloatArray, mu: float) -> float:
-    """Least s >= 0 with s planned + change in the friction cone, all (3,), N.
-
-    |a s + b| <= mu (c s + d) with a, b tangential and c, d normal: the larger root of a quadratic,
-    since the planned force is inside of the cone.
-    """
-    c, d = float(planned @ normal), float(change @ normal)
-    a, b = planned - c * normal, change - d * normal
-    square = float(a @ a) - mu**2 * c**2  # < 0 inside
-    if square >= 0.0:
-        return float("inf")
-    half = float(a @ b) - mu**2 * c * d
-    rest = float(b @ b) - mu**2 * d**2
-    root = np.sqrt(max(0.0, half**2 - square * rest))
-    return max(0.0, -d / c, float((-half - root) / square))
+    lost = np.linalg.norm(changes[m : m + n, :, 0], axis=0)
+    force = factor * stiffness.forces + changes[:m]
+    sliding = np.linalg.norm(force[:, :, 1:3], axis=2) / FRICTION
+    needed = np.hypot(sliding, force[:, :, 3] / TORSION) + lost - changes[:m, :, 0]
+    slips = float((needed / (factor * stiffness.forces[:, 0])).max())
+    angles = np.linalg.norm(turned, axis=1)
+    return max(slips, float(angles[:m].max() + np.linalg.norm(angles[m:])) / TURNED)

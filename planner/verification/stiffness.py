@@ -1,0 +1,177 @@
+"""How a grasp gives way while position servos alone hold it: stable or buckling, and under a load.
+
+Servos that are commanded one posture are springs about it, and the object hangs on them by contacts
+that neither slide nor part but roll. With x = [object's shift and rotation (6), joints (nq)], all
+small, the forces that bring the hand and object back are K x,
+
+    K = E^T K_s E + sum_i B_i^T k B_i + s sum_i (L_i + H_i - W_i^T [f_i] A_i [n_i] W_i),
+
+    E       x -> joints; K_s the servos' stiffness R^T k R, springs, and stops that carry
+    B_i     x -> movement of object against tip at contact i, and spin about its normal
+    L_i     lever: the contact turns with the object, its force does not: -[f_i] [r_i] on rotations
+    H_i     the same of the finger's links: second derivative of f_i . p_i in the joints
+    W_i     x -> rotation of object against tip; A_i = (S_object + S_tip)^-1 in the tangent plane, S
+            the surfaces' curvature: rolling by W x moves the contact by A n x W x (Montana 1988)
+
+for forces s f_i. The first line is a spring that no force weakens; the others grow with the force
+(Cutkosky and Kao 1989; Howard and Kumar 1996). The servos' part falls with the square of the
+object's size and the levers' with its size: a small object that is pressed hard turns aside, the
+less, the flatter it and the tips are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import eigh
+
+from planner.forces import ForceSolution
+from planner.shapes import Shape
+from planner.spatial import SE3, FloatArray, skew
+from planner.task import GraspTask
+from planner.verification.grasp import force_arguments
+
+__all__ = ["GraspStiffness"]
+
+CONTACT, SPIN = 1e5, 10.0
+"""Stiffness of a contact against sliding (N/m) and spinning (N m/rad): far above those of servos,
+some 1e3 N/m and 0.1 N m/rad seen from the object, and low enough for a matrix that is inverted."""
+
+STOP = 20.0
+"""Stiffness of a stop that carries, N m/rad: bent by 0.01 rad by the torque of a firm grip."""
+
+SOFTEST = 0.001
+"""Stiffness (N m/rad) of a joint without a servo, which keeps matrices invertible."""
+
+NEAR = 5e-4
+"""Distance (m) over which a surface's curvature is taken: a contact is that small."""
+
+FLATTEST = 20.0
+"""Least sum of both curvatures, 1/m: flat pads on flat faces roll no further than to their edge."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GraspStiffness:
+    """K of the module for n contacts, N = 6 + nq.
+
+    Attributes:
+        springs: Its first line (N, N), N/m and N m/rad.
+        bending: The others for the forces as they are (N, N), symmetric.
+        rows: B (n, 4, N): along normal and tangents, and spin.
+        shifts: (2n, N), what the forces do per metre by which a contact is along a tangent of where
+            it should be.
+        forces: Of the contacts (n, 4), N and N m, in contact frames.
+    """
+
+    springs: FloatArray
+    bending: FloatArray
+    rows: FloatArray
+    shifts: FloatArray
+    forces: FloatArray
+
+    @classmethod
+    def of(
+        cls, task: GraspTask, forces: ForceSolution, T_world_base: SE3, q: FloatArray
+    ) -> GraspStiffness:
+        """Of a grasp.
+
+        Args:
+            task: Gives the hand, whose actuators are servos, and the object where the contacts are.
+            forces: Of its contacts, world, one per finger of the task.
+            T_world_base: Base pose.
+            q: Joints (nq,).
+        """
+        contacts, actuation = forces.contacts, task.hand.actuation
+        still = replace(task, gravity=np.zeros(3))
+        given = force_arguments(still, contacts, T_world_base, q)["jacobians"]
+        nq, n = task.hand.nq, len(contacts)
+        linear, angular = np.asarray(given).reshape(n, 2, 3, nq).transpose(1, 0, 2, 3)
+        arms = np.array([skew(r) for r in contacts.positions - contacts.center])
+        one, none = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3, 3))
+        moves = np.concatenate([one, -arms, -linear], axis=2)
+        turns = np.concatenate([none, one, -angular], axis=2)
+        axes = contacts.frames.transpose(0, 2, 1)
+        rows = np.concatenate([axes @ moves, axes[:, :1] @ turns], axis=1)
+        flat = (rows * np.sqrt([CONTACT] * 3 + [SPIN])[:, None]).reshape(4 * n, -1)
+        springs = flat.T @ flat
+        stops = actuation.stop_rows[forces.stop_forces > 0.0]
+        servos = actuation.moment.T @ (-actuation.bias[:, 1, None] * actuation.moment)
+        springs[6:, 6:] += servos + actuation.stiffness + SOFTEST * np.eye(nq)
+        springs[6:, 6:] += STOP * stops.T @ stops
+        bending = np.zeros_like(springs)
+        pushes = contacts.forces_in_axes()[:, :3]
+        shifts = np.cross(axes[:, 1:], pushes[:, None]) @ turns
+        compliance = _rolling(task, contacts.positions, contacts.frames)
+        for i, f in enumerate(pushes):
+            bending[3:6, 3:6] -= skew(f) @ arms[i]
+            # f . (a_k x J_j) for k before j on the finger: moved by both
+            second = np.triu(angular[i].T @ np.cross(linear[i], f, axis=0))
+            bending[6:, 6:] += second + np.triu(second, 1).T
+            bending -= turns[i].T @ skew(f) @ compliance[i] @ skew(contacts.normals[i]) @ turns[i]
+        return cls(
+            springs=springs,
+            bending=(bending + bending.T) / 2,
+            rows=rows,
+            shifts=shifts.reshape(2 * n, -1),
+            forces=np.array(forces.forces),
+        )
+
+    @property
+    def buckling(self) -> float:
+        """Factor (-) of the forces at which the grasp is no longer stable; infinite if none is."""
+        least = float(eigh(self.bending, self.springs, eigvals_only=True)[0])
+        return -1.0 / least if least < 0.0 else float("inf")
+
+    def under(
+        self, factor: float, wrenches: FloatArray, misplaced: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """How contact forces change and the object turns, held at ``factor`` times the forces.
+
+        Args:
+            factor: Below ``buckling``.
+            wrenches: On the object about its centre of mass (m, 6), N and N m, world axes.
+            misplaced: Distance (m) by which a tip is out of place along its normal, or a contact
+                along a tangent.
+
+        Returns:
+            Changes (m + 3n, n, 4), N and N m in contact frames, and rotations (m + 3n, 3), rad:
+            under every wrench, with every tip out of place, with every contact along both tangents.
+        """
+        n, _, size = self.rows.shape
+        m, k = len(wrenches), np.tile([CONTACT] * 3 + [SPIN], n)
+        flat = self.rows.reshape(4 * n, size)
+        gone = np.zeros((n, 4 * n))
+        gone[np.arange(n), 4 * np.arange(n)] = misplaced
+        pushed = np.vstack(
+            [
+                np.pad(wrenches, ((0, 0), (0, size - 6))),
+                (gone * k) @ flat,
+                factor * misplaced * self.shifts,
+            ]
+        )
+        moved = np.linalg.solve(self.springs + factor * self.bending, pushed.T).T
+        gaps = moved @ flat.T
+        gaps[m : m + n] -= gone
+        return -(gaps * k).reshape(-1, n, 4), moved[:, 3:6]
+
+
+def _rolling(task: GraspTask, positions: FloatArray, frames: FloatArray) -> FloatArray:
+    """A (n, 3, 3) of the module, m, world axes."""
+    to_object = task.T_world_object.inverse()
+    points = positions @ to_object.rotation.T + to_object.translation
+    local = to_object.rotation @ frames
+    curved = _curvatures(task.object.shape, points, local[:, :, 1:])
+    tips = np.array([1.0 / finger.pad.radius for finger in task.fingers])
+    size, along = np.linalg.eigh(curved + tips[:, None, None] * np.eye(2))
+    out = frames[:, :, 1:] @ along
+    return np.asarray((out / np.maximum(size, FLATTEST)[:, None, :]) @ out.transpose(0, 2, 1))
+
+
+def _curvatures(shape: Shape, points: FloatArray, tangents: FloatArray) -> FloatArray:
+    """Curvature (n, 2, 2), 1/m, of a surface at points (n, 3) along two tangents (n, 3, 2)."""
+    steps = NEAR * tangents.transpose(0, 2, 1)  # (n, 2, 3)
+    ends = np.stack([points[:, None] + steps, points[:, None] - steps])
+    normals = shape.closest_point(ends.reshape(-1, 3))[1].reshape(ends.shape)
+    slopes = (normals[0] - normals[1]) @ tangents / (2 * NEAR)
+    return np.asarray((slopes + slopes.transpose(0, 2, 1)) / 2)
