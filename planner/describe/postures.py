@@ -351,8 +351,8 @@ class PostureSolver:
         for rungs in (RADII[first:], RADII[:first][::-1]):
             near = parts[radius] if parts else None
             for r in rungs:
-                start = (free, point) if near is None else (near.q[self._free], near.point)
-                _, at, where = self._descend(*start, r, collisions=True)
+                at, where = (free, point) if near is None else (near.q[self._free], near.point)
+                _, at, where = self._descend(at, where, r, collisions=True)
                 near = parts[r] = self._judge(self.complete(at), r, where)
                 if not near.good:
                     break
