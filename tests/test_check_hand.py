@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from planner.describe import CheckReport, check_hand
@@ -340,6 +341,10 @@ def test_describe_command(runner: CliRunner, tmp_path: Path) -> None:
     wrote = runner.invoke(app, ["describe", str(model), "--out", str(path)])
     assert wrote.exit_code == 0, wrote.output
     assert load_hand(path).joint_names == load_hand("allegro_hand").joint_names
+    with Image.open(tmp_path / "hand.png") as picture:  # a row of pinch and open per candidate
+        rows = len(load_hand(path).description.postures) // 2
+        wide, high = picture.size
+        assert (picture.format, high * 2 * 320) == ("PNG", wide * 260 * rows)
     again = runner.invoke(app, ["describe", str(model), "-o", str(path)])
     assert again.exit_code == EXIT_BAD_INPUT
     assert "--force" in again.output

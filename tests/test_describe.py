@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import coal
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,6 +23,8 @@ from planner.couplings import Coupling
 from planner.describe import Proposal, description_text, propose, write_proposal
 from planner.describe.convex_links import ConvexLink, cone_directions, sphere_directions
 from planner.describe.drive import impossible_couplings
+from planner.describe.overlaps import HandGaps
+from planner.describe.postures import PostureSolver
 from planner.describe.tree import finger_names, read_tree
 from planner.errors import FileFormatError, HandError, ModelError, NotFoundError
 from planner.hand_loading import hand_from_spec, load_hand
@@ -211,6 +215,90 @@ def test_postures_of_a_claw_are_wide_and_narrow(proposed_claw: Proposal, tmp_pat
     task = GraspTask.create(hand, "sphere")
     pinch, wide = (opposition(task, hand.posture(p)).gap for p in ("pinch", "open"))
     assert 0.02 < pinch < wide
+
+
+def stage() -> str:
+    """Three fingers that hang from a ring 0.28 m above the base, 120 degrees apart, joints +-90."""
+    fingers = ""
+    for k in range(3):
+        turn = 2 * np.pi * k / 3
+        place = f"{0.05 * np.sin(turn):.6f} {-0.05 * np.cos(turn):.6f} 0.28"
+        fingers += f"""
+        <body name="f{k}_a" pos="{place}" euler="0 0 {turn:.6f}">
+          <joint name="f{k}_swing" axis="0 1 0" range="-1.57 1.57"/>
+          <geom type="sphere" size="0.02" mass="0.1"/>
+          <body name="f{k}_b"><joint name="f{k}_lift" axis="1 0 0" range="-1.57 1.57"/>
+            <geom type="capsule" fromto="0 0 0 0 0 -0.15" size="0.01" mass="0.1"/>
+            <body name="f{k}_c" pos="0 0 -0.15">
+              <joint name="f{k}_curl" axis="1 0 0" range="-3.0 3.0"/>
+              <geom type="capsule" fromto="0 0 0 0 0 -0.14" size="0.008" mass="0.05"/>
+              <geom type="sphere" pos="0 0 -0.14" size="0.01" mass="0.01"/>
+            </body>
+          </body>
+        </body>"""
+    return f"""
+    <mujoco model="stage"><compiler angle="radian" autolimits="true"/>
+      <worldbody><body name="floor">
+        <geom type="cylinder" pos="0 0 0.32" size="0.09 0.01" mass="1"/>{fingers}
+      </body></worldbody>
+    </mujoco>"""
+
+
+def test_a_stage_whose_base_is_the_floor_has_its_palm_above_the_fingertips() -> None:
+    spec = mujoco.MjSpec.from_string(stage())
+    proposal = propose(spec)
+    assert not [q for q in proposal.open_questions if "no good" in q]
+    hand = hand_from_spec(spec, proposal.description)
+    np.testing.assert_allclose(hand.palm_point, [0.0, 0.0, 0.28], atol=1e-6)
+    q = np.zeros(9)
+    for k in range(3):
+        q[[hand.joint_index(f"f{k}_lift"), hand.joint_index(f"f{k}_curl")]] = -0.9, 1.7
+    assert opposition(GraspTask.create(hand, "sphere:0.03"), q).palm_side[2] > 0.9
+    np.testing.assert_array_equal(load_hand("shadow_hand").palm_point, np.zeros(3))
+
+
+def test_candidates_differ_and_the_first_is_followed_over_more_openings(
+    known: tuple[Hand, Proposal],
+) -> None:
+    hand, proposal = known
+    spec = mujoco.MjSpec.from_file(str(model_of(hand.name)))
+    proposed = hand_from_spec(spec, proposal.description)
+    solver = PostureSolver(proposed, proposed.choose_fingers())
+    candidates = solver.candidates()
+    assert 1 <= len(candidates) <= 3
+    scores = [c.score for c in candidates]
+    assert scores == sorted(scores, reverse=True)
+    names = set(proposal.description.postures)
+    assert names == {f"{p}{s}" for p in ("open", "pinch") for s in ("", "_2", "_3")[: len(scores)]}
+    span = proposed.q_upper - proposed.q_lower
+    for a, b in combinations(candidates, 2):
+        assert (np.abs(a.pinch.q - b.pinch.q) / span).max() > 0.1
+    for candidate in candidates:
+        assert candidate.pinch.good and candidate.wide.radius > candidate.pinch.radius
+        # pads touch an object of that radius: recomputed from the joints alone
+        state = HandState(proposed, candidate.pinch.q)
+        for finger in proposed.choose_fingers():
+            away = np.linalg.norm(candidate.pinch.point - state.pad_center(finger))
+            reach = finger.pad.radius + candidate.pinch.radius
+            assert away >= reach - 0.004
+            assert candidate.bar or away <= reach + 0.004
+
+
+def test_distances_with_memory_are_those_without(known: tuple[Hand, Proposal]) -> None:
+    hand, _ = known
+    near, rng = 0.01, np.random.default_rng(1)
+    gaps, data = HandGaps(hand, near), hand.pin_model.createData()
+    q = hand.posture("pinch")
+    compared = 0
+    for step in (0.0, 1e-8, 1e-8, 1e-3, 1e-2, 1e-8, 0.3, 0.02):
+        q = np.clip(q + step * rng.standard_normal(hand.nq), hand.q_lower, hand.q_upper)
+        pin.forwardKinematics(hand.pin_model, data, q)
+        ours, fresh = gaps.between_parts(data.oMi), HandGaps(hand, np.inf).between_parts(data.oMi)
+        close = fresh <= near
+        np.testing.assert_allclose(ours[close], fresh[close], atol=1e-9)
+        assert (ours <= fresh + 1e-9).all()  # a lower bound elsewhere
+        compared += int(close.sum())
+    assert compared > 10
 
 
 def test_a_spec_and_a_compiled_model_give_what_the_file_gives(proposed_claw: Proposal) -> None:

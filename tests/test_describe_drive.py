@@ -194,7 +194,7 @@ def test_a_posture_is_looked_for_within_the_ranges_of_joints_that_follow(tmp_pat
     path = written(tmp_path, text, "claw.urdf")
     hand = hand_from_spec(load_spec(path), propose(path).description)
     solver = PostureSolver(hand, hand.choose_fingers())
-    q = solver.solve([0.01]).q
+    q = solver.candidates()[0].pinch.q
     matrix, value = hand.coupling_matrix
     # clipped to its ranges, a posture that ignored them would leave the couplings
     np.testing.assert_allclose(matrix @ q, value, atol=0.02)

@@ -6,7 +6,9 @@ wrong term cannot hide behind a residual of zero; then a solution is checked wit
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -291,3 +293,24 @@ def test_programmes_are_built_once_for_a_hand_however_often_it_is_loaded() -> No
     assert first.grasp is again.grasp
     other = problems_for(GraspTask.create(load_hand("shadow_hand"), "sphere"))
     assert other.grasp is not first.grasp
+
+
+def test_a_thumb_that_faces_the_next_face_starts_on_the_face_opposite_the_others(
+    edit_hand: Callable[..., Path],
+) -> None:
+    # the thumb's pad is turned by 55 degrees, as on thumbs that swing sideways alone
+    pad = 'geom = "thumb_pad"\ncenter = [0.0, 0.0, 0.0423]\nradius = 0.012\naxis = '
+    turned = [float(np.cos(np.deg2rad(100))), 0.0, float(np.sin(np.deg2rad(100)))]
+    was = "[0.7071067811865476, 0.0, 0.7071067811865476]"
+    path = edit_hand({f"{pad}{was}": f"{pad}{turned}"})
+    seeder = Seeder(GraspTask.create(load_hand(path), "box:0.05x0.05x0.08"))
+    assert seeder.aside.tolist() == [True, False, False, False]
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        start = seeder.draw(rng)
+        assert isinstance(start, Start)
+        held = [np.flatnonzero(p.lower == p.upper)[0] for p in start.patches]
+        sides = [np.sign(p.lower[k]) for p, k in zip(start.patches, held, strict=True)]
+        others = [(k, s) for k, s in zip(held[1:], sides[1:], strict=True)]
+        most = max(set(others), key=others.count)
+        assert (held[0], sides[0]) == (most[0], -most[1])

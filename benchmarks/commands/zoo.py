@@ -32,6 +32,10 @@ def zoo(
     cpu_s: Annotated[
         float, typer.Option(min=0.0, help="CPU seconds per hand, then no further try.")
     ] = 20.0,
+    every: Annotated[
+        bool,
+        typer.Option("--every-shape", help="Box, cylinder and sphere are to be held.", metavar=""),
+    ] = False,
     samples: SamplesOption = Path("zoo.jsonl"),
     *,
     result: ResultOptions,
@@ -46,7 +50,13 @@ def zoo(
         make_folder(pictures)
     with result.measuring(samples) as runner:
         measured = run_zoo(
-            wanted, folder=models, pictures=pictures, cpu_s=cpu_s, file=samples, runner=runner
+            wanted,
+            folder=models,
+            pictures=pictures,
+            cpu_s=cpu_s,
+            file=samples,
+            runner=runner,
+            every=every,
         )
     result.give(measured, zoo_tables)
 

@@ -25,12 +25,14 @@ class ZooModel:
         source: "shipped", "package" or "repository".
         reference: What ``load_hand`` takes; for a repository, relative to the folder of clones.
         url: Where a reader finds the model; "" for those that ship.
+        base: The body that is the hand's base, where the model holds more; else "".
     """
 
     name: str
     source: str
     reference: str
     url: str = ""
+    base: str = ""
 
     @property
     def slug(self) -> str:
@@ -62,9 +64,10 @@ def zoo_models(file: Path = MODELS_FILE) -> list[ZooModel]:
                 name=name,
                 source="repository",
                 reference=f"{where}/{path}",
-                url=f"https://github.com/{where}/blob/{commit}/{path}",
+                url=_url(where, commit, path),
+                base="".join(base),
             )
-            for name, path in entry["hands"]
+            for name, path, *base in entry["hands"]
         ]
     slugs = [model.slug for model in models]
     twice = sorted({slug for slug in slugs if slugs.count(slug) > 1})
@@ -85,6 +88,14 @@ def chosen(models: list[ZooModel], names: list[str]) -> list[ZooModel]:
         if name not in by_name:
             raise NotFoundError("hand of the zoo", name, [m.name for m in models])
     return [by_name[name] for name in names] or models
+
+
+def _url(repository: str, commit: str, path: str) -> str:
+    """Where a file of a commit is read, or the release of a package of the owner ``pypi``."""
+    owner, _, package = repository.partition("/")
+    if owner == "pypi":
+        return f"https://pypi.org/project/{package}/{commit}/"
+    return f"https://github.com/{repository}/blob/{commit}/{path}"
 
 
 def _read(file: Path) -> list[dict[str, Any]]:

@@ -219,7 +219,7 @@ def check_postures(
                 name=name,
                 gap=width - radii[opposer] - float(np.delete(radii, opposer).mean()),
                 facing_deg=tuple(float(np.rad2deg(np.arccos(np.clip(c, -1, 1)))) for c in cosines),
-                clearance=solver.judge(q, 0.02).clearance,
+                clearance=solver.clearance(q),
             )
         )
     _judge_postures({r.name: r for r in out}, findings)

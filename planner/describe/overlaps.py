@@ -7,7 +7,7 @@ lost before it begins, without any other sign.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -27,6 +27,9 @@ __all__ = ["TOUCHING", "HandGaps", "Overlap", "check_overlaps", "frequent_overla
 
 TOUCHING = -5e-5
 """Signed distance (m) below which two parts of a hand overlap."""
+
+STANDSTILL = 1e-4
+"""Motion (m) below which the last known distances stay the reference: finite differences."""
 
 POSTURES = 200
 """Sampled postures: the standard error of a share of 20 % is 3 %."""
@@ -60,18 +63,23 @@ class HandGaps:
             near: Pairs whose bounding balls are further apart than this (m) are not measured.
         """
         self._geometries, self._near = hand.geometries, near
-        self._balls = [_bounding_ball(g.geometry) for g in hand.geometries]
-        self._pairs = [
-            (i, j, DistancePair(a.geometry, b.geometry))
+        self._balls = _balls(hand.geometries)
+        self._joints = sorted({g.joint_id for g in hand.geometries})
+        self._place = np.array([self._joints.index(g.joint_id) for g in hand.geometries], dtype=int)
+        pairs = [
+            (i, j)
             for (i, a), (j, b) in combinations(enumerate(hand.geometries), 2)
             if a.joint_id != b.joint_id and frozenset((a.name, b.name)) not in hand.allowed_pairs
         ]
+        self._pairs = np.array(pairs, dtype=int).reshape(-1, 2)
+        self._exact: dict[tuple[int, int], DistancePair] = {}
         self._handles: dict[tuple[float, float], list[DistancePair]] = {}
+        self._last: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     @property
     def pairs(self) -> tuple[tuple[LinkGeometry, LinkGeometry], ...]:
         """The geometries (n_pairs) whose distances ``between_parts`` gives."""
-        return tuple((self._geometries[i], self._geometries[j]) for i, j, _ in self._pairs)
+        return tuple((self._geometries[i], self._geometries[j]) for i, j in self._pairs)
 
     def between_parts(self, placements: Any) -> FloatArray:
         """Signed distance (n_pairs,), m; beyond ``near`` a lower bound.
@@ -79,13 +87,28 @@ class HandGaps:
         Args:
             placements: Pose of every Pinocchio joint in the base.
         """
-        poses = [SE3(placements[g.joint_id]) * g.T_joint_geometry for g in self._geometries]
-        centers = np.array([p.act(b[0]) for p, b in zip(poses, self._balls, strict=True)])
-        out = np.empty(len(self._pairs))
-        for k, (i, j, pair) in enumerate(self._pairs):
-            reach = self._balls[i][1] + self._balls[j][1]
-            bound = float(np.linalg.norm(centers[i] - centers[j])) - reach
-            out[k] = bound if bound > self._near else pair.distance(poses[i], poses[j])
+        centers, turns = self._placed(placements)
+        first, second = self._pairs.T
+        radii = self._balls[1]
+        apart = np.linalg.norm(centers[first] - centers[second], axis=1)
+        out = np.asarray(apart - radii[first] - radii[second])
+        moved = np.full(len(centers), np.inf)
+        if self._last is not None:
+            # no point of a part has moved further than this since its distances were known
+            moved = np.linalg.norm(centers - self._last[0], axis=1)
+            moved += radii * np.linalg.norm(turns - self._last[1], axis=(1, 2))
+            out = np.maximum(out, self._last[2] - moved[first] - moved[second])
+        for k in np.flatnonzero(out <= self._near):
+            i, j = int(first[k]), int(second[k])
+            a, b = self._geometries[i], self._geometries[j]
+            if (i, j) not in self._exact:
+                self._exact[i, j] = DistancePair(a.geometry, b.geometry)
+            out[k] = self._exact[i, j].distance(
+                SE3(placements[a.joint_id]) * a.T_joint_geometry,
+                SE3(placements[b.joint_id]) * b.T_joint_geometry,
+            )
+        if moved.max(initial=0.0) > STANDSTILL:
+            self._last = centers, turns, out.copy()
         return out
 
     def from_handle(
@@ -99,6 +122,8 @@ class HandGaps:
     ) -> FloatArray:
         """Signed distance of a capsule from all parts but those on the joints ``touching``, m.
 
+        Beyond ``near`` it is a lower bound.
+
         Args:
             placements: Pose of every Pinocchio joint in the base.
             touching: Pinocchio joints whose geometries may touch it.
@@ -107,24 +132,39 @@ class HandGaps:
             half: Half its length without the ends, m.
             radius: m.
         """
-        parts = [g for g in self._geometries if g.joint_id not in touching]
         if (radius, half) not in self._handles:
             handle = coal.Capsule(radius, 2 * half)
-            self._handles[radius, half] = [DistancePair(handle, g.geometry) for g in parts]
+            pairs = [DistancePair(handle, g.geometry) for g in self._geometries]
+            self._handles[radius, half] = pairs
+        to_centers = self._placed(placements)[0] - middle
+        shift = np.clip(to_centers @ along, -half, half)
+        away = np.linalg.norm(to_centers - shift[:, None] * along, axis=1)
+        out = away - self._balls[1] - radius
+        out[[g.joint_id in touching for g in self._geometries]] = np.inf
         turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along)
         pose = SE3(turn.toRotationMatrix(), middle)
-        return np.array(
-            [
-                pair.distance(pose, SE3(placements[g.joint_id]) * g.T_joint_geometry)
-                for pair, g in zip(self._handles[radius, half], parts, strict=True)
-            ]
-        )
+        for k in np.flatnonzero(out <= self._near):
+            g = self._geometries[k]
+            placed = SE3(placements[g.joint_id]) * g.T_joint_geometry
+            out[k] = self._handles[radius, half][k].distance(pose, placed)
+        return np.asarray(out)
+
+    def _placed(self, placements: Any) -> tuple[FloatArray, FloatArray]:
+        """Centres (n, 3), m, of bounding balls in the base, turns (n, 3, 3) of geometries."""
+        local = self._balls[0]
+        turns = np.array([placements[k].rotation for k in self._joints])[self._place]
+        shifts = np.array([placements[k].translation for k in self._joints])[self._place]
+        return (turns @ local[:, :, None])[:, :, 0] + shifts, turns
 
 
-def _bounding_ball(geometry: Any) -> tuple[FloatArray, float]:
-    """Centre (3,) in the geometry's frame and radius (m) of the ball around its bounding box."""
-    geometry.computeLocalAABB()
-    return np.array(geometry.aabb_center), float(geometry.aabb_radius)
+def _balls(geometries: Sequence[LinkGeometry]) -> tuple[FloatArray, FloatArray]:
+    """Balls around bounding boxes: centres (n, 3) in the joints' frames and radii (n,), m."""
+    centers, radii = [], []
+    for g in geometries:
+        g.geometry.computeLocalAABB()
+        centers.append(g.T_joint_geometry.act(np.array(g.geometry.aabb_center)))
+        radii.append(float(g.geometry.aabb_radius))
+    return np.array(centers).reshape(-1, 3), np.array(radii)
 
 
 @dataclass(frozen=True, kw_only=True)

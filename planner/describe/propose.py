@@ -29,7 +29,7 @@ from planner.describe.drive import Drive, PadContact, joint_stops, stops_and_spr
 from planner.describe.fingertips import Fingertip, Skeleton
 from planner.describe.overlaps import frequent_overlaps
 from planner.describe.pads import PadFit
-from planner.describe.postures import OPEN_RADII, PINCH_RADII, PosturePart, PostureSolver
+from planner.describe.postures import PostureCandidate, PosturePart, PostureSolver
 from planner.describe.reasons import Notes, Proposal
 from planner.describe.repairs import (
     prepared_model,
@@ -238,26 +238,35 @@ class _Proposer:
         return drive, defaults
 
     def _postures(self, description: HandDescription) -> HandDescription:
+        """The best candidate as ``open`` and ``pinch``, others as ``open_2``, ``pinch_2``, ..."""
         hand = build_from_spec(self.spec, description)
         solver = PostureSolver(hand, hand.choose_fingers())
-        pinch = solver.solve(PINCH_RADII)
-        wide = solver.solve(OPEN_RADII, near=pinch.q)
+        candidates = solver.candidates()
         postures = {}
-        for name, part in (("open", wide), ("pinch", pinch)):
-            q = solver.rounded(part.q)
-            postures[name] = {
-                joint: float(f"{value:.12g}")
-                for joint, value, zero in zip(hand.joint_names, q, hand.neutral, strict=True)
-                if value != zero
-            }
-            self.notes.because(
-                f"postures.{name}", f"pads {2e3 * part.radius:.0f} mm apart", _rated(part)
-            )
-            if not part.good:
-                self.notes.ask(
-                    f"no good posture {name!r} was found ({_rated(part)}): give a better one, in "
-                    "which the pads look at each other"
+        for number, candidate in enumerate(candidates, start=1):
+            suffix = "" if number == 1 else f"_{number}"
+            for name, part in (
+                (f"open{suffix}", candidate.wide),
+                (f"pinch{suffix}", candidate.pinch),
+            ):
+                q = solver.rounded(part.q)
+                postures[name] = {
+                    joint: float(f"{value:.12g}")
+                    for joint, value, zero in zip(hand.joint_names, q, hand.neutral, strict=True)
+                    if value != zero
+                }
+                self.notes.because(
+                    f"postures.{name}",
+                    f"pads {2e3 * part.radius:.0f} mm apart",
+                    _rated(candidate, part, number),
                 )
+        best = candidates[0]
+        if not best.pinch.good:
+            self.notes.ask(
+                "no good postures 'open' and 'pinch' were found "
+                f"({_rated(best, best.pinch, 1)}): give better ones, in which the pads face each "
+                "other"
+            )
         return description.model_copy(update={"postures": postures})
 
 
@@ -269,15 +278,22 @@ def _row(coupling: CouplingDescription, index: Mapping[str, int]) -> FloatArray:
     return row
 
 
-def _rated(part: PosturePart) -> str:
+def _rated(candidate: PostureCandidate, part: PosturePart, number: int) -> str:
     """The quality of a posture, in words."""
-    return (
-        f"pads hold a handle of {1e3 * part.radius:.0f} mm radius to "
-        f"{1e3 * part.distance_error:.1f} mm, the first finger looks "
-        f"{np.rad2deg(part.opposition_error):.0f} degrees past the others, pads look "
-        f"{np.rad2deg(part.facing_error):.0f} degrees past their cones, parts that must not touch "
-        f"are {1e3 * part.clearance:.1f} mm apart"
+    shape = "bar along the fingers" if candidate.bar else "ball"
+    text = (
+        f"pads hold a {shape} of {2e3 * part.radius:.0f} mm to "
+        f"{1e3 * part.distance_error:.1f} mm, the first finger presses "
+        f"{np.rad2deg(part.opposition_error):.0f} degrees past the others, pads face it to "
+        f"{np.rad2deg(part.facing_error):.0f} degrees beyond their cones, parts that must not "
+        f"touch are {1e3 * part.clearance:.1f} mm apart"
     )
+    if number > 1:
+        text += (
+            f"; choice {number}, not used: exchange the names of this table and of the one without "
+            "a number to plan from it"
+        )
+    return text
 
 
 def _contacts(

@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from planner.actuation import Actuation
@@ -37,6 +38,10 @@ POSTURE_TOL = 1e-9
 
 COUPLING_TOL = 1e-6
 """How far (rad) a posture may violate a coupling by rounding; beyond, it is moved onto it."""
+
+PALM_BEYOND = 0.1
+"""How far (m) before the roots of the fingers, along the palm's normal, an origin is no palm: twice
+the height of a palm whose thumb starts at its far end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -160,6 +165,21 @@ class Hand:
     def palm_normal(self) -> FloatArray:
         """Direction the palm faces (3,), unit, in the palm's frame."""
         return np.array(self.description.palm_normal)
+
+    @cached_property
+    def palm_point(self) -> FloatArray:
+        """Where the palm is seen from the fingertips (3,), m, in the palm's frame; read-only.
+
+        The frame's origin, unless that lies far before the roots of the fingers, as in stages whose
+        base is the floor below the fingers: then the middle of the roots.
+        """
+        data = self.pin_model.createData()
+        pin.framesForwardKinematics(self.pin_model, data, self.neutral)
+        T_palm_base = data.oMf[self.palm_frame_id].inverse()
+        first = [self.pin_model.getJointId(f.joints[0]) for f in self.fingers.values()]
+        roots = np.mean([T_palm_base.act(data.oMi[k].translation) for k in first], axis=0)
+        beyond = -roots @ self.palm_normal > PALM_BEYOND
+        return fixed_array(roots if beyond else np.zeros(3))
 
     @cached_property
     def coupling_matrix(self) -> tuple[FloatArray, FloatArray]:

@@ -6,12 +6,14 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from planner.contacts import ContactSet
 from planner.hands.hand import Hand
@@ -33,6 +35,7 @@ __all__ = [
     "motion_html",
     "notebook_html",
     "plan_html",
+    "postures_picture",
 ]
 
 MOST_ROWS = 16
@@ -225,9 +228,25 @@ def grasp_picture(
     return paint(scene, stage.views(contacts)[0].direction)
 
 
-def _hand_picture(hand: Hand) -> bytes:
-    """The palm side of a hand in its pinch posture, fingers up."""
-    q = hand.posture("pinch") if "pinch" in hand.description.postures else hand.neutral
+def postures_picture(hand: Hand) -> bytes:
+    """Every posture of a hand with its name, those of a candidate in a row, as PNG."""
+    names = sorted(hand.description.postures, key=lambda n: (*n.partition("_")[1:], n))
+    tiles = [Image.open(io.BytesIO(_hand_picture(hand, hand.posture(n)))) for n in names]
+    wide, high = tiles[0].size
+    sheet = Image.new("RGB", (2 * wide, -(-len(tiles) // 2) * high), "white")
+    for k, (name, tile) in enumerate(zip(names, tiles, strict=True)):
+        at = k % 2 * wide, k // 2 * high
+        sheet.paste(tile.convert("RGB"), at)
+        ImageDraw.Draw(sheet).text((at[0] + 8, at[1] + 6), name, fill="black")
+    out = io.BytesIO()
+    sheet.save(out, "PNG", optimize=True)
+    return out.getvalue()
+
+
+def _hand_picture(hand: Hand, q: FloatArray | None = None) -> bytes:
+    """The palm side of a hand, fingers up: at q (nq,), or in its pinch posture."""
+    if q is None:
+        q = hand.posture("pinch") if "pinch" in hand.description.postures else hand.neutral
     state = HandState(hand, q)
     palm = state.T_base_palm
     tips = np.array([state.tip_pose(f).translation for f in hand.fingers.values()])

@@ -58,6 +58,8 @@ def describe(
     """Propose a hand.toml from a model, a reason for each line."""
     from planner.describe import description_text, propose, write_proposal
     from planner.errors import FileFormatError
+    from planner.hand_loading import load_hand
+    from planner.pages.notebook import postures_picture
 
     check_folder(output)
     if output is not None and output.exists() and not force:
@@ -73,7 +75,10 @@ def describe(
     write_proposal(proposal, output, overwrite=force)
     for question in proposal.open_questions:
         say(err, f"[bold]to do:[/] {escape(question)}")
-    say(out, escape(f"wrote {output}; now: opposable check-hand {output}"))
+    picture = output.with_suffix(".png")
+    picture.write_bytes(postures_picture(load_hand(output)))
+    say(out, escape(f"wrote {output} and a picture of its postures, {picture}"))
+    say(out, escape(f"now: opposable check-hand {output}"))
 
 
 @errors_for_people()

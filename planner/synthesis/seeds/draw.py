@@ -23,7 +23,7 @@ from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.problem import Start
-from planner.synthesis.seeds.opposition import frame_of, opposition
+from planner.synthesis.seeds.opposition import Opposition, frame_of, opposition
 from planner.task import GraspTask
 
 __all__ = ["Seeder", "frozen_joints", "opposed_forces"]
@@ -57,6 +57,10 @@ are certainly out of reach are refused without an attempt."""
 TRIPOD = 3
 """Fingers that close a grasp with friction and without torsion."""
 
+NEXT_FACE = np.cos(np.deg2rad(45.0))
+"""Cosine between a pad's axis and the opposition axis below which the face of a box that the pad
+faces is a neighbour of that of the others: then the axis says which face is opposed."""
+
 AXIS_NOISE = 0.15
 """Standard deviation (rad) of the opposition axis about the chosen direction of the object."""
 
@@ -77,6 +81,9 @@ class Seeder:
         pinch = self._with_wrist(task.hand.posture(PINCH))
         self.posture = np.where(self._resting(), self.open, pinch)
         self.pinch = opposition(task, self.posture)
+        state = moving_hand(task.hand).move(self.posture)
+        facing = np.array([state.pad_axis(f) for f in task.fingers])
+        self.aside = (facing * _along(self.pinch, len(facing))).sum(axis=1) < NEXT_FACE
         self.stretches = np.linspace(0.0, MOST_STRETCHED, STRETCHES)
         self.gaps = np.array([opposition(task, self._stretched(s)).gap for s in self.stretches])
         self.widest = float(self.gaps.max())
@@ -116,7 +123,13 @@ class Seeder:
             points = points + self.skin * normals
         if task.object.shape.flat_sides is not None:
             # the nearest faces are often neighbours; those that the pads face are opposed
-            normals = -np.array([T_object_base.rotation @ state.pad_axis(f) for f in task.fingers])
+            facing = [state.pad_axis(f) for f in task.fingers]
+            if self.aside.any():
+                along = _along(opposition(task, q), len(facing))
+                facing = [
+                    a if far else f for f, a, far in zip(facing, along, self.aside, strict=True)
+                ]
+            normals = -np.array([T_object_base.rotation @ f for f in facing])
         patches = tuple(
             self._patch(finger, p, n, rng)
             for finger, p, n in zip(task.finger_names, points, normals, strict=True)
@@ -290,6 +303,13 @@ class Seeder:
         if self.task.object.shape.flat_sides is not None:
             return direction
         return np.array(pin.exp3(rng.normal(0, AXIS_NOISE, 3)) @ direction)
+
+
+def _along(found: Opposition, n: int) -> FloatArray:
+    """Directions (n, 3), unit, in which fingers press along the opposition axis."""
+    signs = np.full(n, -1.0)
+    signs[found.opposer] = 1.0
+    return np.asarray(signs[:, None] * found.axis)
 
 
 PACKING = {2: 2.0, 3: 3**0.5, 4: (8 / 3) ** 0.5, 5: 2**0.5}

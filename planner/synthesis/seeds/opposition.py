@@ -55,7 +55,7 @@ def opposition(task: GraspTask, q: FloatArray) -> Opposition:
     width = math.sqrt(float(across @ across))
     axis = across / width
     center = (others + centers[opposer]) / 2
-    side = np.array(state.T_base_palm.translation) - center
+    side = np.array(state.T_base_palm.act(task.hand.palm_point)) - center
     side -= axis * (axis @ side)
     radii = [f.pad.radius for f in fingers]
     beside = (sum(radii) - radii[opposer]) / (n - 1)
