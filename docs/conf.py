@@ -55,6 +55,7 @@ html_math_renderer = "mathml"
 html_title = f"Opposable {__version__}"
 html_static_path = ["static"]
 html_css_files = ["own.css"]
+html_search_scorer = str(HERE / "static" / "search.js")
 html_show_sourcelink = False
 html_copy_source = False
 html_show_copyright = False

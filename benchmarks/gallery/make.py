@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
-from PIL import Image, ImageSequence
+from PIL import Image, ImageDraw, ImageFont, ImageSequence
 
 from benchmarks.gallery.entries import EXAMPLES, Entry
 from benchmarks.gallery.watch import FILM, PAGE
@@ -20,7 +20,7 @@ from benchmarks.run import Job, measure
 from sim.runner import Check, Runner
 from sim.tables import Row
 
-__all__ = ["FORMAT", "EntryJob", "run_gallery", "small_film"]
+__all__ = ["FORMAT", "EntryJob", "run_gallery", "small_film", "text_picture"]
 
 FORMAT = "opposable-gallery"
 
@@ -34,6 +34,9 @@ SIZE = (320, 240)
 FRAMES = 30
 QUALITY = 32
 """Pixels, most frames and WebP quality of a film in the gallery: some 40 kB."""
+
+TERMINAL, TERMINAL_TEXT, TEXT_SIZE = (30, 34, 42), (216, 222, 233), 13
+"""Colours and size (pixels) of printed text as a picture."""
 
 MOST_LINES = 60
 """Lines of output that are kept."""
@@ -88,13 +91,13 @@ def run_entry(job: EntryJob, check: Check) -> Row:
             return job.lost(f"it took longer than {TIME_LIMIT:g} s")
         end = os.times()
         check()
-        picture = _picture(there, job.pictures, entry.name)
         page = ""
         if job.pages is not None and (there / PAGE).is_file():
             page = f"{entry.name}.html"
             (job.pages / page).write_bytes((there / PAGE).read_bytes())
         lines = (done.stdout if done.returncode == 0 else done.stderr).splitlines()
         kept = [line.replace(f"{folder}/run/", "").rstrip() for line in lines]
+        picture = _picture(there, job.pictures, entry.name, "\n".join(kept))
         return job.row(
             ok=done.returncode == 0,
             output="\n".join(kept[:MOST_LINES] + ["..."] * (len(kept) > MOST_LINES)),
@@ -110,8 +113,8 @@ def run_entry(job: EntryJob, check: Check) -> Row:
         )
 
 
-def _picture(folder: Path, pictures: Path, name: str) -> str:
-    """The entry's own plot if it drew one, else its film; the file's name, "" for none."""
+def _picture(folder: Path, pictures: Path, name: str, printed: str) -> str:
+    """The entry's own plot if it drew one, else its film, else what it printed; the file's name."""
     plots = sorted((folder / "run").glob("*.png"))
     target = pictures / f"{name}.webp"
     if plots:
@@ -122,8 +125,21 @@ def _picture(folder: Path, pictures: Path, name: str) -> str:
     elif (folder / FILM).is_file():
         small_film(folder / FILM, target)
     else:
-        return ""
+        text_picture(printed, target)
     return target.name
+
+
+def text_picture(printed: str, target: Path) -> None:
+    """The first lines of what an entry printed, as a terminal shows them."""
+    from matplotlib import font_manager
+
+    size = (2 * SIZE[0], 2 * SIZE[1])
+    image = Image.new("RGB", size, TERMINAL)
+    font = ImageFont.truetype(font_manager.findfont("DejaVu Sans Mono"), TEXT_SIZE)
+    draw, step = ImageDraw.Draw(image), round(1.35 * TEXT_SIZE)
+    for k, line in enumerate(printed.splitlines()[: size[1] // step - 1]):
+        draw.text((step, step * (k + 0.5)), line, font=font, fill=TERMINAL_TEXT)
+    image.save(target, "WEBP", quality=80, method=6)
 
 
 def small_film(film: Path, target: Path) -> None:

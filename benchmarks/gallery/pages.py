@@ -72,8 +72,9 @@ def _page(row: Row, scenes: Collection[str]) -> str:
         parts.append(f"![{plain(row['title'])}](../{PICTURES}/{row['picture']})\n")
     if row["page"] in scenes:
         parts.append(
-            f'<p><a href="../../{SCENES}/{row["page"]}">Open its page</a>: the scene to play and '
-            "to turn, plots, numbers.</p>\n"
+            '<iframe class="scene" loading="lazy" title="Scene" '
+            f'src="../../{SCENES}/{row["page"]}"></iframe>\n\n'
+            f'<p><a href="../../{SCENES}/{row["page"]}">Open it alone</a>.</p>\n'
         )
     if row["script"]:
         parts.append(

@@ -22,7 +22,7 @@ from planner.files import plan_to_dict
 from planner.files.gaits import gait_to_dict
 from planner.files.manipulations import manipulation_to_dict
 from planner.files.motions import motion_to_dict
-from sim import manipulate, simulate
+from sim import TrialReport, manipulate, simulate
 
 MOST_ITEMS = 2
 """Items of a list that are shown."""
@@ -104,9 +104,15 @@ def grasp_table() -> str:
     return shortened(table_of([_grasp()]).model_dump(exclude_none=True))
 
 
+@cache
+def trial() -> TrialReport:
+    """A trial of that grasp."""
+    return simulate(_grasp())
+
+
 def report() -> str:
     """A trial report."""
-    return shortened(simulate(_grasp()).to_dict())
+    return shortened(trial().to_dict())
 
 
 def motion() -> str:

@@ -11,6 +11,7 @@ from sphinx.config import Config
 
 from benchmarks.gallery.pages import SCENES, gallery_pages
 from benchmarks.zoo.pages import zoo_pages
+from machinery.examples import trial
 from machinery.write import write_pages
 
 DOCS = Path(__file__).parent.parent
@@ -34,9 +35,18 @@ def write(app: Sphinx) -> None:
     write_pages(DOCS / "gallery" / "generated", gallery_pages(gallery, scenes))
 
 
+def write_first_scene(app: Sphinx, error: Exception | None) -> None:
+    """Write the page of a trial that the first page of the site shows in a frame."""
+    if error is None and app.builder.format == "html":
+        folder = Path(app.outdir) / SCENES
+        folder.mkdir(exist_ok=True)
+        trial().save_html(folder / "first.html")
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Write the pages when a build begins."""
     app.add_css_file("cards.css")
     app.connect("config-inited", add_scenes)
     app.connect("builder-inited", write)
+    app.connect("build-finished", write_first_scene)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
