@@ -222,6 +222,14 @@ def read_log(path: Path | str) -> HandLog:
     path = Path(path)
     try:
         arrays: dict[str, NDArray[Any]] = read_npz(path)
+    except NotFoundError as error:
+        raise FileFormatError(f"{path} does not exist; give a log of a hand (.npz)") from error
+    except FileFormatError as error:
+        raise FileFormatError(
+            f"{path} cannot be read as a log of a hand; it is damaged or something else ({error}): "
+            "give a file of opposable drive --log"
+        ) from error
+    try:
         meta = json.loads(str(checked_small(arrays.pop("meta"), f"{path}, meta")))
         if not isinstance(meta, dict) or meta.get("format") != FORMAT:
             raise FileFormatError(
@@ -250,8 +258,6 @@ def read_log(path: Path | str) -> HandLog:
             phase=tuple(map(str, phase)),
             **numbers,
         )
-    except NotFoundError as error:
-        raise FileFormatError(f"{path} does not exist; give a log of a hand (.npz)") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileFormatError(
             f"{path} cannot be read as a log of a hand; it is damaged or something else: give a "
