@@ -277,6 +277,43 @@ def test_a_killed_parent_leaves_what_was_planned(reference: GraspSet, tmp_path: 
     assert rows_of(done)[:N] == rows_of(reference)
 
 
+STUCK = """
+import ctypes, os, sys, time
+from pathlib import Path
+from planner.batch.jobs import end_with
+from planner.batch.pool import finished
+
+folder, backend, parent = Path(sys.argv[1]), sys.argv[2], os.getpid()
+
+def work(job):
+    if backend == "loky":
+        end_with(parent)  # as every job of ours does there
+    (folder / f"{job}").touch()
+    # a library that keeps Python's lock stops threads of Python, not the kernel
+    ctypes.PyDLL(None).sleep(120) if backend == "fork" else time.sleep(120)
+
+list(finished(work, range(2), workers=2, backend=backend, given_up=lambda job, why: None))
+"""
+
+
+@pytest.mark.skipif(not can_fork(), reason="forks, and looks for processes in /proc")
+@pytest.mark.parametrize("backend", ["fork", "loky"])
+def test_no_worker_outlives_its_parent_whatever_it_is_busy_with(
+    tmp_path: Path, backend: str
+) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", STUCK, str(tmp_path), backend], start_new_session=True
+    ) as process:
+        try:
+            wait_for(lambda: len(list(tmp_path.iterdir())) == 2, "two busy workers")
+            process.kill()
+            process.wait()
+            wait_for(lambda: not members(process.pid), "the workers to end")
+        finally:
+            for pid in members(process.pid):
+                os.kill(pid, signal.SIGKILL)
+
+
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 def test_ctrl_c_keeps_what_was_planned(reference: GraspSet, tmp_path: Path) -> None:
     with started(tmp_path) as process:

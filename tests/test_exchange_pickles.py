@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from planner.errors import FileFormatError, NotFoundError
-from planner.exchange.array_files import read_array_file, read_npy, read_npz
+from planner.exchange.array_files import MOST_MEMBERS, read_array_file, read_npy, read_npz
 from planner.exchange.pickles import load_pickle
 
 GRASP = {
@@ -198,6 +198,14 @@ BOMBS: dict[str, Callable[[], bytes]] = {
         b"(I1000000000\nI1000000000\ntcnumpy\ndtype\n(S'f8'\nI0\nI1\ntRI0\nS'x'\ntb."
     ),
     "objects": _list_of_many_arrays,
+    "keys of one hash": lambda: (
+        b"}("
+        + b"".join(
+            b"\x8a\x0a" + (i * (2**61 - 1)).to_bytes(10, "little") + b"N" for i in range(1, 50_000)
+        )
+        + b"u."
+    ),
+    "large text": lambda: b"X" + struct.pack("<I", 1 << 26) + b"a" * (1 << 26) + b".",
     "repr": lambda: b"\x80\x04" + _laugh()[2:-1] + b"\x8c\x01x\x93.",
 }
 
@@ -288,6 +296,34 @@ def test_a_damaged_npz_is_refused(tmp_path: Path) -> None:
     for name in ("b.npz", "c.npz"):
         with pytest.raises(FileFormatError, match="damaged"):
             read_npz(tmp_path / name)
+
+
+def _archive(path: Path, packing: int, members: dict[str, bytes]) -> Path:
+    with zipfile.ZipFile(path, "w", packing, compresslevel=1) as packed:
+        for name, data in members.items():
+            packed.writestr(name, data)
+    return path
+
+
+def test_archives_that_cost_more_than_they_may_are_refused_before_they_are_unpacked(
+    tmp_path: Path,
+) -> None:
+    zeros, one = bytes(1 << 27), pickle.dumps(np.array([None] * 200_000, dtype=object))
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        head, {"descr": "|O", "fortran_order": False, "shape": (200_000,)}
+    )
+    pack = zipfile.ZIP_DEFLATED
+    for members, packing, said in (
+        ({"x.npy": zeros, "y.npy": zeros}, pack, "bytes to unpack"),
+        ({"x.npy": b"x"}, zipfile.ZIP_BZIP2, "packed otherwise"),
+        ({f"{i}.npy": b"" for i in range(MOST_MEMBERS + 1)}, pack, "arrays and"),
+        ({f"{i:0300}.npy": b"" for i in range(MOST_MEMBERS + 1)}, pack, "directory of"),
+        ({f"{i}.npy": head.getvalue() + one for i in range(4)}, pack, "instructions"),
+    ):
+        path = _archive(tmp_path / "bomb.npz", packing, members)
+        with pytest.raises(FileFormatError, match=said):
+            read_npz(path)
 
 
 def test_pytorch_files_are_refused_with_what_to_do(tmp_path: Path) -> None:

@@ -574,6 +574,34 @@ def test_a_damaged_log_is_refused_and_nothing_is_executed(
         read_log(tmp_path / "other.npz")
 
 
+def test_flipped_bytes_of_a_packed_log_are_refused(logged: Path, tmp_path: Path) -> None:
+    """Wherever they are; the checksum of the archive finds those that unpack."""
+    with np.load(logged, allow_pickle=False) as file:
+        np.savez_compressed(tmp_path / "packed.npz", **file)
+    rng = np.random.default_rng(27)
+    for path in (logged, tmp_path / "packed.npz"):
+        good = path.read_bytes()
+        for _ in range(25):
+            data = bytearray(good)
+            for place in rng.integers(0, len(good) // 2, 20):  # of the members, not the directory
+                data[place] ^= int(rng.integers(1, 256))
+            (tmp_path / "flipped.npz").write_bytes(data)
+            with pytest.raises(FileFormatError):
+                read_log(tmp_path / "flipped.npz")
+
+
+def test_a_log_whose_parts_would_grow_is_refused(logged: Path) -> None:
+    """Narrow numbers, a text of phases and a description each become many times their bytes."""
+    n = len(read_log(logged).phase)
+    for changes in (
+        {"joints": np.zeros(np.shape(read_log(logged).joints), dtype=bool)},
+        {"phase": np.zeros(n + 1_000_000, dtype=bool)},
+        {"meta": np.array(" " * 2_000_000 + "{}")},
+    ):
+        with pytest.raises(FileFormatError):
+            read_log(damaged(logged, **changes))
+
+
 def test_an_empty_log_is_refused(plan: GraspPlan, tmp_path: Path) -> None:
     hand = FakeHand(plan.task.hand, FakeClock())
     loop, _ = looped(hand, Steady(hand.q), 3)

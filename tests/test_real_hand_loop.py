@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from planner.errors import HandError, NotFoundError, TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray
+from sim.controllers.pads import PadReading
 from sim.real_hand import CommandLimits, Observer, OnStop, RealClock, Safety
 from sim.real_hand.clock import Pace
 
@@ -194,11 +196,33 @@ def with_nan(values: FloatArray) -> FloatArray:
     return out
 
 
+PADS = PadReading(
+    normal_force=np.ones(4),
+    force=np.ones((4, 3)),
+    position=np.zeros((4, 3)),
+    normal=np.tile([0.0, 0.0, 1.0], (4, 1)),
+    sliding=np.zeros((4, 3)),
+    spin=np.zeros(4),
+)
+
+
+def bad_pads(name: str, value: float) -> Any:
+    """A reading whose pads have one bad number, of the third finger."""
+    array = np.array(getattr(PADS, name))
+    array[(2, 1) if array.ndim == 2 else 2] = value
+    return at(5, pads=replace(PADS, **{name: array}))
+
+
 READINGS: dict[str, tuple[Any, str, str]] = {
     "joint NaN": (at(5, joints=with_nan), "reading not finite", "joints hold NaN"),
     "velocity NaN": (at(5, velocities=with_nan), "reading not finite", "velocities"),
     "effort NaN": (at(5, efforts=with_nan), "reading not finite", "efforts"),
     "velocity huge": (at(5, velocities=lambda v: v + 1e300), "reading not finite", "velocities"),
+    **{
+        f"pads {name} {value}": (bad_pads(name, value), "reading not finite", f"{name} of the pads")
+        for name in ("normal_force", "force", "position", "normal", "sliding", "spin")
+        for value in (NAN, np.inf, 1e9)
+    },
     "time NaN": (at(5, time=NAN), "reading stale", "nan"),
     "old": (at(5, time=lambda t: t - 0.2), "reading stale", "0.2 s old"),
     "other clock": (at(5, time=lambda t: t + 1e9), "reading stale", "on the loop's clock?"),

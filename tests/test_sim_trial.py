@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from planner.errors import TaskError
+from planner.errors import FileFormatError, TaskError
+from planner.files import write_plan
 from planner.hand_loading import load_hand
 from planner.plan import GraspPlan
 from planner.quality import analyse
@@ -22,6 +23,7 @@ from planner.task import GraspTask, Obstacle
 from sim.contacts import hand_contacts
 from sim.controllers import Observation
 from sim.physics import PhysicsOptions, named_physics
+from sim.protocols import Settings, run_protocol
 from sim.report import TrialReport
 from sim.report_file import ReportFile
 from sim.simulation import Simulation
@@ -40,6 +42,20 @@ def plan() -> GraspPlan:
 @pytest.fixture(scope="module")
 def report(plan: GraspPlan, tmp_path_factory: pytest.TempPathFactory) -> TrialReport:
     return simulate(plan, picture=tmp_path_factory.mktemp("trial") / "held.png")
+
+
+def test_a_plan_may_be_given_by_its_file(plan: GraspPlan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    write_plan(plan, path)
+    timeline = replace(QUICK, hold=0.05)
+    told = simulate(str(path), timeline=timeline)
+    given = simulate(plan, timeline=timeline)
+    assert told.samples.moved_mm == pytest.approx(given.samples.moved_mm, abs=1e-6)
+    quick = Settings(shake_s=0.05)
+    judged = run_protocol(path, "shake", settings=quick, only=("shake x",), workers=1)
+    assert judged.outcomes[0].name == "shake x" and judged.outcomes[0].held
+    with pytest.raises(FileFormatError):
+        simulate(tmp_path / "none.json")
 
 
 def test_the_object_is_held(report: TrialReport) -> None:

@@ -18,11 +18,12 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from planner.errors import FileFormatError, NotFoundError
-from planner.exchange.pickles import load_pickle
+from planner.exchange.pickles import Budget, load_pickle
 
 __all__ = [
     "ARRAY_SUFFIXES",
     "MOST_BYTES",
+    "checked_small",
     "is_torch",
     "read_array_file",
     "read_npy",
@@ -34,8 +35,14 @@ ARRAY_SUFFIXES = (".npy", ".npz", ".pkl", ".pickle", ".pt", ".pth")
 """How files end that are read here, or refused by name."""
 
 MOST_BYTES = 1 << 27
-"""Largest size (bytes) of a file unless told otherwise, and half of what its arrays unpack to: what
-is refused at its last byte has cost less than 500 MB."""
+"""Largest file (bytes), and half of the memory that an archive may take: a process that has loaded
+all packages (205 MB) refuses a file at its last byte with less than 500 MB."""
+
+MOST_MEMBERS = 4096
+"""Most arrays of an archive (-): each costs 0.1 ms, whatever its size."""
+
+SMALL = 1 << 22
+"""Bytes of an array of names or text that becomes objects of Python, of some 60 bytes each."""
 
 _NPY, _ZIP, _TORCH_MAGIC = b"\x93NUMPY", b"PK\x03\x04", b"\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19."
 
@@ -66,9 +73,16 @@ def read_npy(path: Path) -> NDArray[Any]:
     return _npy(_bytes(path), str(path))
 
 
-def read_npz(path: Path, most: int = MOST_BYTES) -> dict[str, NDArray[Any]]:
-    """The arrays of an ``.npz`` file of at most so many bytes; raises as ``read_array_file``."""
-    return _npz(_bytes(path, most), path, most)
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of an ``.npz`` file; raises as ``read_array_file``."""
+    return _npz(_bytes(path), path)
+
+
+def checked_small(array: NDArray[Any], what: str) -> NDArray[Any]:
+    """An array that is about to become objects of Python; ``FileFormatError`` beyond ``SMALL``."""
+    if array.nbytes > SMALL:
+        raise FileFormatError(f"{what} has {array.nbytes} bytes and {SMALL} are read")
+    return array
 
 
 def read_pickle(path: Path) -> Any:
@@ -83,13 +97,13 @@ def is_torch(data: bytes) -> bool:
     return _TORCH_MAGIC in data[:64]
 
 
-def _bytes(path: Path, most: int = MOST_BYTES) -> bytes:
+def _bytes(path: Path) -> bytes:
     """All of a file, if it is not too large and not PyTorch's."""
     if not path.is_file():
         raise NotFoundError("file", str(path), (), "give the path of a file", is_path=True)
-    if (size := path.stat().st_size) > most:
+    if (size := path.stat().st_size) > MOST_BYTES:
         raise FileFormatError(
-            f"{path} has {size} bytes and {most} are read; split it into several files"
+            f"{path} has {size} bytes and {MOST_BYTES} are read; split it into several files"
         )
     try:
         data = path.read_bytes()
@@ -106,7 +120,7 @@ def _bytes(path: Path, most: int = MOST_BYTES) -> bytes:
     return data
 
 
-def _npy(data: bytes, where: str) -> NDArray[Any]:
+def _npy(data: bytes, where: str, budget: Budget | None = None) -> NDArray[Any]:
     """The array of the bytes of an ``.npy`` file."""
     stream = io.BytesIO(data)
     try:
@@ -124,7 +138,7 @@ def _npy(data: bytes, where: str) -> NDArray[Any]:
         ) from None
     begin = stream.tell()
     if dtype.hasobject:
-        array = load_pickle(data[begin:], where)
+        array = load_pickle(data[begin:], where, budget)
         if not isinstance(array, np.ndarray) or array.shape != tuple(shape):
             raise FileFormatError(
                 f"{where} is damaged: its header tells an array of the shape {tuple(shape)}, its "
@@ -140,21 +154,47 @@ def _npy(data: bytes, where: str) -> NDArray[Any]:
     return values.reshape(shape, order="F" if fortran else "C")
 
 
-def _npz(data: bytes, path: Path, most: int = MOST_BYTES) -> dict[str, NDArray[Any]]:
+def _directory_bytes(data: bytes) -> int:
+    """Size of the directory of a ZIP archive, by the record at its end; ``BadZipFile`` without."""
+    end = data.rfind(b"PK\x05\x06", -(22 + 0xFFFF))
+    if end < 0 or len(data) < end + 22 or data[max(0, end - 20) :].startswith(b"PK\x06\x07"):
+        raise zipfile.BadZipFile("its end is missing, or that of an archive of the large kind")
+    return int.from_bytes(data[end + 12 : end + 16], "little")
+
+
+def _npz(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
     """The arrays of the bytes of an ``.npz`` file."""
+    budget = Budget()
     try:
+        # a name has some 20 bytes and an entry 46 more
+        if (size := _directory_bytes(data)) > 256 * MOST_MEMBERS:
+            raise FileFormatError(f"{path} has a directory of {size} bytes; split it")
         with zipfile.ZipFile(io.BytesIO(data)) as packed:
             members = packed.infolist()
-            if (size := sum(m.file_size for m in members)) > 2 * most:
+            if len(members) > MOST_MEMBERS:
                 raise FileFormatError(
-                    f"{path} unpacks to {size} bytes and {2 * most} are read; split it"
+                    f"{path} has {len(members)} arrays and {MOST_MEMBERS} are read; split it"
+                )
+            if any(
+                m.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for m in members
+            ):
+                raise FileFormatError(f"{path} is packed otherwise than numpy.savez does")
+            packs = [m.file_size for m in members if m.compress_type != zipfile.ZIP_STORED]
+            # what is unpacked is there twice for a moment
+            size = len(data) + sum(m.file_size for m in members) + max(packs, default=0)
+            if size > 2 * MOST_BYTES:
+                raise FileFormatError(
+                    f"{path} takes {size} bytes to unpack and {2 * MOST_BYTES} are "
+                    "allowed; split it"
                 )
             if any(m.filename.endswith("data.pkl") for m in members):
                 raise FileFormatError(
                     f"{path} is a PyTorch file; save its tensors as arrays with numpy.save"
                 )
             return {
-                m.filename.removesuffix(".npy"): _npy(packed.read(m), f"{path}, {m.filename}")
+                m.filename.removesuffix(".npy"): _npy(
+                    packed.read(m), f"{path}, {m.filename}", budget
+                )
                 for m in members
             }
     # zipfile raises RuntimeError for encrypted members, NotImplementedError for other compressions

@@ -22,14 +22,22 @@ from numpy.typing import NDArray
 
 from planner.errors import FileFormatError
 
-__all__ = ["MOST_ITEMS", "load_pickle"]
+__all__ = ["MOST_ITEMS", "Budget", "load_pickle"]
 
-MOST_ITEMS = 1_000_000
-"""Instructions and values of a pickle, each value counted as often as it is referred to: 1 s, and
-10,000 grasps of a dictionary of 50 numbers each."""
+MOST_ITEMS = 500_000
+"""Instructions and values of a pickle, each value counted as often as it is referred to: at most
+1.5 s, and 5,000 grasps of a dictionary of 50 numbers each."""
 
-MOST_BYTES = 1 << 27
+MOST_BYTES = 1 << 26
 """Memory (bytes) for arrays that a pickle may ask for: one list may become many arrays."""
+
+LARGEST = 1 << 25
+"""Largest pickle (bytes): a text with one rare character takes four times its bytes, and the file
+and the member of an archive are there as well."""
+
+LARGEST_KEY = 1 << 60
+"""Integer keys are below, either sign: from 2^61 - 1 on hashes coincide, and a dictionary of such
+keys takes a time that grows with their square."""
 
 DEEPEST = 64
 """Levels of lists and dictionaries within each other."""
@@ -72,10 +80,11 @@ class _Mark:
 
 
 @dataclass(eq=False)
-class _Budget:
-    """Memory that is left (bytes)."""
+class Budget:
+    """Memory (bytes) and instructions that are left, for all pickles of a file together."""
 
     left: int = MOST_BYTES
+    items: int = MOST_ITEMS
 
     def spend(self, amount: int) -> None:
         """Take some before it is asked for."""
@@ -109,7 +118,7 @@ class _Dtype:
 class _Array:
     """An array as the file tells it; empty until its state follows."""
 
-    budget: _Budget
+    budget: Budget
     values: NDArray[Any] | None = None
 
     def finish(self, state: Any) -> None:
@@ -132,12 +141,13 @@ class _Pose(_Array):
         self.values = values
 
 
-def load_pickle(data: bytes, where: str) -> Any:
+def load_pickle(data: bytes, where: str, budget: Budget | None = None) -> Any:
     """The value of a pickle, nothing of which is executed.
 
     Args:
         data: The bytes; what follows the end of the pickle does not count.
         where: File and place, for messages.
+        budget: What is left for this one; a whole one if None.
 
     Returns:
         None, bool, int, float, str, bytes, read-only array, or list, tuple or dictionary of these;
@@ -147,12 +157,16 @@ def load_pickle(data: bytes, where: str) -> Any:
         FileFormatError: It is truncated or damaged, too large or too deep, or holds anything else;
             with the byte.
     """
-    machine = _Machine()
+    budget = budget or Budget()
+    machine = _Machine(budget)
     place = 0
     try:
-        for done, (opcode, argument, position) in enumerate(pickletools.genops(data)):
+        if len(data) > LARGEST:
+            raise _Refused(f"{len(data)} bytes, and {LARGEST} are read")
+        for opcode, argument, position in pickletools.genops(data):
             place = position or 0
-            if done > MOST_ITEMS:
+            budget.items -= 1
+            if budget.items < 0:
                 raise _Refused(f"more than {MOST_ITEMS} instructions")
             machine.do(opcode.name, argument)
         value = machine.result()
@@ -173,11 +187,11 @@ def load_pickle(data: bytes, where: str) -> Any:
 class _Machine:
     """Stack and memo of a pickle; each instruction is a line of ``_OPERATIONS`` or of ``do``."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget: Budget) -> None:
         """Begin empty."""
         self.stack: list[Any] = []
         self.memo: dict[int, Any] = {}
-        self.budget = _Budget()
+        self.budget = budget
         self.stopped = False
 
     def do(self, name: str, argument: Any) -> None:
@@ -250,6 +264,8 @@ class _Machine:
         for key, value in zip(values[::2], values[1::2], strict=True):
             if not isinstance(key, str | int):  # what else hashes may do so without end
                 raise _Refused(f"a key that is a {type(key).__name__}, neither text nor a number")
+            if isinstance(key, int) and abs(key) >= LARGEST_KEY:
+                raise _Refused(f"a key that is an integer beyond {LARGEST_KEY}")
             self.stack[-1][key] = value
 
     def dictionary(self) -> None:
@@ -323,7 +339,7 @@ def _named(module: Any, name: Any) -> _Maker:
     return _Maker(_NAMES[full], full)
 
 
-def _made(maker: _Maker, arguments: Any, budget: _Budget) -> Any:
+def _made(maker: _Maker, arguments: Any, budget: Budget) -> Any:
     """The record or value that a name makes of its arguments."""
     arguments = arguments if isinstance(arguments, tuple) else (arguments,)
     match maker.kind, arguments:
@@ -351,7 +367,7 @@ def _made(maker: _Maker, arguments: Any, budget: _Budget) -> Any:
     raise _Refused(f"{maker.name} with what it does not take")
 
 
-def _array(data: Any, dtype: Any, shape: Any, order: str, budget: _Budget) -> NDArray[Any]:
+def _array(data: Any, dtype: Any, shape: Any, order: str, budget: Budget) -> NDArray[Any]:
     """An array whose size is proven by its data before memory is asked for."""
     if not isinstance(dtype, _Dtype):
         raise _Refused("an array without an element type")

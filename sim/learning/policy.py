@@ -25,7 +25,7 @@ from planner.errors import (
     TaskError,
     shown,
 )
-from planner.exchange.array_files import read_npz
+from planner.exchange.array_files import checked_small, read_npz
 from planner.files.whole import whole_file
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
@@ -62,9 +62,6 @@ FAR = 5.0
 
 SAME_TURN = 0.01
 """Turns (degrees) that differ by less are the same."""
-
-MOST_BYTES = 64 * 2**20
-"""Largest file (bytes) that is read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,8 +246,8 @@ class Policy:
         if file.is_dir():
             raise FileFormatError(f"{path} is a folder; give the file policy.npz in it")
         try:
-            arrays = read_npz(file, MOST_BYTES)
-            header = json.loads(arrays["header"].tobytes().decode())
+            arrays = read_npz(file)
+            header = json.loads(checked_small(arrays["header"], "header").tobytes().decode())
             kind, version = header.pop("format"), header.pop("version")
         except NotFoundError as error:
             raise FileFormatError(

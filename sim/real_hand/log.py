@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import FileFormatError, NotFoundError
-from planner.exchange.array_files import read_npz
+from planner.exchange.array_files import checked_small, read_npz
 from planner.files.whole import whole_file
 from planner.spatial import FloatArray, pose_to_wxyz
 from sim.controllers.pads import PadReading
@@ -28,9 +28,6 @@ FORMAT, VERSION = "opposable-hand-log", 2
 
 READ = (1, 2)
 """Versions that are read; the first does not say which plan a log is of."""
-
-MOST_BYTES = 1 << 29
-"""Largest log (bytes) that is read: an hour of 500 Hz has some 300 MB."""
 
 PAD_WIDTH = 14
 """Numbers per finger in ``pads``: normal force, force, position, normal, sliding, spin."""
@@ -224,8 +221,16 @@ def read_log(path: Path | str) -> HandLog:
     """
     path = Path(path)
     try:
-        arrays: dict[str, NDArray[Any]] = read_npz(path, MOST_BYTES)
-        meta = json.loads(str(arrays.pop("meta")))
+        arrays: dict[str, NDArray[Any]] = read_npz(path)
+    except NotFoundError as error:
+        raise FileFormatError(f"{path} does not exist; give a log of a hand (.npz)") from error
+    except FileFormatError as error:
+        raise FileFormatError(
+            f"{path} cannot be read as a log of a hand; it is damaged or something else ({error}): "
+            "give a file of opposable drive --log"
+        ) from error
+    try:
+        meta = json.loads(str(checked_small(arrays.pop("meta"), f"{path}, meta")))
         if not isinstance(meta, dict) or meta.get("format") != FORMAT:
             raise FileFormatError(
                 f"{path} is no log of a hand; give a file of opposable drive --log"
@@ -236,18 +241,23 @@ def read_log(path: Path | str) -> HandLog:
                 f"{' and '.join(map(str, READ))}"
             )
         marked = meta.get("plan")
-        numbers: Any = {name: arrays[name].astype(np.float64) for name in UNITS}
+        numbers: Any = {name: arrays[name] for name in UNITS}
+        if any(array.dtype != np.float64 for array in numbers.values()):
+            raise TypeError("numbers of another type")
+        phase = arrays.pop("phase")
+        if phase.shape != numbers["time_s"].shape:
+            raise FileFormatError(
+                f"{path} has {phase.size} phases for {numbers['time_s'].size} ticks; damaged"
+            )
         log = HandLog(
             joint_names=tuple(map(str, meta["joint_names"])),
             actuator_names=tuple(map(str, meta["actuator_names"])),
             finger_names=tuple(map(str, meta["finger_names"])),
             rate_hz=float(meta["rate_hz"]),
             plan=None if marked is None else PlanMark(**{k: str(v) for k, v in marked.items()}),
-            phase=tuple(map(str, arrays.pop("phase"))),
+            phase=tuple(map(str, phase)),
             **numbers,
         )
-    except NotFoundError as error:
-        raise FileFormatError(f"{path} does not exist; give a log of a hand (.npz)") from error
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileFormatError(
             f"{path} cannot be read as a log of a hand; it is damaged or something else: give a "
@@ -257,8 +267,6 @@ def read_log(path: Path | str) -> HandLog:
         found = getattr(log, name).shape
         if found != shape:
             raise FileFormatError(f"{path}: {name} has shape {found}; its names need {shape}")
-    if len(log.phase) != len(log):
-        raise FileFormatError(f"{path} has {len(log.phase)} phases for {len(log)} ticks; damaged")
     return log
 
 

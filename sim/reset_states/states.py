@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from planner.errors import FileFormatError, PlannerError, TaskError
-from planner.exchange.array_files import read_npz
+from planner.exchange.array_files import checked_small, read_npz
 from planner.files.whole import whole_file
 from planner.spatial import FloatArray, IntArray
 from planner.version import written_by
@@ -40,10 +40,6 @@ _KEYS: Mapping[str, str] = MappingProxyType(
 
 _TEXTS = ("hand", "object", "scene")
 _NAMES = ("joint_names", "actuator_names")
-
-
-MOST_BYTES = 1 << 31
-"""Largest file of states (bytes): some five million."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,7 +149,10 @@ class StateSet:
             FileFormatError: It cannot be read, is something else, or of another version.
         """
         try:
-            content = read_npz(Path(path), MOST_BYTES)
+            content = read_npz(Path(path))
+            for name in (*_TEXTS, *_NAMES, "format", "version", "scale"):
+                if name in content:
+                    checked_small(content[name], name)
         except PlannerError as error:
             raise FileFormatError(f"cannot read the states {path}: {error}") from error
         if str(content.get("format")) != FORMAT:

@@ -40,7 +40,8 @@ class Polyhedron:
         Raises:
             ObjectError: See ``checked_triangles``.
         """
-        v, f = (np.array(a) for a in checked_triangles("mesh", vertices, faces))
+        points, triangles = checked_triangles("mesh", vertices, faces)
+        v, f = np.array(points), np.array(triangles)
         volume, center, second = moments(v[f])
         v -= center
         v.setflags(write=False)
