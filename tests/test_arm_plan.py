@@ -388,9 +388,9 @@ def test_while_the_hand_turns_the_object_its_arm_stands(turning: ManipulationPla
         data = mujoco.MjData(hand.mj_model)
         data.qpos[:] = knot.q
         mujoco.mj_kinematics(hand.mj_model, data)
-        for finger, contact in zip(turning.task.fingers, knot.contacts, strict=True):
+        for finger, contact in zip(turning.task.fingers, knot.contacts.positions, strict=True):
             body = data.geom(finger.pad.geom)
-            off = np.linalg.norm(root.act(body.xpos.copy()) - contact.position)
+            off = np.linalg.norm(root.act(body.xpos.copy()) - contact)
             assert off < 0.03, "a fingertip is nearer to its contact than that"
 
 
@@ -448,6 +448,7 @@ def test_what_the_arm_cannot_do_is_refused(turning: ManipulationPlan) -> None:
     blocked = carrier.blocked(turning.motion, far)
     assert blocked is not None and "the arm cannot carry the object" in blocked.text
     hand, q = task.hand, turning.grasp.q
+    assert task.T_world_base is not None
     moved = SE3(np.eye(3), np.array([2.0, 0.0, 0.0])) * task.T_world_base
     alone = carrier.alone
     columns = [hand.joint_names.index(name) for name in alone.hand.joint_names]

@@ -88,7 +88,8 @@ def test_gravity_on_a_tilted_hand_is_the_slope_of_its_potential_energy(plan: Gra
     task, hand = plan.task, plan.task.hand
     gravity = np.array([1.0, 2.0, -9.81])
     told = replace(task, gravity=gravity)
-    torque = force_arguments(told, plan.contacts, TILTED, plan.q)["gravity_torque"]
+    arguments: dict[str, Any] = {**force_arguments(told, plan.contacts, TILTED, plan.q)}
+    torque = arguments["gravity_torque"]
 
     def energy(q: np.ndarray) -> float:
         data = hand.pin_model.createData()
@@ -96,10 +97,12 @@ def test_gravity_on_a_tilted_hand_is_the_slope_of_its_potential_energy(plan: Gra
         return -float(data.mass[0] * gravity @ TILTED.act(centre))
 
     step = 1e-5
-    slope = [
-        (energy(plan.q + step * e) - energy(plan.q - step * e)) / (2 * step)
-        for e in np.eye(hand.nq)
-    ]
+    slope = np.array(
+        [
+            (energy(plan.q + step * e) - energy(plan.q - step * e)) / (2 * step)
+            for e in np.eye(hand.nq)
+        ]
+    )
     np.testing.assert_allclose(torque, slope, atol=1e-7)
 
 

@@ -259,7 +259,7 @@ def test_what_a_urdf_only_shows_is_drawn_and_changes_nothing_else(tmp_path: Path
     width, depth, height = 2 * np.array(SIZE)
     np.testing.assert_allclose(np.ptp(shown.vertices, axis=0), [depth, width, height], atol=1e-6)
     np.testing.assert_allclose(shown.vertices.mean(axis=0), [0, 0, 0.1], atol=1e-6)
-    assert shown.colour == (1, 0, 0, 1)
+    assert list(shown.colour) == [1, 0, 0, 1]
     np.testing.assert_allclose(np.ptp(shown_box.vertices, axis=0), [0.01, 0.02, 0.03], atol=1e-9)
     colliding = model.geom_contype != 0
     assert model.geom_group[colliding].tolist() == [HIDDEN_GROUP, 0]  # the tip has nothing else

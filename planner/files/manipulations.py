@@ -151,11 +151,12 @@ def manipulation_from_dict(
         raise FileFormatError(f"{source} holds a motion and a gait, or neither; give one of them")
     gait = None if file.gait is None else gait_from_dict(data["gait"], source, hand=hand)
     motion = gait.motion if gait else motion_from_dict(data["motion"], source, hand=hand)
+    way_out = file.ending.arm_out
     release = Approach(
         q=motion.grasp.task.hand.checked_q(file.ending.q_open_rad, "q_open_rad"),
         pregrasp_distance=file.ending.opening_m,
         T_world_base_start=file.ending.T_world_base_out.pose(),
-        arm=file.ending.arm_out and file.ending.arm_out.path(motion.grasp.task.hand),
+        arm=None if way_out is None else way_out.path(motion.grasp.task.hand),
     )
     plan = ManipulationPlan(
         motion=motion,

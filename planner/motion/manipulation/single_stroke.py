@@ -206,7 +206,7 @@ def plan_single_stroke(
             path,
             path_tolerance=path_tolerance,
             seed=seed,
-            reaches=on_arm and on_arm.reaches,
+            reaches=None if on_arm is None else on_arm.reaches,
         ):
             if len(made) >= most or good_enough(found):
                 break
