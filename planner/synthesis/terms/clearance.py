@@ -76,6 +76,7 @@ OBJECT = Term(
     wording="clearance of {} from the object",
     elsewhere="palm or wrist",
     judged="penetration of the true links",
+    lacking="palm or links would stand in the object; a smaller one, another pose, other fingers",
 )
 
 TABLE = Term(
@@ -87,6 +88,7 @@ TABLE = Term(
     wording="clearance of {} from the table",
     elsewhere="palm or wrist",
     judged="penetration of the true links",
+    lacking="links would stand in the table; another pose, or a stand",
 )
 
 OBSTACLE = Term(
@@ -98,6 +100,7 @@ OBSTACLE = Term(
     wording="clearance of {} from an obstacle",
     elsewhere="palm or wrist",
     judged="penetration of the true links",
+    lacking="links would stand in an obstacle; more room around the object, another pose",
 )
 
 FINGERS = Term(
@@ -108,6 +111,7 @@ FINGERS = Term(
     weight=PER_METRE / 0.03,  # two links are some 15 mm apart
     wording="clearance between {}",
     judged="penetration of the true links",
+    lacking="the fingers stand in each other's way; fewer fingers, or a larger object",
 )
 
 
