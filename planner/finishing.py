@@ -24,7 +24,10 @@ from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 from planner.verification.projection import project_onto_surface
 
-__all__ = ["finished", "true_geometry", "true_links", "verified_on_surface"]
+__all__ = ["UNSOLVED", "finished", "true_geometry", "true_links", "verified_on_surface"]
+
+UNSOLVED = "unsolved_"
+"""Begin of the kind of a failure to satisfy a term, whose name follows."""
 
 
 @kept_by_thread(8)
@@ -53,7 +56,7 @@ def finished(
     if not weighted <= NEARLY:
         violation = candidate.violation[worst.name]
         return Failure(
-            kind=f"unsolved_{worst.name}",
+            kind=f"{UNSOLVED}{worst.name}",
             text=f"not solved, term {worst.name}: violated by {violation:.1e}",
             numbers={"violation": violation},
         )

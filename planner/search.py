@@ -8,7 +8,8 @@ Asked for are the first grasp, the best of so many independent ones, or the best
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ from planner.best.wanted import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
-from planner.finishing import finished, true_geometry, true_links
+from planner.finishing import UNSOLVED, finished, true_geometry, true_links
 from planner.plan import GraspPlan
 from planner.refine import refine_grasp
 from planner.spatial import SE3, FloatArray
@@ -30,6 +31,7 @@ from planner.synthesis.problem_cache import Problems, problems_for
 from planner.synthesis.room import with_room
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.terms.registry import TERMS
 from planner.system.stage_times import stage
 from planner.system.threads import made_once
 from planner.task import GraspTask
@@ -41,6 +43,9 @@ __all__ = [
     "plan_grasp",
     "plans",
 ]
+
+ONE_CAUSE = 0.8
+"""Share of the attempts (-) that fail for one cause from which its meaning is told."""
 
 SPARE_AFTER = 5
 """Attempts after which every other one is made with three fingers alone, if the choice of fingers
@@ -173,10 +178,20 @@ def plan_grasp(
         raise nothing_found(
             f"grasp of {task.object.name} with {task.hand.name} ({', '.join(task.finger_names)})",
             made,
-            "Try more attempts, other fingers, another pose or size of the object, more friction "
-            "or less grip",
+            f"{_one_cause(made)}Try more attempts, other fingers, another pose or size of the "
+            "object, more friction or less grip",
         )
     return wanted.recorded(plan, made)
+
+
+def _one_cause(made: Sequence[Attempt[GraspPlan]]) -> str:
+    """What the cause of nearly all failures means, and what to change; "" if there are several."""
+    kinds = Counter(a.failure.kind for a in made if a.failure is not None)
+    kind, count = kinds.most_common(1)[0]
+    term = TERMS.get(kind.removeprefix(UNSOLVED))
+    if count < ONE_CAUSE * len(made) or term is None or not term.lacking:
+        return ""
+    return f"That is: {term.lacking}. "
 
 
 def _near_start(

@@ -77,3 +77,17 @@ def test_a_measurement_says_command_date_and_commit(monkeypatch: pytest.MonkeyPa
         assert re.fullmatch(r"([0-9a-f]{7,}(-dirty)?)?", made["commit"])
     monkeypatch.setattr("sys.argv", ["pytest"])
     assert runner.made_with()["command"] == ""
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/results/grasps.md"])
+def test_rates_beside_the_peer_are_those_of_the_data(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for rounds, name in ((0, "synthesis-scans-0.json"), (4, "synthesis-scans.json")):
+        read = result(results.DATA / name)
+        assert read["setting"]["rounds"] == rounds
+        row = next(
+            line
+            for line in text.splitlines()
+            if f"`--rounds {rounds}`" in line and line.startswith("|")
+        )
+        assert f"| {read['total']['found_per_cpu_s']:.1f} |" in row

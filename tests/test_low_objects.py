@@ -9,7 +9,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from planner.attempt import Attempt
+from planner.failure import Failure
+from planner.motion.terms import MOTION_TERMS
+from planner.plan import GraspPlan
+from planner.search import _one_cause
 from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask
 from sim.cli import app
 from sim.cli.low_objects import ATTEMPTS, LOW, advice_for_low
@@ -99,3 +105,42 @@ def test_an_object_whose_pose_was_given_is_not_stood_otherwise(tmp_path: Path) -
     code, said = plan("box:0.1x0.06x0.012 --at 0,0,0.006,0,0,0", tmp_path)
     assert code == 4
     assert "--pose" not in said
+
+
+# other failures
+
+
+def test_a_cause_is_told_in_words_with_the_nearest_size_that_does(tmp_path: Path) -> None:
+    line = ["plan", "shadow_hand", "box:0.11x0.11x0.11", "--max-attempts", "8"]
+    done = RUN.invoke(app, [*line, "-o", str(tmp_path / "plan.json")])
+    assert done.exit_code == 4
+    said = " ".join(done.stderr.split())
+    assert "8 x not solved, term level" in said
+    assert f"That is: {TERMS['level'].lacking}. " in said
+    found = re.search(r"In (\S+) times the size a grasp was found: box:([0-9.]+)x", said)
+    assert found is not None
+    assert float(found[2]) == pytest.approx(0.11 * float(found[1]))
+    line = ["plan", "shadow_hand", f"box:{found[2]}x{found[2]}x{found[2]}"]
+    line += ["--max-attempts", "12", "-o", str(tmp_path / "plan.json")]
+    assert RUN.invoke(app, line).exit_code == 0
+
+
+@pytest.mark.parametrize(("balance", "told"), [(8, True), (7, False)])
+def test_several_causes_are_not_told_as_one(balance: int, told: bool) -> None:
+    kinds = ["unsolved_balance"] * balance + ["unsolved_touch", "edge", "off_pad"][balance - 10 :]
+    made = [
+        Attempt[GraspPlan](index=i, plan=None, failure=Failure(kind=k, text=k), cpu_s=0.0)
+        for i, k in enumerate(kinds)
+    ]
+    assert len(made) == 10
+    assert bool(_one_cause(made)) == told
+
+
+def test_every_term_is_explained_on_a_page() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "how" / "problem.md").read_text("utf-8")
+    for term in (*TERMS.values(), *MOTION_TERMS):
+        assert f"`{term.name}`" in page, term.name
+    for term in TERMS.values():
+        assert term.lacking or term.role.is_cost, term.name
+        if term.lacking:
+            assert f"| `{term.name}` | {term.lacking} |" in page

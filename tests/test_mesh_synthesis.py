@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
+from itertools import islice, product
 from pathlib import Path
 
+import casadi as ca
 import coal
 import numpy as np
 import pinocchio as pin
@@ -26,12 +29,12 @@ from planner.plan import GraspPlan
 from planner.proximity.convex import DistancePair
 from planner.proximity.mesh import MeshPair
 from planner.regions import Region, TouchRegion, parse_region
-from planner.search import plan_grasp
+from planner.search import attempts, plan_grasp
 from planner.shapes import Box, Mesh, Shape, Torus
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import fill, link_spheres, span
-from planner.synthesis.mesh_surface import STEEP
-from planner.synthesis.optimize import optimize_grasp
+from planner.synthesis.mesh_surface import STEEP, mesh_surface
+from planner.synthesis.optimize import NEARLY, optimize_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start, build_problem
 from planner.synthesis.resistance import least_resisted
@@ -39,6 +42,7 @@ from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import MeshSeeder, seeder_for
 from planner.synthesis.seeds.opposed_pairs import FACING, opposed_pairs
 from planner.synthesis.seeds.opposition import measure_postures, opposition
+from planner.synthesis.terms.clearance import PRESSED
 from planner.synthesis.terms.contact import EDGE
 from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask
@@ -329,3 +333,82 @@ def test_contacts_leave_edges_while_they_move(
     leaving = on_edges()
     monkeypatch.setitem(TERMS, "edge", replace(EDGE, weight=0.0))
     assert leaving < 0.5 * on_edges()
+
+
+# small solids that are mostly edges
+
+BLOCKS = ((0, 0, 0), (1, 0, 0), (2, 0, 0), (1, 1, 0), (1, 0, 1))
+"""Cubes of a solid with outer and inner edges all over."""
+
+
+def blocks_mesh(cells: Iterable[tuple[int, int, int]], size: float) -> Mesh:
+    """A solid of cubes that touch by whole faces."""
+    squares = []
+    for cell, axis, side in product(cells, range(3), (0, 1)):
+        step = 2 * side - 1
+        if tuple(c + step * (k == axis) for k, c in enumerate(cell)) in cells:
+            continue
+        corners = np.tile(np.array(cell), (4, 1))
+        corners[:, axis] += side
+        corners[:, (axis + 1) % 3] += [0, 1, 1, 0]
+        corners[:, (axis + 2) % 3] += [0, 0, 1, 1]
+        squares.append(corners[::step])
+    points, number = np.unique(np.concatenate(squares), axis=0, return_inverse=True)
+    number = number.reshape(-1, 4)
+    faces = np.vstack([number[:, [0, 1, 2]], number[:, [0, 2, 3]]])
+    return Mesh.from_triangles(size * points.astype(float), faces)
+
+
+@pytest.fixture(scope="module")
+def blocks(allegro: Hand) -> GraspTask:
+    item = GraspObject(name="blocks", shape=blocks_mesh(BLOCKS, 0.02))
+    return GraspTask.create(allegro, item)
+
+
+def test_a_small_solid_of_edges_is_grasped(blocks: GraspTask) -> None:
+    made = list(islice(attempts(blocks, seed=0), 40))
+    assert sum(a.plan is not None for a in made) >= 20
+    on_edges = sum(a.failure is not None and a.failure.kind == "edge" for a in made)
+    assert on_edges <= 4
+
+
+def test_a_contact_gains_no_flatness_by_leaving_the_surface(blocks: GraspTask) -> None:
+    shape = blocks.object.shape
+    assert isinstance(shape, Mesh)
+    surface, p = mesh_surface(), ca.SX.sym("p", 3)
+    size = surface.size(shape)
+    flat = surface.flatness(size, p)
+    slope = ca.Function("slope", [p, surface.field.symbols], [ca.gradient(flat, p)])
+    points, _ = shape.surface_samples(400, np.random.default_rng(0))
+    found = 0
+    for _ in range(4):  # onto the smooth surface
+        value, gradient = np.split(shape.field().taylor(points, 1), [1], axis=1)
+        points = points - value * gradient / np.square(gradient).sum(axis=1, keepdims=True)
+    normals = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+    for point, normal in zip(points, normals, strict=True):
+        known = surface.field.coefficients(shape.field(), point[None])
+        along = np.array(slope(point, known)).ravel()
+        if np.linalg.norm(along) > 20.0:  # 2 % per mm: near an edge
+            found += 1
+            assert abs(along @ normal) < 0.02 * np.linalg.norm(along)
+    assert found > 50
+
+
+def test_a_pad_in_a_corner_stands_in_neither_face(blocks: GraspTask) -> None:
+    seeder, shape = seeder_for(blocks), blocks.object.shape
+    problem = build_problem(blocks.hand, blocks.fingers, shape)
+    options, solved = SynthesisOptions(rounds=0), 0
+    radii = np.array([f.pad.radius for f in blocks.fingers])
+    for k in range(60):
+        start = seeder.draw(np.random.default_rng([3, k]))
+        assert isinstance(start, Start)
+        parameters = problem.parameters(blocks, start, seeder.posture, options)
+        end = optimize_grasp(problem, blocks, start, parameters, options)
+        if problem.worst_violation(end.violation)[1] > NEARLY:
+            continue
+        solved += 1
+        _, centers = HandState(blocks.hand, end.q).pads(blocks.fingers)
+        base = end.T_object_base
+        apart = shape.signed_distance(centers @ base.rotation.T + base.translation)
+        assert (apart > radii - PRESSED - 0.001).all()
+    assert solved > 20

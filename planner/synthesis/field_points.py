@@ -43,14 +43,17 @@ class FieldPoints:
         """Make an empty collection."""
         self._points: list[Any] = []
         self._symbols: list[Any] = []
-        self._known: dict[tuple[Any, ...], tuple[Any, Any]] = {}
+        self._known: dict[tuple[Any, ...], tuple[Any, Any, Any]] = {}
 
     def __len__(self) -> int:
         """Number of points."""
         return len(self._points)
 
-    def at(self, point: Any) -> tuple[Any, Any]:
-        """Value and gradient (3,) of phi at a point (3,); both can be differentiated once."""
+    def at(self, point: Any) -> tuple[Any, Any, Any]:
+        """Value, gradient (3,) and Hessian (3, 3) of phi at a point (3,).
+
+        Value and gradient can be differentiated once; the Hessian counts as constant.
+        """
         key = tuple(point[k].element_hash() for k in range(3))
         if key not in self._known:
             symbol = ca.SX.sym(f"field_{len(self._points)}", 3 + COEFFICIENTS)
@@ -58,7 +61,7 @@ class FieldPoints:
             self._symbols.append(symbol)
             d, b, h = point - symbol[:3], symbol[4:7], _symmetric(symbol[7:13])
             value = symbol[3] + ca.dot(b, d) + ca.dot(d, h @ d) / 2
-            self._known[key] = value, b + h @ d
+            self._known[key] = value, b + h @ d, h
         return self._known[key]
 
     @property

@@ -1,4 +1,4 @@
-"""What to do with an object that lies too low for the fingertips: another stable pose, or a stand.
+"""What to do with an object that is not grasped: another stable pose, a stand, or another size.
 
 What is advised was tried: a grasp was found there in a few attempts.
 """
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from planner.synthesis.options import SynthesisOptions
     from planner.task import GraspTask
 
-__all__ = ["advice_for_low", "said_of_low"]
+__all__ = ["advice_for_low", "advice_for_size", "said_of_low"]
 
 LOW = 2.0
 """Height of an object over the thickness of a fingertip (-) below which it may be too low. The
@@ -28,6 +28,9 @@ HIGHER = 1.2
 
 MOST_POSES, ATTEMPTS = 6, 30
 """Poses that are tried, and most attempts at each: some tens of ms of CPU per attempt."""
+
+FACTORS, QUICK = (0.8, 1.25, 0.65, 1.5), 12
+"""Sizes that are tried over the given one (-), the nearest first, and most attempts at each."""
 
 STANDS = (0.03, 0.05)
 """Heights (m) of stands that are tried: about one and two fingertips."""
@@ -64,22 +67,98 @@ def advice_for_low(
         f"{1e3 * thick:.0f} mm thick"
     )
 
-    def is_found(other: GraspTask) -> bool:
-        from planner.errors import NoGraspFoundError, TaskError
-        from planner.search import plan_grasp
-
-        budget = min(ATTEMPTS, max_attempts)
-        try:
-            plan_grasp(other, seed=seed, max_attempts=budget, options=options, progress=progress)
-        except (NoGraspFoundError, TaskError):  # TaskError: too wide so, or an obstacle in the way
-            return False
-        return True
-
     others = () if pose is None else _poses(task, poses, HIGHER * height)
+    budget = min(ATTEMPTS, max_attempts)
     for remedy, other in (*others, *_stands(task)):
-        if is_found(other):
+        if _is_found(other, budget, seed, options, progress):
             return f"{lies}; {remedy}"
     return None
+
+
+def advice_for_size(
+    task: GraspTask,
+    *,
+    pose: int | None,
+    options: SynthesisOptions,
+    seed: int = 0,
+    progress: Callable[[Attempt[GraspPlan]], object] | None = None,
+) -> str | None:
+    """Another pose or the nearest size that a few attempts grasp: a sentence, or None.
+
+    Args:
+        task: For which no grasp was found.
+        pose: Which stable pose the object is in; None where it is in another one, or stands free.
+        options: What synthesis was asked for.
+        seed: Of the search that failed.
+        progress: Called after every attempt.
+    """
+    for remedy, other in (*_other_poses(task, pose), *_sizes(task)):
+        if _is_found(other, QUICK, seed, options, progress):
+            return remedy
+    return None
+
+
+def _is_found(
+    task: GraspTask,
+    budget: int,
+    seed: int,
+    options: SynthesisOptions,
+    progress: Callable[[Attempt[GraspPlan]], object] | None,
+) -> bool:
+    """Whether so many attempts find a grasp."""
+    from planner.errors import NoGraspFoundError, TaskError
+    from planner.search import plan_grasp
+
+    try:
+        plan_grasp(task, seed=seed, max_attempts=budget, options=options, progress=progress)
+    except (NoGraspFoundError, TaskError):  # TaskError: too wide so, or an obstacle in the way
+        return False
+    return True
+
+
+def _other_poses(task: GraspTask, pose: int | None) -> Iterator[tuple[str, GraspTask]]:
+    """The task with the object in other stable poses on its table."""
+    if task.table_height is None or pose is None:
+        return
+    poses = task.object.shape.resting_poses()
+    for k in [k for k in range(len(poses)) if k != pose][: MOST_POSES // 2]:
+        yield f"In pose {k} a grasp was found: --pose {k}", _placed(task, poses[k])
+
+
+def _sizes(task: GraspTask) -> Iterator[tuple[str, GraspTask]]:
+    """The task with its object in other sizes, in the same place and pose."""
+    from planner.errors import ObjectError, TaskError
+    from planner.shapes import Mesh, Shape
+
+    shape = task.object.shape
+    for factor in FACTORS:
+        other: Shape
+        try:
+            if shape.sizes:
+                other = type(shape).from_sizes([round(factor * s, 6) for s in shape.sizes])
+                name = other.spec
+            elif isinstance(shape, Mesh) and shape.source is not None:
+                other = Mesh(factor * shape.vertices, shape.faces)
+                name = f"{shape.source.path.name}*{factor * shape.source.scale:g}"
+            else:
+                return
+            pose, table = task.T_world_object.copy(), task.table_height
+            if table is not None:  # it stands where it stood
+                pose.translation[2] = table + factor * (pose.translation[2] - table)
+            item = replace(task.object, shape=other)
+            sized = replace(task, object=item, T_world_object=pose)
+        except (ObjectError, TaskError):  # a size that does not go, or an obstacle in the way
+            continue
+        yield f"In {factor:g} times the size a grasp was found: {name}", sized
+
+
+def _placed(task: GraspTask, pose: StablePose) -> GraspTask:
+    """The task with its object in a stable pose where it stands on the table."""
+    from planner.spatial import SE3
+
+    place = task.T_world_object.translation.copy()
+    place[2] = (task.table_height or 0.0) + pose.height
+    return replace(task, T_world_object=SE3(pose.rotation, place))
 
 
 def said_of_low(error: NoGraspFoundError, task: GraspTask, advice: str) -> NoGraspFoundError:
@@ -97,16 +176,12 @@ def _poses(
     task: GraspTask, poses: tuple[StablePose, ...], least: float
 ) -> Iterator[tuple[str, GraspTask]]:
     """The task with the object in other poses, those that fall last first."""
-    from planner.spatial import SE3
-
     higher = [k for k, pose in enumerate(poses) if _height(task, pose) >= least]
     for k in higher[:MOST_POSES]:
-        place = task.T_world_object.translation.copy()
-        place[2] = (task.table_height or 0.0) + poses[k].height
         yield (
             f"pose {k} stands {1e3 * _height(task, poses[k]):.0f} mm high and a grasp was found: "
             f"--pose {k}",
-            replace(task, T_world_object=SE3(poses[k].rotation, place)),
+            _placed(task, poses[k]),
         )
 
 

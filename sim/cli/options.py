@@ -225,7 +225,7 @@ class BestOptions(PlanOptions):
         """
         from planner.errors import NoGraspFoundError
         from planner.search import DEFAULT_MAX_ATTEMPTS, plan_grasp
-        from sim.cli.low_objects import advice_for_low, said_of_low
+        from sim.cli.low_objects import advice_for_low, advice_for_size, said_of_low
 
         _refuse_our_file(object)
         options, task = self.synthesis(), self.task(hand, object)
@@ -267,9 +267,17 @@ class BestOptions(PlanOptions):
                     max_attempts=self.max_attempts or DEFAULT_MAX_ATTEMPTS,
                     progress=show,
                 )
+                if advice is not None:
+                    raise said_of_low(error, task, advice) from error
+                if task.object.touch is not None:
+                    raise
+                status.update("planning: whether another pose or size would be grasped ...")
+                advice = advice_for_size(
+                    task, pose=standing, options=options, seed=self.seed, progress=show
+                )
                 if advice is None:
                     raise
-                raise said_of_low(error, task, advice) from error
+                raise NoGraspFoundError(f"{error}. {advice}", error.attempts) from error
         best = plan.record.best
         if check.pressed and best is not None:
             say(

@@ -9,7 +9,7 @@ up again only when it may be near: distances change no faster than points move.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from typing import Any
 
@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.hands.fingers import Finger
 from planner.shapes.surface import SIZE_DIM, box_clearance
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.field_points import Field
@@ -28,6 +29,7 @@ from planner.synthesis.link_capsules import (
     rooms_at_rest,
 )
 from planner.synthesis.link_spheres import (
+    SAME_POINT,
     LinkSphere,
     hull_spheres,
     link_spheres,
@@ -47,11 +49,17 @@ __all__ = [
     "OBJECT",
     "OBSTACLE",
     "OBSTACLE_DIM",
+    "PRESSED",
     "TABLE",
     "Clearances",
     "box_clearance_of",
     "clearance_of",
 ]
+
+PRESSED = 0.001
+"""Depth (m) of a touching pad's sphere in the smooth distance, at most: it touches at its contact,
+and in a corner must not stand in the other face. On edges and in fillets the smooth distance of a
+pad that touches is up to so much below the pad's radius."""
 
 OBSTACLE_DIM = 15
 """Numbers of an obstacle among the parameters."""
@@ -61,13 +69,14 @@ FASTEST = 1.1
 
 OBJECT = Term(
     name="object",
-    meaning="distance of link spheres, but touching pads, less clear_object or clear_tip",
+    meaning="distance of link spheres less clear_object or clear_tip; of pads beside their contact",
     role=Role.INEQUALITY,
     unit="m",
     weight=PER_METRE,
     wording="clearance of {} from the object",
     elsewhere="palm or wrist",
     judged="penetration of the true links",
+    lacking="palm or links would stand in the object; a smaller one, another pose, other fingers",
 )
 
 TABLE = Term(
@@ -79,6 +88,7 @@ TABLE = Term(
     wording="clearance of {} from the table",
     elsewhere="palm or wrist",
     judged="penetration of the true links",
+    lacking="links would stand in the table; another pose, or a stand",
 )
 
 OBSTACLE = Term(
@@ -90,6 +100,7 @@ OBSTACLE = Term(
     wording="clearance of {} from an obstacle",
     elsewhere="palm or wrist",
     judged="penetration of the true links",
+    lacking="links would stand in an obstacle; more room around the object, another pose",
 )
 
 FINGERS = Term(
@@ -100,6 +111,7 @@ FINGERS = Term(
     weight=PER_METRE / 0.03,  # two links are some 15 mm apart
     wording="clearance between {}",
     judged="penetration of the true links",
+    lacking="the fingers stand in each other's way; fewer fingers, or a larger object",
 )
 
 
@@ -133,6 +145,10 @@ class Clearances:
         self.radii = np.array([b.radius for b in self.spheres])
         touching = [f.name for f in g.fingers]
         self._avoids, self._on_tip = _avoiding(self.spheres, touching)
+        self._presses = np.zeros(len(self.spheres), dtype=bool)
+        if g.surface.field is not None:
+            self._presses = np.array([_is_round_pad(b, g.fingers) for b in self.spheres])
+        self._avoids |= self._presses
         centers = [g.place(b.joint_id, b.center) for b in self.spheres]
         values, slopes = ca.SX(1, 0), ca.SX(3, 0)
         if g.surface.field is None:
@@ -224,6 +240,7 @@ class Clearances:
         """
         margin = np.where(self._on_tip, values["clear_tip"][0], values["clear_object"][0])
         out: FloatArray = self.radii + margin + self._surface.distance_error
+        out[self._presses] = self.radii[self._presses] - PRESSED
         out[~self._avoids] = -np.inf
         return out
 
@@ -326,6 +343,12 @@ def _avoiding(
     """Which spheres must stay away from the object, and which of them are beside a pad."""
     margins = [margin_of(b, touching) for b in spheres]
     return np.array([m is not None for m in margins]), np.array([m == "clear_tip" for m in margins])
+
+
+def _is_round_pad(sphere: LinkSphere, fingers: Sequence[Finger]) -> bool:
+    """Whether a sphere is the surface of a touching finger's pad."""
+    touching = [f for f in fingers if f.name == sphere.finger]
+    return sphere.is_pad and any(abs(sphere.radius - f.pad.radius) < SAME_POINT for f in touching)
 
 
 def _between_fingers(g: GraspSymbols) -> list[Any]:

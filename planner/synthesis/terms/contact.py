@@ -66,6 +66,10 @@ TOUCH = Term(
     weight=PER_METRE,
     write=_touch,
     judged="pad within 0.5 mm of the true surface",
+    lacking=(
+        "the fingers do not reach the surface as it lies; raise or turn the object, or take "
+        "other fingers or another size"
+    ),
 )
 
 SURFACE = Term(
@@ -76,6 +80,10 @@ SURFACE = Term(
     weight=PER_METRE,
     write=_surface,
     judged="contacts are computed on the true surface",
+    lacking=(
+        "contacts would have to lie beside the faces; the faces are too small or do not oppose "
+        "each other within reach: another pose, other fingers, a larger object"
+    ),
 )
 
 FACING = Term(
@@ -88,6 +96,10 @@ FACING = Term(
     write=_facing,
     wording="{} at the rim of its pad",
     judged="pad angle to the true normal",
+    lacking=(
+        "the fingers reach the object with nail or side, not with their pads; another pose or "
+        "size, or other fingers"
+    ),
 )
 
 EDGE = Term(

@@ -95,6 +95,10 @@ BALANCE = Term(
     weight=20.0,
     write=_balance,
     judged=CLOSURE,
+    lacking=(
+        "the forces of these fingers do not cancel, since their contacts do not oppose each "
+        "other; a narrower object, other fingers, more friction"
+    ),
 )
 
 LEVEL = Term(
@@ -104,6 +108,11 @@ LEVEL = Term(
     unit="-",
     weight=20.0,
     write=_level,
+    lacking=(
+        "these fingers cannot balance a grip here, whatever they press with, and the solver "
+        "lets go; a smaller or differently turned object, fingers that oppose each other, more "
+        "friction"
+    ),
 )
 
 CONE = Term(
@@ -115,6 +124,10 @@ CONE = Term(
     write=_cone,
     wording="force of {} at the edge of its cone",
     judged=CLOSURE,
+    lacking=(
+        "the grip holds only with more friction than there is; more friction, a place whose "
+        "faces oppose each other, other fingers"
+    ),
 )
 
 PRESS = Term(
@@ -126,6 +139,9 @@ PRESS = Term(
     write=_press,
     wording="force of {} at its least",
     judged=CLOSURE,
+    lacking=(
+        "one of the fingers cannot press against the others; leave it out, or take a smaller object"
+    ),
 )
 
 STOP = Term(
@@ -137,6 +153,7 @@ STOP = Term(
     write=_stop,
     wording="a stop that can only push",
     judged="the force programme",
+    lacking="a coupled joint would have to pull at its stop; other fingers, another pose",
 )
 
 FORCES = Term(

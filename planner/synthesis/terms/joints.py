@@ -50,6 +50,10 @@ COUPLING = Term(
     weight=50.0,
     write=_coupling,
     judged="couplings hold",
+    lacking=(
+        "joints that move together cannot both be where they would have to be; another size or "
+        "pose, other fingers"
+    ),
 )
 
 ARM = Term(
@@ -60,6 +64,7 @@ ARM = Term(
     weight=PER_METRE,
     write=_arm,
     judged="the verdict computes the base from the joints",
+    lacking="the arm does not bring the hand there; put the object nearer, or free its pose",
 )
 
 POSTURE = Term(

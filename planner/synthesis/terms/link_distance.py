@@ -50,6 +50,9 @@ LINKS = Term(
     wording="true distance of {}",
     elsewhere="palm or wrist",
     judged="penetration of the true links",
+    lacking=(
+        "links would touch each other, the object or the table; fewer fingers, another pose or size"
+    ),
 )
 
 
