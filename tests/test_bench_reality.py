@@ -99,7 +99,7 @@ def _seen(time: float, x: float, nq: int) -> Observation:
         v=np.zeros(nq),
         T_world_base=SE3.Identity(),
         T_world_object=SE3(np.eye(3), np.array([x, 0.0, 0.0])),
-        normal_forces=np.zeros(2),
+        normal_forces=np.zeros(4),
         read_twist=lambda: np.zeros(6),
         read_contacts=lambda: None,  # type: ignore[arg-type, return-value]
     )
