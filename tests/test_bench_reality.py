@@ -171,7 +171,7 @@ def compare(tmp_path: Path, fake: Fake) -> Compare:
     return run
 
 
-def test_every_loop_meets_the_same_trials(fake: Fake, compare: Compare) -> None:
+def test_every_loop_meets_the_same_trials(fake: Fake, compare: Compare, tmp_path: Path) -> None:
     result = compare()
     by_loop: dict[str, set[Any]] = {}
     for hand, kind, seed, loop, reality in fake.asked:
@@ -186,6 +186,12 @@ def test_every_loop_meets_the_same_trials(fake: Fake, compare: Compare) -> None:
     cells = {(c["reality"], c["loop"], c["hand"], c["object"]): c for c in result["cells"]}
     assert len(cells) == 2 * 3 * 2 * 2
     assert all(c["n"] == 2 for c in cells.values())
+    told = [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()[1:]]
+    assert {(r["reality"], r["loop"], r["estimator"]) for r in told} == {
+        *((reality, loop, "none") for reality in ("lab", "ideal") for loop in ("truth", "open")),
+        ("lab", "readings", "none"),  # of a world that is ideal it is told what truth is told
+    }
+    assert len({(r["hand"], r["kind"], r["draw"], r["reality"], r["loop"]) for r in told}) == 40
     box = cells["lab", "open", "allegro_hand", "box"]
     assert (box["planned"], box["success"]) == (1, 0)
     assert box["reasons"] == {"slipped": 1, "no plan": 1}

@@ -40,6 +40,8 @@ BITS = 52
 class ComparedTrial(Job):
     """One trial of one loop.
 
+    A row names the loop that ran it; another one that is told the same has the same row.
+
     Attributes:
         task: Name out of ``TASKS``.
         hand: Name or path.
@@ -47,9 +49,10 @@ class ComparedTrial(Job):
         draw: Number of the draw, and seed of planning and reality.
         reality: As it is named on the command line.
         loop: Name out of ``LOOPS``.
+        estimator: What tells that loop where the object is, a name out of ``sim.estimation``.
     """
 
-    SHOWN: ClassVar = ("task", "hand", "kind", "draw")
+    SHOWN: ClassVar = ("task", "hand", "kind", "draw", "loop", "estimator")
 
     task: str
     hand: str
@@ -57,6 +60,11 @@ class ComparedTrial(Job):
     draw: int
     reality: Reality
     loop: str
+    estimator: str
+
+    def row(self, **values: Any) -> Row:
+        """The row, with the name of the reality: its numbers stand in the result."""
+        return super().row(reality=self.reality.name, **values)
 
     @property
     def cell(self) -> tuple[str, str, str, str, str]:
@@ -91,6 +99,7 @@ def compared_trials(
                             draw=draw,
                             reality=reality,
                             loop=loop.name,
+                            estimator=loop.estimator,
                         )
                         trials.append(trial)
     return trials

@@ -206,6 +206,8 @@ class RealSenses:
     ) -> PadReading:
         """What pads say, in the world as it is, or in their joints' frames if it is carried on."""
         exact = truth.pads
+        if not len(exact.normal_force):  # nothing reads pads here
+            return exact
         pressing = self._told(exact.normal_force, error[:, 0])
         there = pressing > 0
         normal = np.where(there[:, None], np.nan_to_num(exact.normal), 0.0)
@@ -236,7 +238,7 @@ class RealSenses:
 
     def _placed(self, felt: PadReading, T_world_base: SE3, q: FloatArray) -> PadReading:
         """Vectors and places in the world, as they follow from the joints (nq,) that were read."""
-        if self._as_it_is:
+        if self._as_it_is or not len(felt.normal_force):
             return felt
         hand = self._read_hand.move(q)
         return _moved(felt, [T_world_base * hand.joint_pose(f.pad.joint_id) for f in self._fingers])
