@@ -38,6 +38,7 @@ class SensorErrors:
         size: Error of all lengths of the object, as a share (-).
         sliding: White noise of a pad's sliding velocity, each axis, m/s.
         place: Correlated noise of where a pad feels a contact, each axis along the pad, m.
+        touch_age: Largest age of what a pad says, s.
     """
 
     camera: float = 0.001
@@ -50,6 +51,7 @@ class SensorErrors:
     size: float = 0.0
     sliding: float = 0.0
     place: float = 0.0
+    touch_age: float = 0.0
 
     def __post_init__(self) -> None:
         """Check every number."""
@@ -74,4 +76,5 @@ class SensorErrors:
             size=r.object_size / math.sqrt(3.0),
             sliding=r.sliding_noise,
             place=r.touch_place,
+            touch_age=r.touch_delay + (1.0 / r.touch_rate if r.touch_rate else 0.0),
         )

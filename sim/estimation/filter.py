@@ -285,6 +285,8 @@ class PoseFilter:
             stays = b.T_world_base.actInv(a.T_world_base)
             prior = np.array(pin.log6(stays).vector)
             touched = self._table and (a.touching.any() or b.touching.any())
+            if touched and not a.touching.any():
+                dt += self._errors.touch_age  # it may have been pushed before a pad said so
             (along, about), (up, tipping) = (PUSHED, PUSHED_UP) if touched else (STANDING, STANDING)
             tipping = ROLLING if touched and self._shape.ball_like else tipping
         vertical = b.T_world_base.rotation.T @ self._up
