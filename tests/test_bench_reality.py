@@ -319,6 +319,18 @@ def test_tables_count_and_say_why(compare: Compare) -> None:
     assert "slipped 6, no plan 2" in stream.getvalue()
 
 
+def test_objects_that_are_named_take_turns_with_the_draws_that_they_have_among_all(
+    fake: Fake, compare: Compare, tmp_path: Path
+) -> None:
+    compare(n=8, loops=["open"], realities=[LAB])
+    before = list(fake.asked)
+    result = compare(n=4, loops=["open"], realities=[LAB], objects=["sphere"])
+    assert [(c["object"], c["n"]) for c in result["cells"]] == [("sphere", 4)] * 2
+    assert fake.asked == before, "they are rows of the file already"
+    with pytest.raises(NotFoundError, match="object of the task fake"):
+        compare(objects=["mug"])
+
+
 def test_the_command_measures(tmp_path: Path, fake: Fake) -> None:
     out, samples = tmp_path / "out.json", tmp_path / "rows.jsonl"
     asked = ["--tasks", "fake", "--realities", "lab", "--loops", "open", "-n", "2"]

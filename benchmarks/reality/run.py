@@ -79,12 +79,13 @@ def compared_trials(
     loops: Sequence[Loop],
     n: int,
     seed: int,
+    objects_only: Sequence[str] = (),
 ) -> list[ComparedTrial]:
     """All trials, those of one draw one after the other, so that a plan serves them all."""
     trials = []
     for k in range(n):
         for task in tasks:
-            objects = named_task(task).objects
+            objects = named_task(task).only(objects_only)
             kind, draw = objects[k % len(objects)], seed + k // len(objects)
             for hand in hands:
                 for reality in realities:
@@ -136,6 +137,7 @@ def run_reality(
     seed: int,
     file: Path,
     runner: Runner,
+    objects: Sequence[str] = (),
 ) -> Row:
     """Run the trials that the file does not have yet.
 
@@ -148,13 +150,14 @@ def run_reality(
         seed: First draw.
         file: Of the rows; made if it is not there.
         runner: Who works on them.
+        objects: Which of the tasks' objects take turns; all if empty.
 
     Returns:
         Plain data: what it was made with, and counts per cell, without the rows.
 
     Raises:
         FileFormatError: The file is not one of these, or cannot be written.
-        NotFoundError: A hand, a task or a loop that does not exist.
+        NotFoundError: A hand, a task, a loop or an object of a task that does not exist.
         TaskError: A loop that cannot run here, two realities of one name, or nothing that is asked
             for can be done.
     """
@@ -164,7 +167,7 @@ def run_reality(
         if count > 1:
             raise TaskError(f"{count} realities are called {name!r}; give each a name of its own")
     columns = [named_loop(name) for name in loops]
-    trials = compared_trials(hands, tasks, realities, columns, n, seed)
+    trials = compared_trials(hands, tasks, realities, columns, n, seed, objects)
     if not trials:
         raise TaskError(
             f"no trial to run: {', '.join(loops)} cannot do {', '.join(tasks)}; name another loop"
