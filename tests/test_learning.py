@@ -572,7 +572,7 @@ def test_a_policy_says_what_mass_friction_physics_and_errors_it_was_not_trained_
     assert "the mass is 0.5 kg (trained with 0.05 to 0.3)" in told(mass=0.5)
     assert "the friction is 0.4 (trained with 0.5 to 1)" in told(physics=replace(ours, mu=0.4))
     assert "the physics is ours with impratio 1" in told(physics=replace(ours, impratio=1.0))
-    assert "larger than those of lab: encoder_offset 0.0" in told(reality=named_reality("rough"))
+    assert "larger than in its training: encoder_offset 0.0" in told(reality=named_reality("rough"))
     for slow in (replace(lab, touch_rate=50.0), replace(lab, touch="effort")):
         assert "touch" in told(reality=slow)
     assert "command_rate" in told(reality=replace(lab, command_rate=100.0))

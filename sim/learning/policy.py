@@ -184,7 +184,7 @@ class PolicyFor:
         if larger:
             more = len(larger) - MOST_TOLD
             told = ", ".join(larger[:MOST_TOLD]) + (f" and {more} more" if more > 0 else "")
-            beyond.append(f"errors are larger than those of {self.reality}: {told}")
+            beyond.append(f"errors are larger than in its training: {told}")
         if not beyond:
             return ""
         *first, last = beyond
