@@ -407,7 +407,7 @@ def changed(policy: Policy, tmp_path: Path, **header: Any) -> Path:
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ({"version": 3}, "version 3; this version reads"),
+        ({"version": 4}, "version 4; this version reads"),
         ({"format": "opposable-plan"}, "of format 'opposable-plan'"),
         ({"senses": ["sight"]}, "damaged: no sense"),
         ({"actuators": ["one"]}, "damaged: layers"),
@@ -561,9 +561,9 @@ def test_a_policy_says_what_mass_friction_physics_and_errors_it_was_not_trained_
     replace(policy, about=about).save(tmp_path / "policy.npz")
     about = Policy.load(tmp_path / "policy.npz").about  # what is told comes back out of a file
 
-    def told(mass: float = 0.1, **given: Any) -> str:
+    def told(mass: float = 0.1, physics: PhysicsOptions = ours, reality: Reality = lab) -> str:
         item = parse_object("cylinder:0.03x0.08", mass=mass)
-        return about.beyond(item, 90.0, **({"physics": ours, "reality": lab} | given))
+        return about.beyond(item, 90.0, physics, reality)
 
     within = replace(lab, name="mine", encoder_offset=0.5 * lab.encoder_offset, touch_rate=200.0)
     for reality in (lab, lab.seeded(7), Reality(), within, lab.sensed_exactly()):
