@@ -33,7 +33,6 @@ from sim.learning.senses import SENSES, SenseHistory, checked_senses
 from sim.learning.trials import FRICTION, MASS
 from sim.physics import PhysicsOptions
 from sim.reality import Reality
-from sim.tactile import EXACT
 
 __all__ = [
     "ACTION_SCALE",
@@ -204,7 +203,8 @@ class PolicyFor:
             for name, value in reality.numbers.items()
             if name != "drift_time" and _worse(name, value, self.errors.get(name, 0.0))
         ]
-        if reality.touch not in (EXACT, self.errors.get("touch", EXACT)):
+        exact = Reality().touch
+        if reality.touch not in (exact, self.errors.get("touch", exact)):
             worse.append(f"touch by {reality.touch}")
         return worse
 
