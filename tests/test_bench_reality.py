@@ -99,7 +99,7 @@ def _seen(time: float, x: float, nq: int) -> Observation:
         v=np.zeros(nq),
         T_world_base=SE3.Identity(),
         T_world_object=SE3(np.eye(3), np.array([x, 0.0, 0.0])),
-        normal_forces=np.zeros(2),
+        normal_forces=np.zeros(4),
         read_twist=lambda: np.zeros(6),
         read_contacts=lambda: None,  # type: ignore[arg-type, return-value]
     )
@@ -171,7 +171,7 @@ def compare(tmp_path: Path, fake: Fake) -> Compare:
     return run
 
 
-def test_every_loop_meets_the_same_trials(fake: Fake, compare: Compare) -> None:
+def test_every_loop_meets_the_same_trials(fake: Fake, compare: Compare, tmp_path: Path) -> None:
     result = compare()
     by_loop: dict[str, set[Any]] = {}
     for hand, kind, seed, loop, reality in fake.asked:
@@ -186,6 +186,12 @@ def test_every_loop_meets_the_same_trials(fake: Fake, compare: Compare) -> None:
     cells = {(c["reality"], c["loop"], c["hand"], c["object"]): c for c in result["cells"]}
     assert len(cells) == 2 * 3 * 2 * 2
     assert all(c["n"] == 2 for c in cells.values())
+    told = [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()[1:]]
+    assert {(r["reality"], r["loop"], r["estimator"]) for r in told} == {
+        *((reality, loop, "none") for reality in ("lab", "ideal") for loop in ("truth", "open")),
+        ("lab", "readings", "none"),  # of a world that is ideal it is told what truth is told
+    }
+    assert len({(r["hand"], r["kind"], r["draw"], r["reality"], r["loop"]) for r in told}) == 40
     box = cells["lab", "open", "allegro_hand", "box"]
     assert (box["planned"], box["success"]) == (1, 0)
     assert box["reasons"] == {"slipped": 1, "no plan": 1}
@@ -311,6 +317,18 @@ def test_tables_count_and_say_why(compare: Compare) -> None:
     stream = StringIO()
     Console(file=stream, width=200).print(reasons, numbers)
     assert "slipped 6, no plan 2" in stream.getvalue()
+
+
+def test_objects_that_are_named_take_turns_with_the_draws_that_they_have_among_all(
+    fake: Fake, compare: Compare, tmp_path: Path
+) -> None:
+    compare(n=8, loops=["open"], realities=[LAB])
+    before = list(fake.asked)
+    result = compare(n=4, loops=["open"], realities=[LAB], objects=["sphere"])
+    assert [(c["object"], c["n"]) for c in result["cells"]] == [("sphere", 4)] * 2
+    assert fake.asked == before, "they are rows of the file already"
+    with pytest.raises(NotFoundError, match="object of the task fake"):
+        compare(objects=["mug"])
 
 
 def test_the_command_measures(tmp_path: Path, fake: Fake) -> None:

@@ -19,13 +19,16 @@ from planner.task import GraspTask
 from sim.controllers import Observation, PadReading, Phase
 from sim.controllers.belief import SeenPose
 from sim.estimation import ObjectEstimator, SensorErrors, Trust
+from sim.estimation.estimator import PERIOD
 from sim.estimation.filter import TOO_MANY, PoseFilter
 from sim.estimation.knowing import FOUND, LOST, Knowing
-from sim.estimation.moments import Look
+from sim.estimation.moments import Look, Moment
 from sim.estimation.rolling import Grip, rolling
 from sim.estimation.state import Belief
 from sim.estimation.surface import touch_equations
 from sim.estimation.tips import TipKinematics, Tips
+from sim.reality import Reality
+from sim.reality.senses import Drift
 
 DT = 0.002
 FINE = 1e-6
@@ -222,6 +225,67 @@ def test_looks_at_an_object_at_rest_average(task: GraspTask) -> None:
         filtered = known.looked(filtered, Look(pose, k, 0.1))
     deviation = np.sqrt(np.diagonal(filtered.belief.pose_covariance()))
     assert deviation == pytest.approx([2e-3 / 4.0] * 3 + [0.03 / 4.0] * 3, rel=1e-9)
+
+
+def test_felt_normals_count_as_much_as_draws_of_their_drift(task: GraspTask) -> None:
+    """The mean of many equations is as uncertain as the mean of pads whose error drifts."""
+    place, moments, axes = 1e-3, 500, 4000
+    reality = Reality(touch_place=place, drift_time=0.2)
+    known = PoseFilter(task, SensorErrors.of(reality), Trust(normal=1e-9), feels=True)
+    n, q = len(task.fingers), task.hand.neutral
+    belief = known.first(Look(SE3(np.eye(3), np.array([0.0, 0.0, 0.1])), 0, np.inf)).belief
+    axis = np.array([finger.pad.axis for finger in task.fingers])
+    radii = np.array([finger.pad.radius for finger in task.fingers])
+    moment = Moment(
+        time=0.0,
+        q=q,
+        T_world_base=SE3.Identity(),
+        standing=False,
+        touching=np.ones(n, dtype=bool),
+        points=np.array([finger.pad.center for finger in task.fingers]) + radii[:, None] * axis,
+        normals=axis,
+        sliding=np.zeros((n, 3)),
+    )
+    # a covariance so wide that no contact counts as far from where it is expected
+    wide = Belief(belief.T_base_object, belief.offsets, belief.size, 1e6 * np.eye(7 + len(q)))
+    noise = known._feel(wide, moment, PERIOD).noise[n:].reshape(n, 2) / moments
+    drift = Drift(np.full(axes, place), reality.drift_time, np.random.default_rng(0))
+    mean = np.mean([drift.step(PERIOD) for _ in range(moments)], axis=0)
+    assert np.sqrt(noise) == pytest.approx((mean.std() / radii)[:, None].repeat(2, 1), rel=0.05)
+
+
+def test_an_object_may_have_been_pushed_before_a_late_pad_says_that_it_touches(
+    task: GraspTask,
+) -> None:
+    """What is not known grows as if the hand had touched for as long as the pads are late."""
+    pose = SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
+    first, later = (
+        Moment(
+            time=time,
+            q=task.hand.neutral,
+            T_world_base=SE3.Identity(),
+            standing=True,
+            touching=np.full(len(task.fingers), touching),
+            points=np.zeros((len(task.fingers), 3)),
+            normals=np.zeros((len(task.fingers), 3)),
+            sliding=np.zeros((len(task.fingers), 3)),
+        )
+        for time, touching in ((0.0, False), (PERIOD, True))
+    )
+
+    def moved(delay: float, begin: Moment, end: float) -> FloatArray:
+        reality = Reality(touch_delay=delay)
+        known = PoseFilter(task, SensorErrors.of(reality), Trust(), feels=False)
+        belief = known.first(Look(pose, 0, 0.1)).belief
+        prior, information = known._prior(belief, begin, replace(later, time=end))
+        assert not prior.any()
+        return np.asarray(np.linalg.inv(information))
+
+    late = moved(0.03, first, PERIOD)
+    assert late == pytest.approx(moved(0.0, first, PERIOD + 0.03))
+    assert (np.diag(late) > 2.0 * np.diag(moved(0.0, first, PERIOD))).all()
+    touched = replace(later, time=0.0)
+    assert moved(0.03, touched, PERIOD) == pytest.approx(moved(0.0, touched, PERIOD))
 
 
 def test_noise_of_a_look_against_draws(task: GraspTask) -> None:

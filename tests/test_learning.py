@@ -48,11 +48,12 @@ from sim.learning.collecting import read_episode
 from sim.learning.fitting import fit, trained_network
 from sim.learning.lag import LENGTH, ObjectLag
 from sim.learning.playback import AIM, Playback, servo_shift
-from sim.learning.policy import normalised
+from sim.learning.policy import errors_told, normalised, physics_told
 from sim.learning.senses import LAGS, SENSES, SenseHistory, columns
 from sim.learning.shipped import policy_file, shipped_policies
 from sim.learning.training import POLICY
 from sim.manipulation import ManipulationRun
+from sim.physics import PhysicsOptions
 from sim.reality import Reality, named_reality
 
 OBJECT = "cylinder:0.03x0.08"
@@ -406,7 +407,7 @@ def changed(policy: Policy, tmp_path: Path, **header: Any) -> Path:
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ({"version": 3}, "version 3; this version reads"),
+        ({"version": 4}, "version 4; this version reads"),
         ({"format": "opposable-plan"}, "of format 'opposable-plan'"),
         ({"senses": ["sight"]}, "damaged: no sense"),
         ({"actuators": ["one"]}, "damaged: layers"),
@@ -546,11 +547,52 @@ def test_a_policy_says_in_a_line_what_it_was_not_trained_for(policy: Policy) -> 
     assert "no turn about the vertical" in about.beyond(inside, None)
 
 
+def test_a_policy_says_what_mass_friction_physics_and_errors_it_was_not_trained_for(
+    policy: Policy, tmp_path: Path
+) -> None:
+    lab, ours = named_reality("lab"), PhysicsOptions()
+    about = replace(
+        policy.about,
+        objects="cylinder:0.025..0.035x0.08",
+        reality="lab",
+        errors=errors_told(lab),
+        physics=physics_told(ours),
+    )
+    replace(policy, about=about).save(tmp_path / "policy.npz")
+    about = Policy.load(tmp_path / "policy.npz").about  # what is told comes back out of a file
+
+    def told(mass: float = 0.1, physics: PhysicsOptions = ours, reality: Reality = lab) -> str:
+        item = parse_object("cylinder:0.03x0.08", mass=mass)
+        return about.beyond(item, 90.0, physics, reality)
+
+    within = replace(lab, name="mine", encoder_offset=0.5 * lab.encoder_offset, touch_rate=200.0)
+    for reality in (lab, lab.seeded(7), Reality(), within, lab.sensed_exactly()):
+        assert told(reality=reality) == ""
+    assert told(physics=replace(ours, mu=0.9)) == ""
+    assert "the mass is 0.5 kg (trained with 0.05 to 0.3)" in told(mass=0.5)
+    assert "the friction is 0.4 (trained with 0.5 to 1)" in told(physics=replace(ours, mu=0.4))
+    assert "the physics is ours with impratio 1" in told(physics=replace(ours, impratio=1.0))
+    assert "larger than in its training: encoder_offset 0.0" in told(reality=named_reality("rough"))
+    for slow in (replace(lab, touch_rate=50.0), replace(lab, touch="effort")):
+        assert "touch" in told(reality=slow)
+    assert "command_rate" in told(reality=replace(lab, command_rate=100.0))
+    assert "\n" not in told(mass=0.5, reality=named_reality("rough"))
+
+
+def test_an_older_policy_says_only_what_it_knows(policy: Policy) -> None:
+    old = replace(policy.about, objects=OBJECT, reality="lab", errors={}, physics={})
+    item = parse_object(OBJECT)
+    for reality in ("ideal", "lab"):
+        assert old.beyond(item, 90.0, PhysicsOptions(), named_reality(reality)) == ""
+    assert "rough" in old.beyond(item, 90.0, PhysicsOptions(), named_reality("rough"))
+
+
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
         (["shadow_hand", "cylinder:0.03x0.08"], 3, "for the hand allegro_hand"),
         (["allegro_hand", "box", "--rotate", "45"], 4, "the object is box and the turn is 45"),
+        (["allegro_hand", OBJECT, "--mass", "0.5", "--sim-mu", "0.4"], 4, "the mass is 0.5 kg"),
     ],
 )
 def test_another_hand_or_object_is_told_before_anything_is_planned(

@@ -38,6 +38,9 @@ def reality(
             "policy:FILE; the first six if not given."
         ),
     ] = None,
+    objects: Annotated[
+        str, typer.Option(help="Comma separated: those of the tasks' objects; all if not given.")
+    ] = "",
     seed: SeedOption = 0,
     samples: SamplesOption = Path("reality.jsonl"),
     *,
@@ -58,6 +61,7 @@ def reality(
             tasks=names(tasks),
             realities=[reality_of(name) for name in names(realities)],
             loops=usual if loops is None else names(loops),
+            objects=names(objects) if objects else (),
             seed=seed,
             file=samples,
             runner=runner,

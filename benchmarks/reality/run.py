@@ -40,6 +40,8 @@ BITS = 52
 class ComparedTrial(Job):
     """One trial of one loop.
 
+    A row names the loop that ran it; another one that is told the same has the same row.
+
     Attributes:
         task: Name out of ``TASKS``.
         hand: Name or path.
@@ -47,9 +49,10 @@ class ComparedTrial(Job):
         draw: Number of the draw, and seed of planning and reality.
         reality: As it is named on the command line.
         loop: Name out of ``LOOPS``.
+        estimator: What tells that loop where the object is, a name out of ``sim.estimation``.
     """
 
-    SHOWN: ClassVar = ("task", "hand", "kind", "draw")
+    SHOWN: ClassVar = ("task", "hand", "kind", "draw", "loop", "estimator")
 
     task: str
     hand: str
@@ -57,6 +60,11 @@ class ComparedTrial(Job):
     draw: int
     reality: Reality
     loop: str
+    estimator: str
+
+    def row(self, **values: Any) -> Row:
+        """The row, with the name of the reality: its numbers stand in the result."""
+        return super().row(reality=self.reality.name, **values)
 
     @property
     def cell(self) -> tuple[str, str, str, str, str]:
@@ -71,12 +79,13 @@ def compared_trials(
     loops: Sequence[Loop],
     n: int,
     seed: int,
+    objects_only: Sequence[str] = (),
 ) -> list[ComparedTrial]:
     """All trials, those of one draw one after the other, so that a plan serves them all."""
     trials = []
     for k in range(n):
         for task in tasks:
-            objects = named_task(task).objects
+            objects = named_task(task).only(objects_only)
             kind, draw = objects[k % len(objects)], seed + k // len(objects)
             for hand in hands:
                 for reality in realities:
@@ -91,6 +100,7 @@ def compared_trials(
                             draw=draw,
                             reality=reality,
                             loop=loop.name,
+                            estimator=loop.estimator,
                         )
                         trials.append(trial)
     return trials
@@ -127,6 +137,7 @@ def run_reality(
     seed: int,
     file: Path,
     runner: Runner,
+    objects: Sequence[str] = (),
 ) -> Row:
     """Run the trials that the file does not have yet.
 
@@ -139,13 +150,14 @@ def run_reality(
         seed: First draw.
         file: Of the rows; made if it is not there.
         runner: Who works on them.
+        objects: Which of the tasks' objects take turns; all if empty.
 
     Returns:
         Plain data: what it was made with, and counts per cell, without the rows.
 
     Raises:
         FileFormatError: The file is not one of these, or cannot be written.
-        NotFoundError: A hand, a task or a loop that does not exist.
+        NotFoundError: A hand, a task, a loop or an object of a task that does not exist.
         TaskError: A loop that cannot run here, two realities of one name, or nothing that is asked
             for can be done.
     """
@@ -155,7 +167,7 @@ def run_reality(
         if count > 1:
             raise TaskError(f"{count} realities are called {name!r}; give each a name of its own")
     columns = [named_loop(name) for name in loops]
-    trials = compared_trials(hands, tasks, realities, columns, n, seed)
+    trials = compared_trials(hands, tasks, realities, columns, n, seed, objects)
     if not trials:
         raise TaskError(
             f"no trial to run: {', '.join(loops)} cannot do {', '.join(tasks)}; name another loop"

@@ -10,7 +10,7 @@ Verdicts are those of the trials and read the truth, whatever a loop is told.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -62,6 +62,17 @@ class ComparedTask:
     objects: tuple[str, ...]
     plan: Callable[[str, str, int, Reality], Any] = field(repr=False)
     execute: Callable[[str, str, int, Any, Loop, Reality], Row] = field(repr=False)
+
+    def only(self, objects: Sequence[str]) -> tuple[str, ...]:
+        """Those of its objects that are named, or all if none are.
+
+        Raises:
+            NotFoundError: One is no object of this task.
+        """
+        for name in objects:
+            if name not in self.objects:
+                raise NotFoundError(f"object of the task {self.name}", name, self.objects)
+        return tuple(name for name in self.objects if not objects or name in objects)
 
 
 _TASKS: dict[str, ComparedTask] = {}

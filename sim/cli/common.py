@@ -267,13 +267,14 @@ def controller_of(name: str) -> Any:
     return named_driver(name)
 
 
-def check_policy(driver: Any, hand: Any, item: Callable[[], Any], degrees: float | None) -> None:
+def check_policy(execution: Any, hand: Any, item: Callable[[], Any], degrees: float | None) -> None:
     """Refuse another hand than a policy's, and say what else it was not trained for.
 
     Call it before anything is planned; other controllers are for every hand.
 
     Args:
-        driver: What ``controller_of`` gave.
+        execution: Options of an execution: ``controller``, ``physics``, ``sim_mu``, ``reality``
+            and ``pads``.
         hand: Name or path of the hand, or the hand.
         item: Gives the object.
         degrees: Turn about the vertical that is asked for; None for another movement, or none.
@@ -283,13 +284,16 @@ def check_policy(driver: Any, hand: Any, item: Callable[[], Any], degrees: float
     """
     from sim.learning import PolicyMaker
 
+    driver = controller_of(execution.controller)
     if not isinstance(driver, PolicyMaker):
         return
     from planner.hand_loading import load_hand
 
     about = driver.policy.about
     about.check(load_hand(hand) if isinstance(hand, str) else hand)
-    beyond = about.beyond(item(), degrees)
+    physics = physics_of(execution.physics, execution.sim_mu)
+    reality = reality_of(execution.reality, pads=execution.pads)
+    beyond = about.beyond(item(), degrees, physics, reality)
     if beyond:
         say(err, escape(beyond))
 

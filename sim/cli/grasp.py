@@ -19,7 +19,6 @@ from sim.cli.common import (
     PlanArgument,
     check_folder,
     check_policy,
-    controller_of,
     errors_for_people,
     exit_for,
     keep_inputs,
@@ -70,7 +69,7 @@ def run(
     if out_dir is not None:
         make_folder(out_dir)
     execute = trial.trial()
-    check_policy(controller_of(trial.controller), hand, lambda: parse_object(object), None)
+    check_policy(trial, hand, lambda: parse_object(object), None)
     plan = reckoning_with(request, trial.reality).plan(hand, object)
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
@@ -180,7 +179,7 @@ def simulate(
     check_folder(picture)
     keep_inputs(report_file, plan_file)
     plan = one_plan(plan_file)
-    check_policy(controller_of(trial.controller), plan.task.hand, lambda: plan.task.object, None)
+    check_policy(trial, plan.task.hand, lambda: plan.task.object, None)
     report = replace(trial.trial()(plan, picture), command=told_command(context))
     page = None if report_file is None else report_file.with_suffix(".html")
     if report_file is not None and report_file.suffix.lower() in PAGE_SUFFIXES:

@@ -251,8 +251,8 @@ def manipulate(
         hand_name, object_name = hand, object
         axis, degrees, shift = movement(request.rotate, request.shift)
         upright = axis == (0.0, 0.0, 1.0) and not any(shift)
-        driver = controller_of(execution.controller)
-        check_policy(driver, hand, lambda: parse_object(object_name), degrees if upright else None)
+        asked = degrees if upright else None
+        check_policy(execution, hand, lambda: parse_object(object_name, mass=request.mass), asked)
         _execute(
             lambda: reckoning_with(request, execution.reality).plan(hand_name, object_name),
             request.mu,
@@ -268,8 +268,8 @@ def manipulate(
             "of planning out, or --plan"
         )
     plan = _read(plan_file, request.target())
-    driver, degrees = controller_of(execution.controller), math.degrees(plan.angle)
-    check_policy(driver, plan.task.hand, lambda: plan.task.object, degrees)
+    degrees = math.degrees(plan.angle)
+    check_policy(execution, plan.task.hand, lambda: plan.task.object, degrees)
     command = told_command(context)
     _execute(lambda: plan, plan.task.mu, execution, out_dir, as_json, command)
 

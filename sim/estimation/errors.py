@@ -31,11 +31,13 @@ class SensorErrors:
         camera_turn: White noise of a measured rotation, each axis, rad.
         drift: Correlated noise of a measured position, m.
         drift_turn: Correlated noise of a measured rotation, rad.
-        drift_time: Correlation time of both, s.
+        drift_time: Correlation time of what drifts, s.
         joint_offset: Constant offset of a joint, rad.
         joint_scale: Scale error of a joint (-).
         size: Error of all lengths of the object, as a share (-).
         sliding: White noise of a pad's sliding velocity, each axis, m/s.
+        place: Correlated noise of where a pad feels a contact, each axis along the pad, m.
+        touch_age: Largest age of what a pad says, s.
     """
 
     camera: float = 0.001
@@ -47,6 +49,8 @@ class SensorErrors:
     joint_scale: float = 0.0
     size: float = 0.0
     sliding: float = 0.0
+    place: float = 0.0
+    touch_age: float = 0.0
 
     def __post_init__(self) -> None:
         """Check every number."""
@@ -66,4 +70,6 @@ class SensorErrors:
             joint_scale=r.encoder_scale,
             size=r.object_size / math.sqrt(3.0),
             sliding=r.sliding_noise,
+            place=r.touch_place,
+            touch_age=r.touch_delay + (1.0 / r.touch_rate if r.touch_rate else 0.0),
         )

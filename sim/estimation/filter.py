@@ -290,6 +290,8 @@ class PoseFilter:
             stays = b.T_world_base.actInv(a.T_world_base)
             prior = np.array(pin.log6(stays).vector)
             touched = self._table and (a.touching.any() or b.touching.any())
+            if touched and not a.touching.any():
+                dt += self._errors.touch_age  # it may have been pushed before a pad said so
             (along, about), (up, tipping) = (PUSHED, PUSHED_UP) if touched else (STANDING, STANDING)
             tipping = ROLLING if touched and self._shape.ball_like else tipping
         vertical = b.T_world_base.rotation.T @ self._up
@@ -318,7 +320,10 @@ class PoseFilter:
             equations = touch_equations(self._shape, belief, tips, points, self._radii[on], None)
         noise = np.empty(len(equations.residual))
         noise[: len(on)] = trust.distance**2 * lasting * less
-        noise[len(on) :] = trust.normal**2 * lasting * np.repeat(less, 2)[: len(noise) - len(on)]
+        if self.feels:
+            drift = 1.0 + 2.0 * self._errors.drift_time / dt
+            turned = trust.normal**2 * lasting + (self._errors.place / self._radii[on]) ** 2 * drift
+            noise[len(on) :] = np.repeat(turned * less, 2)
         jacobian, residual = equations.jacobian, equations.residual
         spread = ((jacobian @ belief.covariance) * jacobian).sum(axis=1) + noise
         far = np.abs(residual) / (FAR * np.sqrt(spread))

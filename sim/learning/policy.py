@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -36,6 +37,9 @@ from sim.estimation import NONE
 from sim.learning.objects import ObjectRange
 from sim.learning.playback import AIM
 from sim.learning.senses import SENSES, SenseHistory, checked_senses
+from sim.learning.trials import FRICTION, MASS
+from sim.physics import PhysicsOptions
+from sim.reality import Reality
 
 __all__ = [
     "ACTION_SCALE",
@@ -44,11 +48,14 @@ __all__ = [
     "RATE_HZ",
     "Policy",
     "PolicyFor",
+    "errors_told",
     "normalised",
+    "physics_told",
 ]
 
-POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 2
-"""What a file says it is, and the version of its contents. Version 1 had no ``estimator``."""
+POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 3
+"""What a file says it is, and the version of its contents. Version 1 had no ``estimator``; 2 did
+not tell masses, frictions, physics and errors."""
 
 RATE_HZ = 100.0
 """Decisions per second."""
@@ -63,6 +70,12 @@ FAR = 5.0
 SAME_TURN = 0.01
 """Turns (degrees) that differ by less are the same."""
 
+RATES = ("command_rate", "pose_rate", "touch_rate")
+"""Numbers of a reality that are worse if they are smaller; 0 is every time step."""
+
+MOST_TOLD = 3
+"""Errors that a warning names; the others are counted."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyFor:
@@ -76,6 +89,10 @@ class PolicyFor:
         objects: Objects that it was trained on, a dimension ``a..b`` is a range in m.
         angle_deg: Turn that it was trained on, degrees.
         reality: Name of the reality in which it was trained.
+        errors: Its numbers and its sense of touch by their fields; empty if a file does not tell.
+        physics: Numbers of the physics, friction aside; empty if a file does not tell.
+        mass: Least and largest mass of the object, kg.
+        friction: Least and largest sliding friction (-).
         rate_hz: Decisions per second.
         senses: What it is told beside the plan.
         action_scale: Change of a joint target by an action of 1, rad.
@@ -92,6 +109,10 @@ class PolicyFor:
     objects: str
     angle_deg: float
     reality: str
+    errors: Mapping[str, Any] = field(default_factory=dict)
+    physics: Mapping[str, Any] = field(default_factory=dict)
+    mass: tuple[float, float] = MASS
+    friction: tuple[float, float] = FRICTION
     rate_hz: float = RATE_HZ
     senses: tuple[str, ...] = SENSES
     action_scale: float = ACTION_SCALE
@@ -136,13 +157,21 @@ class PolicyFor:
                     f"for {hand.name}: opposable learn {hand.name} {self.objects}"
                 )
 
-    def beyond(self, item: GraspObject, angle_deg: float | None) -> str:
+    def beyond(
+        self,
+        item: GraspObject,
+        angle_deg: float | None,
+        physics: PhysicsOptions | None = None,
+        reality: Reality | None = None,
+    ) -> str:
         """In one line what it was not trained for, "" if there is nothing.
 
         Args:
-            item: The object.
+            item: The object, with its mass.
             angle_deg: Turn about the vertical that is asked for, degrees; None for a movement of
                 another kind, or none.
+            physics: How MuJoCo computes, with the friction; not looked at if None.
+            reality: Errors of sensors, drives and object; not looked at if None.
         """
         beyond = []
         if not ObjectRange(self.objects).holds(item):
@@ -151,12 +180,40 @@ class PolicyFor:
             beyond.append("the movement is no turn about the vertical")
         elif abs(angle_deg - self.angle_deg) > SAME_TURN:
             beyond.append(f"the turn is {angle_deg:g} degrees")
+        if not self.mass[0] <= item.mass <= self.mass[1]:
+            beyond.append(f"the mass is {item.mass:g} kg ({_range(self.mass)})")
+        if physics is not None and not self.friction[0] <= physics.mu <= self.friction[1]:
+            beyond.append(f"the friction is {physics.mu:g} ({_range(self.friction)})")
+        if physics is not None and self.physics and self.physics != physics_told(physics):
+            beyond.append(f"the physics is {physics.label}")
+        larger = [] if reality is None else self._larger_errors(reality)
+        if larger:
+            more = len(larger) - MOST_TOLD
+            told = ", ".join(larger[:MOST_TOLD]) + (f" and {more} more" if more > 0 else "")
+            beyond.append(f"errors are larger than in its training: {told}")
         if not beyond:
             return ""
+        *first, last = beyond
+        told = f"{', '.join(first)} and {last}" if first else last
         return (
             f"the policy was trained for {self.objects} turned by {self.angle_deg:g} degrees, and "
-            f"{' and '.join(beyond)}: expect less of it"
+            f"{told}: expect less of it"
         )
+
+    def _larger_errors(self, reality: Reality) -> list[str]:
+        """Errors of a reality that are larger than any that it was trained with, by name."""
+        if not self.errors:
+            known = reality.ideal or reality.name == self.reality
+            return [] if known else [f"those of {reality.name}, as far as is known"]
+        worse = [
+            f"{name} {value:g}"
+            for name, value in reality.numbers.items()
+            if name != "drift_time" and _worse(name, value, self.errors.get(name, 0.0))
+        ]
+        exact = Reality().touch
+        if reality.touch not in (exact, self.errors.get("touch", exact)):
+            worse.append(f"touch by {reality.touch}")
+        return worse
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -258,14 +315,15 @@ class Policy:
                 f"{path} is no policy, or damaged ({error}); give a file that "
                 "'opposable learn' wrote"
             ) from error
-        if kind != POLICY_FORMAT or version not in (1, POLICY_VERSION):
+        if kind != POLICY_FORMAT or version not in range(1, POLICY_VERSION + 1):
             raise FileFormatError(
                 f"{path} is of format {shown(kind)}, version {shown(version)}; this version reads "
                 f"{POLICY_FORMAT!r}, version {POLICY_VERSION}; train the policy anew"
             )
         try:
-            for name in ("joints", "actuators", "fingers", "senses"):
-                header[name] = tuple(header[name])
+            for name in ("joints", "actuators", "fingers", "senses", "mass", "friction"):
+                if name in header:
+                    header[name] = tuple(header[name])
             about = PolicyFor(**header)
             checked_senses(about.senses)
             count = sum(name.startswith("weights") for name in arrays)
@@ -304,6 +362,26 @@ def normalised(
     """Senses (..., m) in standard deviations from their means (m,), clipped to ``FAR``."""
     x = (senses.astype(np.float32) - mean) / scale
     return np.asarray(np.minimum(np.maximum(x, np.float32(-FAR)), np.float32(FAR)))
+
+
+def physics_told(physics: PhysicsOptions) -> dict[str, Any]:
+    """What a policy's file says of the physics: all numbers but name and friction."""
+    return {k: v for k, v in physics.to_dict().items() if k not in ("name", "mu")}
+
+
+def errors_told(reality: Reality) -> dict[str, Any]:
+    """What a policy's file says of the errors it was trained with."""
+    return {**reality.numbers, "touch": reality.touch}
+
+
+def _worse(name: str, now: float, trained: float) -> bool:
+    if name in RATES:
+        return now > 0 and (trained == 0 or now < trained)
+    return now > trained
+
+
+def _range(ends: tuple[float, float]) -> str:
+    return f"trained with {ends[0]:g} to {ends[1]:g}"
 
 
 def _listed(names: str | tuple[str, ...]) -> str:

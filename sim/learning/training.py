@@ -34,7 +34,14 @@ from sim.estimation import check_estimator
 from sim.learning.collecting import Episode, read_episode, run_episode
 from sim.learning.curves import draw_curves
 from sim.learning.fitting import fit
-from sim.learning.policy import ACTION_SCALE, RATE_HZ, Policy, PolicyFor
+from sim.learning.policy import (
+    ACTION_SCALE,
+    RATE_HZ,
+    Policy,
+    PolicyFor,
+    errors_told,
+    physics_told,
+)
 from sim.learning.senses import checked_senses, columns
 from sim.learning.trials import Plans, TurnTask
 
@@ -198,6 +205,8 @@ def learn(
         objects=task.objects,
         angle_deg=float(np.rad2deg(task.angle)),
         reality=task.reality.name,
+        errors=errors_told(task.reality),
+        physics=physics_told(task.physics),
         rate_hz=RATE_HZ,
         senses=checked_senses(course.senses),
         action_scale=ACTION_SCALE,

@@ -45,6 +45,7 @@ class Drawn:
         torque_constant: (nu,), true over nominal force of each actuator, less 1 (-).
         pose_bias: (3,), constant error of the object's position, m.
         turn_bias: (3,), rotation vector, rad, world axes.
+        touch_scale: (fingers of the hand,), growth of a finger's felt force, less 1 (-).
         size: True over nominal lengths of the object (-).
         mass: True over nominal mass (-).
         center: (3,), centre of mass, as a share of half the extents, object's axes (-).
@@ -56,6 +57,7 @@ class Drawn:
     torque_constant: FloatArray
     pose_bias: FloatArray
     turn_bias: FloatArray
+    touch_scale: FloatArray
     size: float
     mass: float
     center: FloatArray
@@ -82,6 +84,7 @@ class Drawn:
             torque_constant=hand_actuators(hand) * uniform("torque_constant", nu),
             pose_bias=normal("pose_bias", 3),
             turn_bias=normal("turn_bias", 3),
+            touch_scale=uniform("touch_scale", len(hand.fingers)),
             size=1.0 + float(uniform("object_size", 1)[0]),
             mass=1.0 + float(uniform("object_mass", 1)[0]),
             center=uniform("object_center", 3),

@@ -22,6 +22,7 @@ IDEAL = "ideal"
 BELOW_ONE = (
     "encoder_scale",
     "torque_constant",
+    "touch_scale",
     "object_size",
     "object_mass",
     "object_center",
@@ -42,6 +43,7 @@ class Reality:
         encoder_offset: Standard deviation of a joint's constant offset, rad (m for slides).
         encoder_scale: Standard deviation of a joint's scale error (-).
         encoder_noise: Standard deviation of the white noise of a joint's reading, rad.
+        encoder_step: Step in which a joint's reading is given, rad (m for slides).
         rate_noise: Standard deviation of the white noise of a joint's velocity, rad/s.
         backlash: Lost motion between each position servo and its joint, from stop to stop, rad (m
             for slides); motors have none.
@@ -53,7 +55,8 @@ class Reality:
         turn_noise: The same of its rotation, each axis, rad.
         pose_drift: Standard deviation of the correlated noise of the position, each axis, m.
         turn_drift: The same of the rotation, each axis, rad.
-        drift_time: Correlation time of both, s; their autocorrelation is exp(-t / drift_time).
+        drift_time: Correlation time of all that drifts, s: its autocorrelation is
+            exp(-t / drift_time).
         pose_bias: Standard deviation of the constant error of the position, each axis, m.
         turn_bias: The same of the rotation, each axis, rad.
         pose_rate: Rate at which poses are measured, Hz; 0 for every time step.
@@ -62,6 +65,13 @@ class Reality:
         dropout_time: How long they then stay away, s.
         touch_noise: Standard deviation of the force that a finger feels, each axis, N; a finger
             without contact says so without noise.
+        touch_scale: Largest scale error of that force, of each finger, as a share (-).
+        touch_step: Step in which the normal force is given, N.
+        touch_threshold: Normal force below which a finger feels nothing, N.
+        touch_place: Standard deviation of the drifting error of where a finger feels a contact,
+            each axis along its pad, m. Normal and force turn with it about the pad's centre.
+        touch_rate: Rate at which pads are read, Hz; 0 for every time step.
+        touch_delay: Age of a pad's reading when it arrives, s.
         sliding_noise: Standard deviation of a pad's sliding velocity, each axis, m/s.
         object_size: Largest error of all lengths of the object, as a share (-).
         object_mass: Largest error of its mass, as a share (-).
@@ -76,6 +86,7 @@ class Reality:
     encoder_offset: float = 0.0
     encoder_scale: float = 0.0
     encoder_noise: float = 0.0
+    encoder_step: float = 0.0
     rate_noise: float = 0.0
     backlash: float = 0.0
     dry_friction: float = 0.0
@@ -94,6 +105,12 @@ class Reality:
     dropout: float = 0.0
     dropout_time: float = 0.0
     touch_noise: float = 0.0
+    touch_scale: float = 0.0
+    touch_step: float = 0.0
+    touch_threshold: float = 0.0
+    touch_place: float = 0.0
+    touch_rate: float = 0.0
+    touch_delay: float = 0.0
     sliding_noise: float = 0.0
     object_size: float = 0.0
     object_mass: float = 0.0
@@ -204,6 +221,7 @@ SENSED = (
     "encoder_offset",
     "encoder_scale",
     "encoder_noise",
+    "encoder_step",
     "rate_noise",
     "backlash",
     "pose_noise",
@@ -217,6 +235,12 @@ SENSED = (
     "dropout",
     "dropout_time",
     "touch_noise",
+    "touch_scale",
+    "touch_step",
+    "touch_threshold",
+    "touch_place",
+    "touch_rate",
+    "touch_delay",
     "sliding_noise",
 )
 """Errors of sensors and of what stands between them and the joints; the others are of drives and of

@@ -1,17 +1,19 @@
 """``RealSenses``: what the sensors of a laboratory say of what there is.
 
-Joints are read through their encoders. Pads feel forces in the frames of their fingertips, so where
-they act is told by the joints as read. A camera sees the object at its own rate, with noise, drift
-and bias, and late; now and then it does not see it for a while. Each pose has a time stamp. A pose
-is carried on with the hand's base from the moment of its stamp, or from that at which the hand had
-closed; before, the object stands still.
+Joints are read through their encoders. Pads feel forces in the frames of their fingertips, at their
+own rate and late, so where they act is told by the joints as read when it arrives. A camera sees
+the object at its own rate, with noise, drift and bias, and late; now and then it does not see it
+for a while. Each pose has a time stamp. A pose is carried on with the hand's base from the moment
+of its stamp, or from that at which the hand had closed; before, the object stands still.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -19,7 +21,7 @@ import pinocchio as pin
 from planner.contacts import ContactSet
 from planner.errors import TaskError
 from planner.kinematics.state import MovingHand
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, cross
 from planner.task import GraspTask
 from sim.controllers import Observation, Phase
 from sim.controllers.belief import SeenPose
@@ -87,6 +89,15 @@ class _Camera:
     last_sample: float | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Felt:
+    """What pads felt: when, the normal forces, and how the rest is read."""
+
+    time: float
+    normal_forces: FloatArray
+    read: Callable[[], PadReading]
+
+
 class RealSenses:
     """Turns exact observations into what is read; call ``read`` once a time step."""
 
@@ -100,10 +111,14 @@ class RealSenses:
         """
         self._reality, self._drawn = reality, drawn
         self._fingers = task.fingers
-        names = ("encoder_noise", "rate_noise", "touch_noise", "sliding_noise")
+        names = list(task.hand.fingers)
+        self._scale = 1.0 + drawn.touch_scale[[names.index(f.name) for f in task.fingers]]
+        self._centers = np.array([f.pad.center for f in task.fingers])
+        self._radii = np.array([f.pad.radius for f in task.fingers])
+        white = ("encoder_noise", "rate_noise", "touch_noise", "sliding_noise")
         self._rng = {
             name: stream(reality.seed, name)
-            for name in (*names, "pose_noise", "turn_noise", "dropout")
+            for name in (*white, "pose_noise", "turn_noise", "dropout")
         }
         self._drifts = [
             Drift(np.full(3, deviation), reality.drift_time, stream(reality.seed, name))
@@ -112,11 +127,17 @@ class RealSenses:
                 ("turn_drift", reality.turn_drift),
             )
         ]
+        place = np.full(3 * len(task.fingers), reality.touch_place)
+        self._misplaced = Drift(place, reality.drift_time, stream(reality.seed, "touch_place"))
+        self._under_way: deque[_Felt] = deque()
+        self._next_touch = 0.0
+        self._late = reality.touch_rate > 0 or reality.touch_delay > 0
         self._camera = _Camera()
         self._closed: tuple[float, SE3] | None = None  # when, and T_base_world then
         self._sees_exactly = not reality.blurs_pose
         off = drawn.encoder_offset.any() or drawn.encoder_scale.any()
-        self._reads_exactly = not off and reality.backlash == 0.0
+        placed = not off and reality.backlash == 0.0 and reality.touch_place == 0.0
+        self._as_it_is = placed and not self._late
         neutral = task.hand.neutral
         self._true_hand = MovingHand(task.hand, neutral)
         self._read_hand = MovingHand(task.hand, neutral)
@@ -126,20 +147,18 @@ class RealSenses:
         r, n = self._reality, len(truth.q)
         q = truth.q + encoder_error(self._drawn, truth.q) + ahead
         q = q + r.encoder_noise * self._rng["encoder_noise"].standard_normal(n)
+        if r.encoder_step:
+            q = r.encoder_step * np.round(q / r.encoder_step)
         v = truth.v * (1.0 + self._drawn.encoder_scale)
         v = v + r.rate_noise * self._rng["rate_noise"].standard_normal(n)
-        fingers = len(truth.normal_forces)
-        error = r.touch_noise * self._rng["touch_noise"].standard_normal((fingers, 3))
-        slid = r.sliding_noise * self._rng["sliding_noise"].standard_normal((fingers, 3))
-        pressed = truth.normal_forces > 0
-        felt = np.where(pressed, np.maximum(truth.normal_forces + error[:, 0], 0.0), 0.0)
+        felt = self._felt(truth)
         changed = replace(
             truth,
             q=q,
             v=v,
-            normal_forces=felt,
+            normal_forces=felt.normal_forces,
             read_contacts=_no_contacts,
-            read_pads=lambda: self._pads(truth, q, error, slid),
+            read_pads=lambda: self._placed(felt.read(), truth.T_world_base, q),
         )
         if self._sees_exactly:
             return changed
@@ -150,44 +169,79 @@ class RealSenses:
 
     # ---- pads
 
+    def _felt(self, truth: Observation) -> _Felt:
+        """The newest reading of the pads that has arrived; at first the oldest there is."""
+        r, now = self._reality, truth.time
+        fingers = len(truth.normal_forces)
+        error = r.touch_noise * self._rng["touch_noise"].standard_normal((fingers, 3))
+        slid = r.sliding_noise * self._rng["sliding_noise"].standard_normal((fingers, 3))
+        waiting = self._under_way
+        if now >= self._next_touch - TIME_TOL:
+            if r.touch_rate > 0:
+                self._next_touch = (math.floor(now * r.touch_rate + TIME_TOL) + 1) / r.touch_rate
+            since = now - waiting[-1].time if waiting else 0.0
+            aside = self._misplaced.step(since).reshape(fingers, 3)
+
+            def read() -> PadReading:
+                return self._pads(truth, error, slid, aside)
+
+            if self._late:
+                read = partial(_given, read())
+            forces = self._told(truth.normal_forces, error[:, 0])
+            waiting.append(_Felt(time=now, normal_forces=forces, read=read))
+        while len(waiting) > 1 and waiting[1].time <= now - r.touch_delay + TIME_TOL:
+            waiting.popleft()
+        return waiting[0]
+
+    def _told(self, normal_force: FloatArray, error: FloatArray) -> FloatArray:
+        """What pads say of normal forces (n,), with noise (n,), N."""
+        r = self._reality
+        told = np.maximum(self._scale * normal_force + error, 0.0)
+        if r.touch_step:
+            told = r.touch_step * np.round(told / r.touch_step)
+        return np.where((normal_force > 0) & (told >= r.touch_threshold), told, 0.0)
+
     def _pads(
-        self, truth: Observation, q: FloatArray, error: FloatArray, slid: FloatArray
+        self, truth: Observation, error: FloatArray, slid: FloatArray, aside: FloatArray
     ) -> PadReading:
+        """What pads say, in the world as it is, or in their joints' frames if it is carried on."""
         exact = truth.pads
-        pressed = exact.normal_force > 0
-        normal = np.nan_to_num(exact.normal)
-        pressing = np.where(pressed, np.maximum(exact.normal_force + error[:, 0], 0.0), 0.0)
+        if not len(exact.normal_force):  # nothing reads pads here
+            return exact
+        pressing = self._told(exact.normal_force, error[:, 0])
+        there = pressing > 0
+        normal = np.where(there[:, None], np.nan_to_num(exact.normal), 0.0)
         across = np.column_stack([np.zeros(len(error)), error[:, 1:]])
-        change = (pressing - exact.normal_force)[:, None] * normal
-        change += _tangential(across, normal) * pressed[:, None]
+        scaled = self._scale * exact.normal_force
+        force = self._scale[:, None] * exact.force + (pressing - scaled)[:, None] * normal
         noisy = replace(
             exact,
             normal_force=pressing,
-            force=exact.force + change,
-            sliding=exact.sliding + _tangential(slid, normal),
+            force=np.where(there[:, None], force + _tangential(across, normal), 0.0),
+            position=np.where(there[:, None], exact.position, np.nan),
+            normal=np.where(there[:, None], exact.normal, np.nan),
+            sliding=np.where(there[:, None], exact.sliding + _tangential(slid, normal), np.nan),
         )
-        return noisy if self._reads_exactly else self._as_believed(noisy, truth, q)
-
-    def _as_believed(self, pads: PadReading, truth: Observation, q: FloatArray) -> PadReading:
-        """Vectors and places in the world, as they follow from the joints that were read."""
-        true, read = self._true_hand.move(truth.q), self._read_hand.move(q)
-        base = truth.T_world_base
-        moves = [
-            base * read.tip_pose(f) * (base * true.tip_pose(f)).inverse() for f in self._fingers
+        if self._as_it_is:
+            return noisy
+        hand = self._true_hand.move(truth.q)
+        poses = [truth.T_world_base * hand.joint_pose(f.pad.joint_id) for f in self._fingers]
+        local = _moved(noisy, [pose.inverse() for pose in poses])
+        if not self._reality.touch_place:
+            return local
+        turns = cross(local.normal, aside) / self._radii[:, None]
+        about = [
+            SE3(R, c - R @ c)
+            for R, c in zip(map(pin.exp3, np.nan_to_num(turns)), self._centers, strict=True)
         ]
-        turns = np.array([m.rotation for m in moves])
-        shifts = np.array([m.translation for m in moves])
+        return _moved(local, about)
 
-        def turned(rows: FloatArray) -> FloatArray:
-            return np.asarray((turns @ rows[:, :, None])[:, :, 0])
-
-        return replace(
-            pads,
-            force=turned(pads.force),
-            position=turned(pads.position) + shifts,
-            normal=turned(pads.normal),
-            sliding=turned(pads.sliding),
-        )
+    def _placed(self, felt: PadReading, T_world_base: SE3, q: FloatArray) -> PadReading:
+        """Vectors and places in the world, as they follow from the joints (nq,) that were read."""
+        if self._as_it_is or not len(felt.normal_force):
+            return felt
+        hand = self._read_hand.move(q)
+        return _moved(felt, [T_world_base * hand.joint_pose(f.pad.joint_id) for f in self._fingers])
 
     # ---- the object's pose
 
@@ -244,6 +298,27 @@ class RealSenses:
         turned = pin.log3(T_new.rotation @ T_old.rotation.T)
         moved = T_new.translation - T_old.translation
         return np.concatenate([moved, turned]) / (new.time - old.time)
+
+
+def _given(reading: PadReading) -> PadReading:
+    return reading
+
+
+def _moved(pads: PadReading, moves: Sequence[SE3]) -> PadReading:
+    """A reading of n pads, each moved."""
+    turns = np.array([m.rotation for m in moves])
+    shifts = np.array([m.translation for m in moves])
+
+    def turned(rows: FloatArray) -> FloatArray:
+        return np.asarray((turns @ rows[:, :, None])[:, :, 0])
+
+    return replace(
+        pads,
+        force=turned(pads.force),
+        position=turned(pads.position) + shifts,
+        normal=turned(pads.normal),
+        sliding=turned(pads.sliding),
+    )
 
 
 def _no_contacts() -> ContactSet:

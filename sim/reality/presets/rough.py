@@ -2,7 +2,8 @@
 
 Pose noise is white and drifts besides: half as much again, over 1 s, as the estimate of a marker
 does when the hand turns in the light. A camera loses the object behind a finger about once in 3 s
-(2 % of 15 poses a second) for 0.2 s. Commands go over a bus of 250 Hz and act 4 ms late.
+(2 % of 15 poses a second) for 0.2 s. Commands go over a bus of 250 Hz and act 4 ms late. Pads are
+those of ``lab``, with more noise.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ PRESET = register_reality(
         encoder_offset=math.radians(3.0),
         encoder_scale=0.01,
         encoder_noise=math.radians(0.1),
+        encoder_step=math.radians(0.1),
         rate_noise=0.02,
         dry_friction=0.04,
         torque_constant=0.1,
@@ -34,6 +36,12 @@ PRESET = register_reality(
         dropout=0.02,
         dropout_time=0.2,
         touch_noise=0.05,
+        touch_scale=0.1,
+        touch_step=0.01,
+        touch_threshold=0.05,
+        touch_place=0.0006,
+        touch_rate=100.0,
+        touch_delay=0.01,
         sliding_noise=0.002,
         object_size=0.02,
         object_mass=0.3,
