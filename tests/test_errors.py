@@ -39,14 +39,14 @@ def test_a_value_in_a_message_costs_nothing_and_is_short() -> None:
         assert len(errors.shown(value)) <= errors.MOST_SHOWN
         assert len(str(PlannerError(errors.shown(value) * 10**4))) <= errors.MOST_MESSAGE + 5
     assert time.process_time() - begin < 2.0
-    for value in (1.5, "text", [1, 2], {"a": (1, None)}, np.nan):
-        assert errors.shown(value) == repr(value)
+    for plain in (1.5, "text", [1, 2], {"a": (1, None)}, np.nan):
+        assert errors.shown(plain) == repr(plain)
 
 
 def test_readers_of_plain_data_show_no_value_whole() -> None:
     begin = time.process_time()
     doors = (
-        lambda: shape_from_dict(aliased()),  # type: ignore[arg-type]
+        lambda: shape_from_dict(aliased()),
         lambda: shape_from_dict({"kind": aliased()}),
         lambda: checked_file(PlanFile, {"format": aliased()}, "a file"),
         lambda: checked_file(PlanFile, {"format": "opposable-plan", "version": aliased()}, "a"),

@@ -54,7 +54,7 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "TaskError: 2 finger(s)",
         "no hand is called 'alegro_hand'. Did you mean 'allegro_hand'?",
         "Did you mean 'thumb'?",
-        "mass is -0.1; give kg > 0",
+        "mass is -0.1; give a finite number > 0 in kg",
         "NoGraspFoundError: no grasp of box with allegro_hand",
         "attempt 0: forces:",
     ),

@@ -112,7 +112,7 @@ def test_all_ranges_of_an_object_are_drawn_together() -> None:
 def test_a_range_that_ends_below_its_beginning_is_told_the_other_way_round() -> None:
     with pytest.raises(ObjectError, match=r"0\.07\.\.0\.05 .* give 0\.05\.\.0\.07"):
         ObjectRange("box:0.07..0.05x0.05x0.08")
-    with pytest.raises(ObjectError, match=r"radius is -0.03; give metres > 0"):
+    with pytest.raises(ObjectError, match=r"radius is -0.03; give a finite number > 0 in m"):
         ObjectRange("cylinder:-0.03..0.02x0.08")
 
 

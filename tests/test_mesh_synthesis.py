@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 from itertools import islice, product
@@ -341,7 +341,7 @@ BLOCKS = ((0, 0, 0), (1, 0, 0), (2, 0, 0), (1, 1, 0), (1, 0, 1))
 """Cubes of a solid with outer and inner edges all over."""
 
 
-def blocks_mesh(cells: Iterable[tuple[int, int, int]], size: float) -> Mesh:
+def blocks_mesh(cells: Collection[tuple[int, ...]], size: float) -> Mesh:
     """A solid of cubes that touch by whole faces."""
     squares = []
     for cell, axis, side in product(cells, range(3), (0, 1)):

@@ -198,7 +198,7 @@ def test_it_is_seen_in_a_simulation(cone: type[Cone]) -> None:
         ("kind", "sphere", "is Sphere already"),
         ("kind", "My Cone", "one word"),
         ("default_sizes", (0.1,), "one for each of radius, height"),
-        ("default_sizes", (0.1, -1.0), "give metres > 0"),
+        ("default_sizes", (0.1, -1.0), "give a finite number > 0 in m"),
     ],
 )
 def test_what_cannot_be_registered_is_refused(attribute: str, value: Any, message: str) -> None:
