@@ -34,7 +34,7 @@ from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
-from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 
@@ -351,6 +351,36 @@ def test_another_unit_or_order_is_named(
 
 def _for(task: GraspTask, hand: Hand) -> GraspTask:
     return GraspTask.create(hand, task.object, table_height=None)
+
+
+def test_inverted_poses_are_named(good: Good, tmp_path: Path) -> None:
+    task, _, given = good
+    rows = list(csv.reader(given.source.read_text().splitlines()))
+    x, w = rows[0].index("x_m"), rows[0].index("qw")
+    for row in rows[1:]:
+        pose = pose_from_wxyz(np.array(row[x : x + 3], float), np.array(row[w : w + 4], float))
+        position, quat = pose_to_wxyz(pose.inverse())
+        row[x : x + 3] = [repr(float(v)) for v in position]
+        row[w : w + 4] = [repr(float(v)) for v in quat]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    with pytest.raises(FileFormatError, match="with the inverse of each pose"):
+        audit_file(path, lambda hand: _for(task, hand), task.hand)
+
+
+def test_a_file_that_mixes_hands_is_named(good: Good, tmp_path: Path) -> None:
+    """Half of its rows are of the left hand, mirrored grasps: each passes with its own hand."""
+    task, _, given = good
+    left = load_hand("allegro_hand_left")
+    plans = [plan_grasp(_for(task, left), seed=seed) for seed in range(len(given))]
+    write_table(plans, tmp_path / "left.csv", Writing())
+    head, *mine = given.source.read_text().splitlines()
+    _, *theirs = (tmp_path / "left.csv").read_text().splitlines()
+    both = "\n".join([head, *mine, *theirs]) + "\n"
+    path = tmp_path / "both.csv"
+    path.write_text(both.replace("allegro_hand_left", "").replace("allegro_hand", ""))
+    with pytest.raises(FileFormatError, match="mixes hands: .* allegro_hand_left"):
+        audit_file(path, lambda hand: _for(task, hand), task.hand)
 
 
 def test_the_other_hand_is_named(good: Good, tmp_path: Path) -> None:

@@ -1,9 +1,9 @@
-"""Whether a file was read as it was meant: unit, order of quaternions, hand.
+"""Whether a file was read as it was meant: unit, order of quaternions, frame, hand.
 
-Poses in millimetres, quaternions in the other order and the other hand give numbers that look as
-good as any. They show where the hand is: under the wrong reading the pads of no grasp are near the
-object, under the right one those of most are. Nothing is decided here: the error says what to
-give. ``audit`` and ``refine`` read files through it.
+Poses in millimetres, quaternions in the other order, inverted poses and the other hand give numbers
+that look as good as any. They show where the hand is: under the wrong reading the pads of no grasp
+are near the object, under the right one those of most are. Nothing is decided here: the error says
+what to give. ``audit`` and ``refine`` read files through it.
 """
 
 from __future__ import annotations
@@ -78,10 +78,11 @@ def _need_right_reading(
     """Refuse a file whose hand is nowhere near the object, and would be in another reading."""
     near = [_share_near(judge, given, *sign) for sign in SIGNS]
     if min(near) > FEW:
+        _need_one_hand(file, judge, given, task_for)
         return
     for said, hand, other in _others(judge.task.hand, file.reading):
         try:
-            again = file.grasps(hand, other)
+            again = _inverted(given) if other is None else file.grasps(hand, other)
             mine = judge if hand is judge.task.hand else Judge(task_for(hand), **judge.how)
             shares = [_share_near(mine, again, *sign) for sign in SIGNS]
         except PlannerError:  # this reading cannot be, and another one may
@@ -103,8 +104,45 @@ def _share_near(judge: Judge, given: GivenGrasps, within: float, count: int) -> 
     return float(np.mean(near)) if near else 1.0
 
 
-def _others(hand: Hand, reading: Reading) -> Iterator[tuple[tuple[str, str], Hand, Reading]]:
-    """Other readings, each with what it assumes and what to do then."""
+def _need_one_hand(
+    file: GraspFile, judge: Judge, given: GivenGrasps, task_for: Callable[[Hand], GraspTask]
+) -> None:
+    """Refuse a file some of whose grasps are those of the hand on the other side."""
+    (within, count), mirrored = SIGNS[0], _mirrored(judge.task.hand)
+    looked_at = given.grasps[:: max(1, len(given) // LOOKED_AT)][:LOOKED_AT]
+    far = [k for k, grasp in enumerate(looked_at) if judge.near_pads(grasp, within) < count]
+    if mirrored is None or len(far) <= FEW * len(looked_at):
+        return
+    try:
+        hand = load_hand(mirrored)
+        other, again = Judge(task_for(hand), **judge.how), file.grasps(hand).grasps
+    except PlannerError:  # that hand cannot be meant
+        return
+    seen = again[:: max(1, len(again) // LOOKED_AT)]
+    theirs = [seen[k].name for k in far if other.near_pads(seen[k], within) >= count]
+    if len(theirs) >= ENOUGH * len(far):
+        raise FileFormatError(
+            f"{file.path} mixes hands: of the grasps looked at, {len(looked_at)} of {len(given)}, "
+            f"{len(theirs)} touch the object with {mirrored} and not with "
+            f"{judge.task.hand.name}, {theirs[0]} the first of them; give a file per hand"
+        )
+
+
+def _inverted(given: GivenGrasps) -> GivenGrasps:
+    """The grasps with the poses that they have if what stands in the file is the object's."""
+    grasps = [replace(g, T_object_base=g.T_object_base.inverse()) for g in given.grasps]
+    return replace(given, grasps=tuple(grasps))
+
+
+def _mirrored(hand: Hand) -> str | None:
+    """Name of the hand on the other side; None where there is none."""
+    name = hand.name.removesuffix("_left")
+    mirrored = name if name != hand.name else f"{hand.name}_left"
+    return mirrored if mirrored in hand_names() else None
+
+
+def _others(hand: Hand, reading: Reading) -> Iterator[tuple[tuple[str, str], Hand, Reading | None]]:
+    """Other readings, each with what it assumes and what to do then; None for inverted poses."""
     unit = reading.unit or 1.0
     if unit == 1.0:
         said = "with lengths in millimetres", "give --unit mm"
@@ -114,8 +152,8 @@ def _others(hand: Hand, reading: Reading) -> Iterator[tuple[tuple[str, str], Han
     order = "wxyz" if reading.quaternion == "xyzw" else "xyzw"
     said = f"with quaternions in the order {order}", f"give --quaternion {order}"
     yield said, hand, replace(reading, quaternion=order)
-    name = hand.name.removesuffix("_left")
-    mirrored = name if name != hand.name else f"{hand.name}_left"
-    if mirrored in hand_names():
+    said = "with the inverse of each pose", "give poses of the hand's base in the object's frame"
+    yield said, hand, None
+    if mirrored := _mirrored(hand):
         said = f"for {mirrored}", f"give --hand {mirrored}"
         yield said, load_hand(mirrored), reading
