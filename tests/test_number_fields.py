@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -289,7 +290,7 @@ def test_every_dataclass_with_numbers_to_choose_is_in_the_table() -> None:
             if not any("dataclass" in ast.unparse(d) for d in node.decorator_list):
                 continue
             chosen = [
-                a.target.id  # type: ignore[attr-defined]
+                ast.unparse(a.target)
                 for a in node.body
                 if isinstance(a, ast.AnnAssign) and a.value is not None
                 if ast.unparse(a.annotation).startswith(KINDS)
@@ -298,13 +299,15 @@ def test_every_dataclass_with_numbers_to_choose_is_in_the_table() -> None:
 
 
 def test_limits_of_a_real_hand_cannot_be_lost_to_a_period(allegro: Hand) -> None:
-    for period in (-1.0, 0.0, np.inf, np.nan, 1e-300, np.ones(2), "1"):
+    periods: tuple[Any, ...] = (-1.0, 0.0, np.inf, np.nan, 1e-300, np.ones(2), "1")
+    for period in periods:
         with pytest.raises(TaskError, match="the period is"):
             CommandLimiter(CommandLimits(), allegro.actuation, period, allegro.q_lower)
     for name in ("loss", "damage", "latency", "jitter"):
         for value in (-0.1, np.inf, np.nan, 1j):
+            wrong: dict[str, Any] = {name: value}
             with pytest.raises(TaskError, match=f"{name} is"):
-                LossyLink(**{name: value})
+                LossyLink(**wrong)
 
 
 def pads(**changed: Any) -> PadReading:
@@ -333,7 +336,8 @@ def test_wrong_shapes_and_sizes_at_other_doors_are_named(allegro: Hand) -> None:
     points = np.random.default_rng(0).normal(size=(3, 3))
     contacts = ContactSet.from_arrays(points, -points)
     state = HandState(allegro, np.zeros(allegro.nq))
-    wrongs = {
+    masked: Any = np.ma.masked_array([0.5] * 3, mask=[True, False, False])
+    wrongs: dict[str, Callable[[], object]] = {
         "axis is": lambda: ObjectPath(axis=(0, 0), angle=1.0, shift=np.zeros(3)),  # type: ignore[arg-type]
         "place has shape": lambda: check_place([]),
         "place is": lambda: check_place((0.0, 1e300)),
@@ -343,9 +347,9 @@ def test_wrong_shapes_and_sizes_at_other_doors_are_named(allegro: Hand) -> None:
         "joint_ids are": lambda: state.point_jacobians(np.array([99]), np.zeros((1, 3))),
         "points have shape": lambda: state.point_jacobians(np.array(1.5), np.zeros((1, 3))),
         "1e154": lambda: contact_frames(points * 1e300),
-        "normals are": lambda: contact_frames([[10**400, 0, 0]]),
+        "normals are": lambda: contact_frames(np.array([[10**400, 0, 0]], dtype=object)),
         "radius is": lambda: SHAPES["sphere"].from_sizes([10**400]),
-        "mu is": lambda: contacts.with_friction(np.ma.masked_array([0.5] * 3, mask=[1, 0, 0])),
+        "mu is": lambda: contacts.with_friction(masked),
     }
     for message, wrong in wrongs.items():
         with pytest.raises(PlannerError, match=message):
