@@ -379,7 +379,7 @@ def test_a_file_that_mixes_hands_is_named(good: Good, tmp_path: Path) -> None:
     both = "\n".join([head, *mine, *theirs]) + "\n"
     path = tmp_path / "both.csv"
     path.write_text(both.replace("allegro_hand_left", "").replace("allegro_hand", ""))
-    with pytest.raises(FileFormatError, match="mixes hands: .* allegro_hand_left"):
+    with pytest.raises(FileFormatError, match=r"mixes hands: .* allegro_hand_left"):
         audit_file(path, lambda hand: _for(task, hand), task.hand)
 
 

@@ -23,6 +23,7 @@ from planner.exchange.pickles import Budget, load_pickle
 __all__ = [
     "ARRAY_SUFFIXES",
     "MOST_BYTES",
+    "OWN_BYTES",
     "checked_small",
     "is_torch",
     "read_array_file",
@@ -37,6 +38,10 @@ ARRAY_SUFFIXES = (".npy", ".npz", ".pkl", ".pickle", ".pt", ".pth")
 MOST_BYTES = 1 << 27
 """Largest file (bytes), and half of the memory that an archive may take: a process that has loaded
 all packages (205 MB) refuses a file at its last byte with less than 500 MB."""
+
+OWN_BYTES = 1 << 30
+"""The same of logs and states, which we write and nobody may find too large to be read: 3.5 hours
+at 500 Hz, two million states. A hostile file may cost as much."""
 
 MOST_MEMBERS = 4096
 """Most arrays of an archive (-): each costs 0.1 ms, whatever its size."""
@@ -73,9 +78,9 @@ def read_npy(path: Path) -> NDArray[Any]:
     return _npy(_bytes(path), str(path))
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of an ``.npz`` file; raises as ``read_array_file``."""
-    return _npz(_bytes(path), path)
+def read_npz(path: Path, most: int = MOST_BYTES) -> dict[str, NDArray[Any]]:
+    """The arrays of an ``.npz`` file of at most so many bytes; raises as ``read_array_file``."""
+    return _npz(_bytes(path, most), path, most)
 
 
 def checked_small(array: NDArray[Any], what: str) -> NDArray[Any]:
@@ -97,13 +102,13 @@ def is_torch(data: bytes) -> bool:
     return _TORCH_MAGIC in data[:64]
 
 
-def _bytes(path: Path) -> bytes:
+def _bytes(path: Path, most: int = MOST_BYTES) -> bytes:
     """All of a file, if it is not too large and not PyTorch's."""
     if not path.is_file():
         raise NotFoundError("file", str(path), (), "give the path of a file", is_path=True)
-    if (size := path.stat().st_size) > MOST_BYTES:
+    if (size := path.stat().st_size) > most:
         raise FileFormatError(
-            f"{path} has {size} bytes and {MOST_BYTES} are read; split it into several files"
+            f"{path} has {size} bytes and {most} are read; split it into several files"
         )
     try:
         data = path.read_bytes()
@@ -162,7 +167,7 @@ def _directory_bytes(data: bytes) -> int:
     return int.from_bytes(data[end + 12 : end + 16], "little")
 
 
-def _npz(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
+def _npz(data: bytes, path: Path, most: int = MOST_BYTES) -> dict[str, NDArray[Any]]:
     """The arrays of the bytes of an ``.npz`` file."""
     budget = Budget()
     try:
@@ -182,10 +187,9 @@ def _npz(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
             packs = [m.file_size for m in members if m.compress_type != zipfile.ZIP_STORED]
             # what is unpacked is there twice for a moment
             size = len(data) + sum(m.file_size for m in members) + max(packs, default=0)
-            if size > 2 * MOST_BYTES:
+            if size > 2 * most:
                 raise FileFormatError(
-                    f"{path} takes {size} bytes to unpack and {2 * MOST_BYTES} are "
-                    "allowed; split it"
+                    f"{path} takes {size} bytes to unpack and {2 * most} are allowed; split it"
                 )
             if any(m.filename.endswith("data.pkl") for m in members):
                 raise FileFormatError(

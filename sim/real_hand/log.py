@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import FileFormatError, NotFoundError
-from planner.exchange.array_files import checked_small, read_npz
+from planner.exchange.array_files import OWN_BYTES, checked_small, read_npz
 from planner.files.whole import whole_file
 from planner.spatial import FloatArray, pose_to_wxyz
 from sim.controllers.pads import PadReading
@@ -221,7 +221,7 @@ def read_log(path: Path | str) -> HandLog:
     """
     path = Path(path)
     try:
-        arrays: dict[str, NDArray[Any]] = read_npz(path)
+        arrays: dict[str, NDArray[Any]] = read_npz(path, OWN_BYTES)
     except NotFoundError as error:
         raise FileFormatError(f"{path} does not exist; give a log of a hand (.npz)") from error
     except FileFormatError as error:

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from planner.errors import FileFormatError, PlannerError, TaskError
-from planner.exchange.array_files import checked_small, read_npz
+from planner.exchange.array_files import OWN_BYTES, checked_small, read_npz
 from planner.files.whole import whole_file
 from planner.spatial import FloatArray, IntArray
 from planner.version import written_by
@@ -149,7 +149,7 @@ class StateSet:
             FileFormatError: It cannot be read, is something else, or of another version.
         """
         try:
-            content = read_npz(Path(path))
+            content = read_npz(Path(path), OWN_BYTES)
             for name in (*_TEXTS, *_NAMES, "format", "version", "scale"):
                 if name in content:
                     checked_small(content[name], name)
