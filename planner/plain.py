@@ -11,6 +11,9 @@ import numpy as np
 
 __all__ = ["finite", "short_repr", "without_prefix"]
 
+LARGEST_FLOAT = 1e12
+"""Largest number of a file, either sign: products of several are finite."""
+
 SHORT = 200
 """Characters of a repr: two lines of a terminal."""
 
@@ -25,6 +28,8 @@ def short_repr(thing: object) -> str:
 def finite(value: Any) -> Any:
     """Plain data of a value: lists for arrays and tuples, None for a number that is not finite.
 
+    A number beyond ``LARGEST_FLOAT`` becomes that.
+
     Args:
         value: A number, an array, or mappings and sequences of these; anything else is kept.
     """
@@ -35,7 +40,8 @@ def finite(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return finite(value.tolist())
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        # a diverged simulation has larger ones, which no file may hold
+        return max(-LARGEST_FLOAT, min(LARGEST_FLOAT, value)) if math.isfinite(value) else None
     return value
 
 

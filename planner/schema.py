@@ -11,15 +11,16 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from planner.errors import shown
+from planner.plain import LARGEST_FLOAT
 
-__all__ = ["LARGEST_FLOAT", "StrictData", "faults_of"]
+__all__ = ["StrictData", "faults_of"]
 
 MOST_FAULTS = 5
 """Most faults in one message; the rest usually follow from these."""
 
 
-LARGEST_FLOAT, LARGEST_INT = 1e12, 2**64
-"""Largest numbers of a file, either sign: products of several are finite, and seeds fit."""
+LARGEST_INT = 2**64
+"""Largest whole number of a file, either sign: seeds fit."""
 
 
 class StrictData(BaseModel):

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError
-from planner.plain import finite
+from planner.plain import LARGEST_FLOAT, finite
 from planner.quality import closure_of_wrenches
 from planner.quality.cones import contact_wrenches
 from planner.schema import StrictData
@@ -321,6 +321,7 @@ def _rounded(values: FloatArray, decimals: int) -> Any:
     """Lists of rounded numbers, None for what is not finite; no negative zero."""
     rounded = np.round(values, decimals) + 0.0
     known = np.isfinite(rounded)
+    rounded = np.clip(rounded, -LARGEST_FLOAT, LARGEST_FLOAT)  # as ``finite``
     if known.all():
         return rounded.tolist()
     out = rounded.astype(object)

@@ -52,7 +52,11 @@ def read(folder: str) -> None:
     import numpy as np
 
     for path in sorted(glob.glob(os.path.join(folder, "**", "*.npy"), recursive=True)):
-        data = np.load(path, allow_pickle=True).item()
+        try:
+            data = np.load(path, allow_pickle=True).item()
+        except (EOFError, OSError, ValueError):  # cut off by an interruption: it is made again
+            os.remove(path)
+            continue
         row = {k: float(v) for k, v in data.items() if np.ndim(v) == 0 and not isinstance(v, str)}
         print(json.dumps({"file": os.path.relpath(path, folder), **row}))
 

@@ -134,7 +134,7 @@ def look_at(job: HandJob, check: Check) -> Row:
 
 
 def _hand(job: HandJob) -> Hand:
-    """The hand; where its base has to be said, from the file that ``describe --base`` writes."""
+    """The hand; where its base has to be said, from the file that ``describe --base-body`` writes."""
     if not job.model.base:
         return load_hand(job.path)
     with TemporaryDirectory() as folder:
@@ -190,7 +190,8 @@ def _grasp(job: HandJob, hand: Hand, objects: Sequence[str], check: Check) -> Ro
     failed = [t for t in tries if not job.every or _shape(t["object"]) in missing]
     found = [t for t in failed if t["found"]]
     status = "did not hold" if found else "no grasp found"
-    reason = ", ".join([*sorted(missing), (found or failed)[0]["reason"]])
+    last = (found or failed)[0]["reason"] if failed else "not tried in the CPU time"
+    reason = ", ".join([*sorted(missing), last])
     return {"status": status, "reason": reason, "tries": tries, "picture": picture}
 
 
@@ -262,7 +263,7 @@ def run_zoo(
     ]
     asked = {"format": f"{FORMAT}-rows", "version": 1, "cpu_s": cpu_s}
     asked["hands"] = [model.name for model in models]
-    asked["every"] = every
+    asked |= {"every": True} if every else {}
     return measure(
         runner,
         look_at,

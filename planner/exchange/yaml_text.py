@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import FileFormatError, TaskError, shown
-from planner.schema import LARGEST_FLOAT
+from planner.plain import LARGEST_FLOAT
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
 __all__ = [

@@ -117,9 +117,7 @@ ViewOption = Annotated[
 ]
 VerboseOption = Annotated[
     bool,
-    typer.Option(
-        "--verbose", help="Print what explains the verdict too: plan, physics, events.", metavar=""
-    ),
+    typer.Option("--verbose", help="Print what explains the verdict too.", metavar=""),
 ]
 VideoOption = Annotated[
     Path | None,

@@ -62,8 +62,9 @@ def describe(
     from planner.pages.notebook import postures_picture
 
     check_folder(output)
-    if output is not None and output.exists() and not force:
-        raise FileFormatError(f"{output} exists already; name another file, or give --force")
+    for file in () if output is None else (output, output.with_suffix(".png")):
+        if file.exists() and not force:
+            raise FileFormatError(f"{file} exists already; name another file, or give --force")
     with err.status(f"reading {escape(model)}: kinematics, tips, collisions ..."):
         proposal = propose(model, name=name, base_body=base_body)
     if output is None:
@@ -75,10 +76,10 @@ def describe(
     write_proposal(proposal, output, overwrite=force)
     for question in proposal.open_questions:
         say(err, f"[bold]to do:[/] {escape(question)}")
+    say(out, escape(f"wrote {output}; now: opposable check-hand {output}"))
     picture = output.with_suffix(".png")
     picture.write_bytes(postures_picture(load_hand(output)))
-    say(out, escape(f"wrote {output} and a picture of its postures, {picture}"))
-    say(out, escape(f"now: opposable check-hand {output}"))
+    say(out, escape(f"its postures are drawn in {picture}"))
 
 
 @errors_for_people()

@@ -81,6 +81,7 @@ def advice_for_size(
     pose: int | None,
     options: SynthesisOptions,
     seed: int = 0,
+    max_attempts: int = QUICK,
     progress: Callable[[Attempt[GraspPlan]], object] | None = None,
 ) -> str | None:
     """Another pose or the nearest size that a few attempts grasp: a sentence, or None.
@@ -90,10 +91,11 @@ def advice_for_size(
         pose: Which stable pose the object is in; None where it is in another one, or stands free.
         options: What synthesis was asked for.
         seed: Of the search that failed.
+        max_attempts: Of that search: no more are made for each pose and size.
         progress: Called after every attempt.
     """
     for remedy, other in (*_other_poses(task, pose), *_sizes(task)):
-        if _is_found(other, QUICK, seed, options, progress):
+        if _is_found(other, min(QUICK, max_attempts), seed, options, progress):
             return remedy
     return None
 
@@ -106,12 +108,12 @@ def _is_found(
     progress: Callable[[Attempt[GraspPlan]], object] | None,
 ) -> bool:
     """Whether so many attempts find a grasp."""
-    from planner.errors import NoGraspFoundError, TaskError
+    from planner.errors import PlannerError
     from planner.search import plan_grasp
 
     try:
         plan_grasp(task, seed=seed, max_attempts=budget, options=options, progress=progress)
-    except (NoGraspFoundError, TaskError):  # TaskError: too wide so, or an obstacle in the way
+    except PlannerError:  # none found; too wide so, or an obstacle in the way
         return False
     return True
 
@@ -139,7 +141,7 @@ def _sizes(task: GraspTask) -> Iterator[tuple[str, GraspTask]]:
                 name = other.spec
             elif isinstance(shape, Mesh) and shape.source is not None:
                 other = Mesh(factor * shape.vertices, shape.faces)
-                name = f"{shape.source.path.name}*{factor * shape.source.scale:g}"
+                name = f"{shape.source.path}*{factor * shape.source.scale:g}"
             else:
                 return
             pose, table = task.T_world_object.copy(), task.table_height

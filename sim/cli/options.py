@@ -269,11 +269,16 @@ class BestOptions(PlanOptions):
                 )
                 if advice is not None:
                     raise said_of_low(error, task, advice) from error
-                if task.object.touch is not None:
+                if task.object.touch is not None or self.max_cpu_s is not None:
                     raise
                 status.update("planning: whether another pose or size would be grasped ...")
                 advice = advice_for_size(
-                    task, pose=standing, options=options, seed=self.seed, progress=show
+                    task,
+                    pose=standing,
+                    options=options,
+                    seed=self.seed,
+                    max_attempts=self.max_attempts or DEFAULT_MAX_ATTEMPTS,
+                    progress=show,
                 )
                 if advice is None:
                     raise

@@ -188,7 +188,9 @@ def _write_pages(
     written = []
     for outcome in report.outcomes:
         moved = outcome.recording is not None and len(outcome.recording) > 0
-        if not moved or (which == "failures" and (outcome.held or outcome.grows)):
+        if not moved or (
+            which == "failures" and ((outcome.held and not outcome.other_grasp) or outcome.grows)
+        ):
             continue
         path = stem.with_name(f"{stem.name}-{outcome.index:03d}-{plain_name(outcome.name)}.html")
         write_page(outcome_page(report, outcome, plan, command), path)

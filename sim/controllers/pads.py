@@ -17,6 +17,9 @@ from planner.spatial import FloatArray
 
 __all__ = ["CREEP", "PadReading"]
 
+ZERO_NOISE = 0.1
+"""How far (N) below 0 a pad without contact may read: pads are zeroed, and drift by some 0.03 N."""
+
 CREEP = 0.01
 """Sliding per spin (m): a soft finger that spins under a tangential force creeps along it, far
 inside its cone. With the ellipsoidal limit surface it does so by (a / mu) mu_torsion /
@@ -52,14 +55,19 @@ class PadReading:
     def __post_init__(self) -> None:
         """Check shapes and signs; whether numbers are finite is for whoever reads a hand.
 
+        A pad that was zeroed reads a little below 0 without contact (``ZERO_NOISE``): that is 0.
+
         Raises:
-            ContactError: Another shape, or a normal force below 0.
+            ContactError: Another shape, or a normal force further below 0.
         """
-        shape = np.shape(self.normal_force)
-        if len(shape) != 1 or np.any(self.normal_force < 0.0):
+        pressed = np.asarray(self.normal_force)
+        shape = pressed.shape
+        if len(shape) != 1 or np.any(pressed < -ZERO_NOISE):
             raise ContactError(
-                f"the normal forces of pads are {shown(self.normal_force)}; give (n,) numbers >= 0"
+                f"the normal forces of pads are {shown(self.normal_force)}; give (n,) numbers >= 0 "
+                f"in N ({ZERO_NOISE:g} N below is noise)"
             )
+        object.__setattr__(self, "normal_force", np.maximum(pressed, 0.0))
         for name in ("force", "position", "normal", "sliding"):
             if np.shape(getattr(self, name)) != (*shape, 3):
                 given = np.shape(getattr(self, name))

@@ -79,11 +79,18 @@ def stated_velocities(source: Source) -> dict[str, float] | None:
     if root.tag != "robot":
         return None
     limits = {j.get("name", ""): j.find("limit") for j in root.findall("joint")}
-    return {
-        name: float(limit.get("velocity", "inf"))
-        for name, limit in limits.items()
-        if limit is not None
-    }
+    out = {}
+    for name, limit in limits.items():
+        if limit is None:
+            continue
+        text = limit.get("velocity", "inf")
+        try:
+            out[name] = float(text)
+        except ValueError as error:
+            raise ModelError(
+                f"{source.path}: the velocity limit of joint {name!r} is {text!r}; give a number"
+            ) from error
+    return out
 
 
 def _compiled(model: Any) -> Source:

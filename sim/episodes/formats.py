@@ -43,7 +43,8 @@ class Asked:
     def __post_init__(self) -> None:
         """Check every number."""
         check_fields(self, ("fps",), least=1, most=MOST_FPS)
-        width, height = self.size if isinstance(self.size, tuple) and len(self.size) == 2 else "??"
+        pair = isinstance(self.size, tuple | list) and len(self.size) == 2
+        width, height = self.size if pair else "??"
         for name, pixels in (("width", width), ("height", height)):
             checked_count(f"the film's {name}", pixels, least=1, most=MOST_PIXELS, error=TaskError)
 

@@ -224,6 +224,7 @@ class ArmMover(ArmCarrier):
 
     def go(self, T_world_base: SE3, duration: float) -> None:
         """From where it was sent last straight to a pose, in a time (s)."""
+        self.fault = ""
         q = self._q_grasp.copy()
         q[self._hand.arm_index] = self._way[-1]
         goal = self._root.inverse() * T_world_base * self._T_root_palm

@@ -20,6 +20,7 @@ import mujoco
 from planner.arrays import checked_number
 from planner.contacts import MOST_FRICTION
 from planner.errors import TaskError, shown
+from planner.plain import finite
 from planner.spatial import FloatArray
 
 __all__ = [
@@ -202,8 +203,7 @@ class PhysicsOptions:
 
     def to_dict(self) -> dict[str, Any]:
         """Label (as "name") and all numbers as plain data, by the names of the fields."""
-        data = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
-        return {**data, "name": self.label}
+        return {**finite(asdict(self)), "name": self.label}
 
     def __str__(self) -> str:
         """One line with every number that decides whether a grasp holds."""

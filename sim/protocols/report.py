@@ -77,8 +77,8 @@ class ProtocolReport(OnScreen):
 
     @property
     def fixed(self) -> tuple[Outcome, ...]:
-        """Trials that are held or not; in the others a load grows until they fail."""
-        return tuple(o for o in self.outcomes if not o.grows)
+        """Trials that are held or not; in the others a load grows, or they could not be run."""
+        return tuple(o for o in self.outcomes if not o.grows and o.reason != "not run")
 
     @property
     def loaded(self) -> tuple[Outcome, ...]:
@@ -145,6 +145,7 @@ class ProtocolReport(OnScreen):
             "finished": len(self.outcomes),
             "held": sum(o.held for o in self.fixed),
             "of": len(self.fixed),
+            "not_run": sum(o.reason == "not run" for o in self.outcomes),
             "held_by_another_grasp": sum(bool(o.other_grasp) for o in self.fixed),
             "reasons": self.reasons,
             "median_load_held_N": force,

@@ -223,6 +223,9 @@ def run_protocol(
             check=check,
             workers=(os.cpu_count() or 1) if workers < 0 else workers,
         ).run(_run, jobs, title=f"{protocol} {name}".strip(), keep=keep, given_up=_not_run)
+    if outcomes and all(o.reason == "not run" for o in outcomes):  # a mistake that all share
+        assert outcomes[0].fault is not None
+        raise TaskError(f"no trial could be run: {outcomes[0].fault.detail}")
     task = plan.task
     own = {} if protocol in REPLAYED else asdict(settings)
     if not (protocol in REPLAYED or reality.ideal):

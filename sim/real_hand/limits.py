@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from planner.actuation import Actuation
-from planner.arrays import checked_number, finite_array
-from planner.errors import NotFoundError, TaskError
+from planner.arrays import checked_number, float_array
+from planner.errors import NotFoundError, TaskError, shown
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["CommandLimiter", "CommandLimits"]
@@ -49,13 +49,15 @@ class CommandLimits:
         """
         rates = self.rate if isinstance(self.rate, Mapping) else {"all actuators": self.rate}
         for name, rate in rates.items():
-            if rate is not None:
+            if rate is not None or isinstance(self.rate, Mapping):
                 checked_number(
                     f"the rate of {name}", rate, above=0.0, infinite=True,
                     unit="rad/s (N m/s for a motor)", error=TaskError,
                 )  # fmt: skip
         for name, ends in self.ranges.items():
-            finite_array(f"the range of actuator {name}", ends, (2,), error=TaskError)
+            given = float_array(f"the range of actuator {name}", ends, error=TaskError)
+            if given.shape != (2,) or np.isnan(given).any():
+                raise TaskError(f"the range of actuator {name} is {shown(ends)}; give two numbers")
 
     @classmethod
     def none(cls) -> CommandLimits:
@@ -80,6 +82,9 @@ class CommandLimits:
         elif not np.isfinite(rates).all():
             name = actuation.names[int(np.flatnonzero(~np.isfinite(rates))[0])]
             raise TaskError(f"actuator {name!r} has no command range; give a rate for it")
+        if not (rates > 0).all():
+            name = actuation.names[int(np.flatnonzero(~(rates > 0))[0])]
+            raise TaskError(f"actuator {name!r} has no width of command range; give a rate > 0")
         return rates
 
     def limits(self, actuation: Actuation) -> tuple[FloatArray, FloatArray]:

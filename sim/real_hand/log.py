@@ -242,8 +242,9 @@ def read_log(path: Path | str) -> HandLog:
             )
         marked = meta.get("plan")
         numbers: Any = {name: arrays[name] for name in UNITS}
-        if any(array.dtype != np.float64 for array in numbers.values()):
+        if any(array.dtype.kind != "f" for array in numbers.values()):
             raise TypeError("numbers of another type")
+        numbers = {name: array.astype(np.float64) for name, array in numbers.items()}
         phase = arrays.pop("phase")
         if phase.shape != numbers["time_s"].shape:
             raise FileFormatError(

@@ -92,7 +92,8 @@ class Inbox:
 
     A number that is out of the series is not believed: one such packet would make all that follow
     "overtaken". Where the next packet goes on from it, the sender has begun anew, or nobody was
-    listening meanwhile, and the series goes on there.
+    listening meanwhile, and the series goes on there. A sender that begins anew within its first
+    ``MOST_JUMP`` packets is "overtaken" until it has caught up: give it a link of its own.
 
     Attributes:
         newest: The packet with the highest number so far; None before the first.

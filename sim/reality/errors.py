@@ -12,6 +12,7 @@ from typing import Any
 
 from planner.arrays import checked_number
 from planner.errors import NotFoundError, TaskError, shown
+from planner.plain import finite
 from sim.tactile import EXACT, check_touch
 
 __all__ = ["IDEAL", "REALITIES", "Reality", "register_reality"]
@@ -195,7 +196,7 @@ class Reality:
 
     def to_dict(self) -> dict[str, Any]:
         """All fields as plain data."""
-        return asdict(self)
+        return dict(finite(asdict(self)))
 
 
 POSE_ERRORS = (
