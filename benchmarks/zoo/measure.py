@@ -134,7 +134,7 @@ def look_at(job: HandJob, check: Check) -> Row:
 
 
 def _hand(job: HandJob) -> Hand:
-    """The hand; where its base has to be said, from the file that ``describe --base-body`` writes."""
+    """The hand; where its base has to be said, from the file that ``describe`` writes."""
     if not job.model.base:
         return load_hand(job.path)
     with TemporaryDirectory() as folder:
