@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
+from planner.plain import LARGEST_INT
 
 __all__ = [
     "Attempt",
@@ -107,13 +108,13 @@ class Attempt(Generic[PlanT]):
 
 
 def check_seed(seed: int) -> None:
-    """Refuse anything but an integer >= 0.
+    """Refuse anything but an integer in [0, 2^128].
 
     Raises:
-        TaskError: Not an integer, or negative.
+        TaskError: Not an integer, negative, or larger than a file may hold.
     """
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise TaskError(f"seed is {shown(seed)}; give an integer >= 0")
+    if not isinstance(seed, int | np.integer) or not 0 <= seed <= LARGEST_INT:
+        raise TaskError(f"seed is {shown(seed)}; give an integer >= 0, at most 2^128")
 
 
 def run_attempts(

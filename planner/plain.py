@@ -14,6 +14,9 @@ __all__ = ["finite", "short_repr", "without_prefix"]
 LARGEST_FLOAT = 1e12
 """Largest number of a file, either sign: products of several are finite."""
 
+LARGEST_INT = 2**128
+"""Largest whole number of a file, either sign: the seeds that NumPy draws fit."""
+
 SHORT = 200
 """Characters of a repr: two lines of a terminal."""
 

@@ -11,16 +11,12 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from planner.errors import shown
-from planner.plain import LARGEST_FLOAT
+from planner.plain import LARGEST_FLOAT, LARGEST_INT
 
 __all__ = ["StrictData", "faults_of"]
 
 MOST_FAULTS = 5
 """Most faults in one message; the rest usually follow from these."""
-
-
-LARGEST_INT = 2**64
-"""Largest whole number of a file, either sign: seeds fit."""
 
 
 class StrictData(BaseModel):
@@ -33,9 +29,8 @@ class StrictData(BaseModel):
         """Refuse the first number beyond the bound, in fields of any type, by its place."""
         for name in type(self).model_fields:
             for place, value in _beyond(getattr(self, name), name):
-                raise ValueError(
-                    f"{place} is {shown(value)}; numbers up to {LARGEST_FLOAT:g} are read"
-                )
+                largest = LARGEST_FLOAT if isinstance(value, float) else LARGEST_INT
+                raise ValueError(f"{place} is {shown(value)}; numbers up to {largest:g} are read")
         return self
 
 

@@ -302,6 +302,6 @@ def test_aliases_that_stand_for_billions_are_refused_at_once(tmp_path: Path) -> 
     path = tmp_path / "bomb.yaml"
     path.write_text("\n".join([*lines, "format: isaac_grasp", "format_version: *l", "grasps: {}"]))
     begin = time.process_time()
-    with pytest.raises(FileFormatError, match=r"the alias \*a repeats another place"):
+    with pytest.raises(FileFormatError, match="aliases stand for more than"):
         read_documents(path, "a file of grasps")
     assert time.process_time() - begin < 1.0

@@ -261,10 +261,11 @@ class _Proposer:
                     _rated(candidate, part, number),
                 )
         best = candidates[0]
-        if not best.pinch.good:
+        bad = next((part for part in (best.pinch, best.wide) if not part.good), None)
+        if bad is not None:
             self.notes.ask(
                 "no good postures 'open' and 'pinch' were found "
-                f"({_rated(best, best.pinch, 1)}): give better ones, in which the pads face each "
+                f"({_rated(best, bad, 1)}): give better ones, in which the pads face each "
                 "other"
             )
         return description.model_copy(update={"postures": postures})

@@ -32,6 +32,9 @@ __all__ = [
 UNIT_TOL = 1e-3
 """How far the length of a quaternion may be from 1 (-): files with four decimals pass."""
 
+MOST_VALUES = 1_000_000
+"""Most values of a file with aliases, written out; without aliases the file's size is the limit."""
+
 DEEPEST = 50
 """Most mappings and lists inside each other; what is read here has fewer than ten."""
 
@@ -92,19 +95,30 @@ def read_documents(path: Path, what: str) -> list[Any]:
 
 
 def _need_plain(written: str, yaml: Any) -> None:
-    """See that libyaml does not end the process by depth, and that nothing refers to another place.
+    """See that libyaml does not end the process by depth, and that aliases stand for little.
 
-    Aliases of aliases make a kilobyte stand for 10^12 values; none of the formats has any.
+    Writers repeat what stands in two places by an alias; aliases of aliases make a kilobyte stand
+    for 10^12 values. What is counted is as it would be written out.
     """
-    depth = 0
+    depth, count = 0, 0
+    begun: list[tuple[str | None, int]] = []  # anchor of each open collection, and the count there
+    sizes: dict[str, int] = {}
     for event in yaml.parse(written, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
-        if isinstance(event, yaml.AliasEvent):
+        count += sizes.get(event.anchor, 1) if isinstance(event, yaml.AliasEvent) else 1
+        if isinstance(event, yaml.CollectionStartEvent):
+            begun.append((event.anchor, count))
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = begun.pop()
+            if anchor is not None:
+                sizes[anchor] = count - before
+        if isinstance(event, yaml.AliasEvent) and event.anchor in [name for name, _ in begun]:
+            raise ValueError(f"the alias *{event.anchor} stands in what it names{event.start_mark}")
+        if isinstance(event, yaml.AliasEvent) and count > MOST_VALUES:
             raise ValueError(
-                f"the alias *{event.anchor} repeats another place{event.start_mark}; write what it "
-                "stands for"
+                f"its aliases stand for more than {MOST_VALUES} values{event.start_mark}; write "
+                "out what they stand for"
             )
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
+        depth = len(begun)
         if depth > DEEPEST:
             raise ValueError(f"it is nested more than {DEEPEST} times{event.start_mark}")
 

@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import eigh
 
+from planner.errors import PlannerError
 from planner.forces import ForceSolution
 from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray, skew
@@ -120,7 +121,13 @@ class GraspStiffness:
     @property
     def buckling(self) -> float:
         """Factor (-) of the forces at which the grasp is no longer stable; infinite if none is."""
-        least = float(eigh(self.bending, self.springs, eigvals_only=True)[0])
+        try:
+            least = float(eigh(self.bending, self.springs, eigvals_only=True)[0])
+        except (np.linalg.LinAlgError, ValueError) as error:  # not positive definite, or NaN
+            raise PlannerError(
+                "the grasp has no positive stiffness without load; servos whose force grows with "
+                "their error away from it are not supported"
+            ) from error
         return -1.0 / least if least < 0.0 else float("inf")
 
     def under(

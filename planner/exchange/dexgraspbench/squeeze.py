@@ -162,6 +162,10 @@ def plan_squeeze(
             reason=forces.reason, ctrl=none, factor=float("nan"), use=float("nan"), forces=none
         )
     use, _, factor, forces = best
+    if not np.isfinite(use):
+        none = np.zeros(0)
+        reason = "no squeeze is within the actuators' limits and below buckling"
+        return Squeeze(reason=reason, ctrl=none, factor=float("nan"), use=use, forces=none)
     torque = factor * forces.joint_torques
     ctrl, _ = task.hand.actuation.ctrl_for_torque(q, np.zeros_like(q), torque)
     return Squeeze(ctrl=ctrl, factor=factor, use=use, forces=factor * forces.forces[:, 0])
@@ -180,7 +184,7 @@ def _least_factor(
     uses = [_use(stiffness, factor) for factor in tried]
     for i, (use, factor) in enumerate(zip(uses, tried, strict=True)):
         if factor >= 1.0 and use <= 1.0 - SPARE:
-            if factor == 1.0:
+            if factor == 1.0 or i == 0 or uses[i - 1] <= 1.0 - SPARE:
                 return use, factor
             share = (uses[i - 1] - (1.0 - SPARE)) / (uses[i - 1] - use)
             return 1.0 - SPARE, tried[i - 1] + share * (factor - tried[i - 1])

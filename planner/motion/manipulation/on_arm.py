@@ -119,7 +119,7 @@ class OnArm:
             ("lift the object after the turn", up),
             ("carry the object to where it is put down", np.array([to[0], to[1], 0.0])),
             ("lower the object", -up),
-            ("reach further than planned", SPARE * away / np.linalg.norm(away)),
+            ("reach further than planned", SPARE * away / max(float(np.linalg.norm(away)), 1e-9)),
             ("leave the object", out),
         ):
             path = straight_path(hand, now, self._root.rotation.T @ shift)

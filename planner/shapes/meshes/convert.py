@@ -23,7 +23,7 @@ __all__ = ["converted_mesh", "needs_conversion"]
 CONVERTED_SUFFIXES = (".dae", ".glb", ".off", ".ply")
 """Formats that are converted, in lower case; MuJoCo itself reads OBJ, STL and MSH."""
 
-_OBJECT = re.compile(rb"^[ \t]*[og](?:[ \t].*)?$", re.MULTILINE)
+_OBJECT = re.compile(rb"^[ \t]*[og](?:[ \t].*)?\r?$", re.MULTILINE)
 _FACE = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
 
 KIND = "converted"
