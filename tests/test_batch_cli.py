@@ -122,7 +122,7 @@ def test_a_batch_takes_what_a_plan_takes(tmp_path: Path) -> None:
 def test_the_options_of_run_are_those_of_batch() -> None:
     # but for how a plan is executed and chosen among several, which a batch does not do
     run, batch = (set(signature(command).parameters) for command in (grasp.run, commands.batch))
-    executed = {"sim_mu", "physics", "controller", "view", "video", "arrows"}
+    executed = {"sim_mu", "physics", "controller", "view", "video", "arrows", "verbose"}
     executed |= {"reality", "reality_seed", "estimate", "pads"}
     chosen = {"best_of", "keep", "metric"}
     assert run - batch == {"object", "out_dir", "context"} | executed | chosen

@@ -108,7 +108,7 @@ def test_tied_joints_need_no_new_postures(proposed: Proposal) -> None:
             a = hand.joint_index(f"{n}_a")
             assert q[a] == pytest.approx(letter[a], abs=1e-7)
     notes = [f for f in check_hand(hand).findings if "violates couplings" in f.what]
-    assert len(notes) == 2
+    assert len(notes) == len(hand.description.postures) >= 2  # of every candidate
     assert all(f.level == "note" and "thumb_b = " in f.what_to_do for f in notes)
 
 

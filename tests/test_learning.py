@@ -341,9 +341,10 @@ def test_a_policy_reads_nothing_of_the_camera(plan: ManipulationPlan, policy: Po
         for reality in (Reality(), blind)
     ]
     one, other = (run.perform() for run in reports)
-    assert len(one.log) > 100
-    assert np.array_equal(one.log.turn, other.log.turn)
-    assert np.array_equal(one.log.normal_force, other.log.normal_force)
+    until = int(one.log.during("turn")[-1])  # where it is put down after that is for the camera
+    assert until > 100
+    assert np.array_equal(one.log.turn[:until], other.log.turn[:until])
+    assert np.array_equal(one.log.normal_force[:until], other.log.normal_force[:until])
 
 
 @pytest.mark.slow
@@ -719,8 +720,11 @@ def test_each_round_is_a_line_where_there_is_no_terminal(
 
 # ---- the policy that comes with us
 
-SHIPPED = TurnTask(
-    hand="allegro_hand", objects="cylinder:0.025..0.035x0.08", reality=named_reality("lab")
+TRAINED = Policy.load(Path("models/policies/allegro_turn.npz")).about.errors
+SHIPPED = TurnTask(  # with the errors that it was trained with: `lab` has had more since
+    hand="allegro_hand",
+    objects="cylinder:0.025..0.035x0.08",
+    reality=Reality(name="as trained", **TRAINED),
 )
 
 

@@ -191,7 +191,7 @@ def test_a_simulation_that_diverges_ends_the_run(plan: GraspPlan) -> None:
 
     hand.trial.simulation.data.qvel[:] = 1e12
     ran = run_on(hand, plan)
-    assert ran.reason in ("interface failed", "joint limit")
+    assert ran.reason in ("interface failed", "joint limit", "reading not finite")
     assert not ran.done
 
 

@@ -176,11 +176,18 @@ def _least_factor(
 ) -> tuple[float, float]:
     """Share of the friction in use, and the factor of the forces; see the module."""
     limit, actuation = STABLE * stiffness.buckling, task.hand.actuation
-    tried = [
-        factor
-        for factor in FACTORS
-        if factor < limit and not actuation.short_of(q, factor * forces.joint_torques, 1e-9).any()
-    ]
+
+    def allowed(factor: float) -> bool:
+        torques = factor * forces.joint_torques
+        return factor < limit and not actuation.short_of(q, torques, 1e-9).any()
+
+    tried = [factor for factor in FACTORS if allowed(factor)]
+    if tried and tried[-1] < FACTORS[-1]:  # what the actuators give beyond the last step counts
+        low, high = tried[-1], 1.1 * tried[-1]
+        for _ in range(20):
+            middle = (low + high) / 2
+            low, high = (middle, high) if allowed(middle) else (low, middle)
+        tried.append(low)
     uses = [_use(stiffness, factor) for factor in tried]
     for i, (use, factor) in enumerate(zip(uses, tried, strict=True)):
         if factor >= 1.0 and use <= 1.0 - SPARE:
