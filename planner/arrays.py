@@ -134,8 +134,10 @@ def checked_number(
     """
     if type(value) is float and least <= value <= most and isfinite(value) and above is None:
         return value
-    array = _NAN
-    if not isinstance(value, bool | np.bool_):
+    array, said = _NAN, ""
+    if value is None or isinstance(value, bool | np.bool_ | str | bytes | complex):
+        said = ", not a number"
+    else:
         array = float_array(what, value, error=error, wanted=f"a number{unit and f' in {unit}'}")
     within = array.shape == () and least <= array <= most and (infinite or np.isfinite(array))
     if not within or (above is not None and not array > above):
@@ -145,7 +147,8 @@ def checked_number(
         if above is None and low and high:
             low, high = f" from {least:g}", f" to {most:g}"
         kind = "number" if infinite else "finite number"
-        raise error(f"{what} is {shown(value)}; give a {kind}{low}{high}{unit and f' in {unit}'}")
+        wanted = f"{kind}{low}{high}{unit and f' in {unit}'}"
+        raise error(f"{what} is {shown(value)}{said}; give a {wanted}")
     return float(array)
 
 

@@ -22,7 +22,6 @@ __all__ = [
     "ObjectError",
     "PlannerError",
     "TaskError",
-    "shown",
 ]
 
 

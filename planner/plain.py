@@ -52,8 +52,8 @@ def without_prefix(names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
     """What all names begin with, up to a separator, and the names without it.
 
     Args:
-        names: Of joints, links or geoms: "hand_right_index_0", "hand_right_thumb_0" have the prefix
-            "hand_right_". Fewer than two names keep all of theirs.
+        names: Of joints, links or geoms: ``hand_right_index_0``, ``hand_right_thumb_0`` have the
+            prefix ``hand_right_``. Fewer than two names keep all of theirs.
     """
     parts = [re.findall(r"[^_.:/ -]*[_.:/ -]+", name) for name in names] if len(names) > 1 else []
     end = 0

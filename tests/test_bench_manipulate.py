@@ -282,7 +282,7 @@ def test_an_unknown_kind_is_refused_before_any_work(tmp_path: Path) -> None:
         ({"angle": 0.0}, "give an angle or a shift"),
         ({"angle": math.radians(200.0), "shift": (0.0, 0.0, 0.01)}, "at most a half turn"),
         ({"angle": math.nan}, "angle is nan"),
-        ({"shift": (0.0, math.inf, 0.0)}, "three finite numbers"),
+        ({"shift": (0.0, math.inf, 0.0)}, "shift holds NaN or infinity; give finite numbers"),
         ({"axis": (0.0, 0.0, 0.0)}, "give a direction"),
     ],
 )

@@ -738,7 +738,7 @@ def test_bad_input_is_named(tmp_path: Path) -> None:
         crosscheck("gone.xml")
     with pytest.raises(TaskError, match=r"n_configurations 0; give .* at least one"):
         crosscheck("allegro_hand", n_configurations=0)
-    with pytest.raises(TaskError, match=r"tolerance distance is nan; give a number"):
+    with pytest.raises(TaskError, match=r"tolerance distance is nan; give a finite number >= 0"):
         Tolerances(distance=float("nan"))
 
 

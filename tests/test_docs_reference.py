@@ -174,6 +174,7 @@ def test_a_message_that_is_met_is_found_by_its_text(wrong: Callable[[], object])
 COMPOSED = {
     "planner.describe",  # what `check_hand` was told by others
     "planner.forces",  # "<reason>. <remedy>" of what `explain_infeasibility` finds
+    "sim.cli",  # "<error>. <advice>" of a search that found nothing, as `advice_for_size` has it
     "sim.preset_files",  # "<path>: <error>"
     "sim.protocols",  # the reason of what was asked of it
 }
@@ -190,7 +191,10 @@ def test_no_place_that_raises_an_error_is_left_out() -> None:
 
 
 def test_every_error_class_has_a_page() -> None:
-    assert set(import_module("planner.errors").__all__) <= set(messages.PAGES)
+    errors = import_module("planner.errors")
+    offered = {name: getattr(errors, name) for name in errors.__all__}
+    classes = {name for name, one in offered.items() if isinstance(one, type)}
+    assert "PlannerError" in classes and classes <= set(messages.PAGES)
     text = "\n".join(messages.pages().values())
     for message in messages.all_messages():
         assert commands.shown(message.text) in text

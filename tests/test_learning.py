@@ -681,10 +681,10 @@ def test_a_bench_refuses_a_policy_of_another_hand(policy: Policy, tmp_path: Path
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        ({"angle": math.nan}, "the turn is nan degrees"),
+        ({"angle": math.nan}, "angle is nan; give a finite number"),
         ({"angle": 4.0 * math.pi}, "the turn is 720 degrees"),
         ({"angle": 0.0}, "the turn is 0 degrees"),
-        ({"seed": -1}, "the seed is -1; give an integer >= 0"),
+        ({"seed": -1}, "the seed is -1; give a whole number from 0"),
     ],
 )
 def test_tasks_that_cannot_be_are_refused(wrong: dict[str, Any], told: str) -> None:

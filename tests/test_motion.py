@@ -189,7 +189,7 @@ def test_a_path_turns_and_moves_in_world_axes() -> None:
         ([0, 0, 0], 1.0, [0, 0, 0], "axis is"),
         ([0, 0, 1], 4.0, [0, 0, 0], "at most a half turn"),
         ([0, 0, 1], 0.0, [0, 0, 0], "give an angle or a shift"),
-        ([0, 0, 1], 1.0, [0, np.nan, 0], "shift is"),
+        ([0, 0, 1], 1.0, [0, np.nan, 0], "shift holds NaN"),
     ],
 )
 def test_a_path_that_cannot_be_is_refused(

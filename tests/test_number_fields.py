@@ -149,6 +149,8 @@ MADE = frozenset(
     [
         *(
             "Actor",
+            "JointFacts",
+            "Budget",
             "Actuation",
             "ActuatorDescription",
             "ArmDescription",

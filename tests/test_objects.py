@@ -123,7 +123,7 @@ def test_a_mass_that_cannot_be_is_refused(value: Any, remedy: str) -> None:
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf"), "heavy"])
 def test_a_density_that_cannot_be_is_refused(value: Any) -> None:
-    with pytest.raises(ObjectError, match=r"box: density is .*; give kg/m3 > 0"):
+    with pytest.raises(ObjectError, match=r"box: density is .*; give a finite number > 0 in kg/m3"):
         parse_object("box", density=value)
 
 

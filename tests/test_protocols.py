@@ -546,11 +546,11 @@ def test_every_protocol_has_cases_in_order(pinched: GraspPlan) -> None:
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
-        ({"growth": 1.0}, "grow by a factor above 1"),
+        ({"growth": 1.0}, "growth is 1.0; give a finite number > 1"),
         ({"hold_s": 0.0}, "hold_s is 0.0"),
-        ({"random": -1}, "number of directions >= 0"),
-        ({"mass_factors": (0.0,)}, "factors of mass and friction"),
-        ({"pose_errors": ((-1.0, 0.0),)}, "pose errors"),
+        ({"random": -1}, "random is -1; give a whole number from 0"),
+        ({"mass_factors": (0.0,)}, "mass_factors is 0.0; give a finite number > 0"),
+        ({"pose_errors": ((-1.0, 0.0),)}, "pose_errors is -1.0; give a finite number >= 0"),
     ],
 )
 def test_settings_are_checked(bad: dict[str, object], message: str) -> None:

@@ -72,7 +72,7 @@ def test_a_file_without_preset_changes_ideal_and_may_have_a_name(tmp_path: Path)
     [
         ("encoder_ofset = 0.1", "encoder_ofset: no such field; give some of preset, name, encoder"),
         ("encoder_offset = -0.1", "encoder_offset is -0.1; give a finite number"),
-        ('pose_noise = "1 mm"', "pose_noise is '1 mm'; give a finite number"),
+        ('pose_noise = "1 mm"', "pose_noise is '1 mm', not a number; give a finite number"),
         ("object_mass = 1.0", "object_mass is 1.0; give a share in"),
         ("seed = 1.5", "seed is 1.5; give an integer"),
         ('name = ""', "name is ''; give a text"),

@@ -249,7 +249,7 @@ def test_a_folder_with_something_else_is_refused(cache: Path, tmp_path: Path) ->
 def test_bad_requests_are_refused() -> None:
     for fault, words in (
         ({"objects": ()}, "no objects"),
-        ({"scales": (0.0,)}, "scales are"),
+        ({"scales": (0.0,)}, "scales is 0.0; give a finite number from 0.01"),
         ({"grasps": 0, "motions": 0}, "to be planned"),
         ({"turn": 4.0}, "turn is"),
         ({"n": 0}, "n is 0"),
@@ -259,7 +259,7 @@ def test_bad_requests_are_refused() -> None:
     for draws, words in (
         ({"friction": (1.0, 0.5)}, "the smaller one first"),
         ({"gravity": (0.0, 0.0, 0.0)}, "no direction"),
-        ({"angle": float("nan")}, "angle of the draws"),
+        ({"angle": float("nan")}, "angle is nan; give a finite number >= 0"),
     ):
         with pytest.raises(TaskError, match=words):
             Draws(**draws)

@@ -352,7 +352,10 @@ def test_plain_data_is_named_with_units() -> None:
         ({"kind": "sphere", "radius_m": "wide"}, "sphere: radius is 'wide', not a number"),
         ({"kind": "box", "size_m": [1, 2]}, r"box: size is \[1, 2\]; give three full extents"),
         ({"kind": "box", "size_m": "abc"}, "box: size is 'abc'; give three full extents"),
-        ({"kind": "box", "size_m": [1, 1, None]}, "box: z is None, not a number; give metres > 0"),
+        (
+            {"kind": "box", "size_m": [1, 1, None]},
+            "box: z is None, not a number; give a finite number > 0 in m",
+        ),
     ],
 )
 def test_faulty_plain_data_is_refused(data: object, message: str) -> None:
@@ -382,16 +385,16 @@ MAKERS: dict[str, Callable[[Any], Shape]] = {
 @pytest.mark.parametrize(
     ("value", "remedy"),
     [
-        (0.0, "is 0.0; give metres > 0"),
-        (-0.05, "is -0.05; give metres > 0"),
-        (float("nan"), "is nan; give metres > 0"),
-        (float("inf"), "is inf; give metres > 0"),
+        (0.0, "is 0.0; give a finite number > 0 in m"),
+        (-0.05, "is -0.05; give a finite number > 0 in m"),
+        (float("nan"), "is nan; give a finite number > 0 in m"),
+        (float("inf"), "is inf; give a finite number > 0 in m"),
         (50.0, "sizes are in metres, was it given in millimetres by mistake"),
         (1e-6, "less than 0.0001 m; sizes are in metres, give more"),
-        ("0.05", "is '0.05', not a number; give metres > 0"),
-        (None, "is None, not a number; give metres > 0"),
-        (True, "is True, not a number; give metres > 0"),
-        (1 + 2j, "not a number; give metres > 0"),
+        ("0.05", "is '0.05', not a number; give a finite number > 0 in m"),
+        (None, "is None, not a number; give a finite number > 0 in m"),
+        (True, "is True, not a number; give a finite number > 0 in m"),
+        (1 + 2j, "not a number; give a finite number > 0 in m"),
     ],
 )
 def test_a_size_that_cannot_be_is_refused_with_the_remedy(

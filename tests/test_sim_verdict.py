@@ -204,6 +204,7 @@ def test_reasons_are_those_of_the_documentation() -> None:
         "interrupted",
         "stopped",
         "diverged",
+        "not run",
     }
 
 

@@ -27,6 +27,9 @@ SOMETHING = "<...>"
 COMPOSED = "(a sentence composed of what was found)"
 """The text of a failure that has no template."""
 
+CLASSES = tuple(n for n in errors.__all__ if isinstance(getattr(errors, n), type))
+"""The classes of errors; what else the module offers raises nothing."""
+
 PAGES = {
     "NotFoundError": "Names that do not exist",
     "ModelError": "Model files",
@@ -88,7 +91,7 @@ class Reader:
     def _inside(self, node: ast.AST, function: ast.AST | None) -> Iterator[Message]:
         if isinstance(node, ast.FunctionDef):
             function = node
-        if isinstance(node, ast.Call) and _name(node.func) in errors.__all__:
+        if isinstance(node, ast.Call) and _name(node.func) in CLASSES:
             yield from self._raised(node, function)
         elif isinstance(node, ast.Call) and _name(node.func) in ("Finding", "Fault"):
             given = {k.arg: k.value for k in node.keywords if k.arg}
@@ -231,7 +234,7 @@ def slug(title: str) -> str:
 def page(title: str, messages: list[Message]) -> str:
     """A table of messages."""
     lines = [title, "=" * len(title), ""]
-    classes = sorted({m.error for m in messages if m.error in errors.__all__})
+    classes = sorted({m.error for m in messages if m.error in CLASSES})
     if classes:
         lines += ["In Python: " + ", ".join(f":py:exc:`planner.errors.{c}`" for c in classes), ""]
     kinds = any(m.kind for m in messages)

@@ -126,6 +126,8 @@ class PolicyFor:
         check_fields(self, ("angle_deg",), least=-360.0, most=360.0, unit="degrees")
         check_fields(self, ("rate_hz", "action_scale"), above=0.0)
         check_fields(self, ("aim",), least=0.0, unit="rad")
+        check_fields(self, ("mass",), above=0.0, unit="kg")
+        check_fields(self, ("friction",), above=0.0)
 
     @classmethod
     def of(cls, hand: Hand, **about: Any) -> PolicyFor:

@@ -1,9 +1,9 @@
 """Squeeze pose for DexGraspBench: how far beyond the grasp its servos are commanded.
 
 The benchmark commands one posture and holds it throughout: its servos are springs about it, and a
-grasp gives way as ``planner.verification.GraspStiffness`` tells. A squeeze of s times the planned
-forces f0, which press without a load and balance, is good when after every change that the protocol
-brings each contact still holds:
+grasp gives way as ``planner.verification.stiffness.GraspStiffness`` tells. A squeeze of s times
+the planned forces f0, which press without a load and balance, is good when after every change that
+the protocol brings each contact still holds:
 
     f_i = s f0_i + change_i(s, load) -+ e_i(s),
 
