@@ -339,7 +339,7 @@ def test_what_fills_the_same_space_after_a_turn() -> None:
 @pytest.mark.parametrize("shift", [(2147483648.0, 1e300, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0)])
 def test_a_way_that_is_none_in_a_hand_is_refused(shift: tuple[float, ...]) -> None:
     task = GraspTask.create("allegro_hand", "cylinder")
-    with pytest.raises(TaskError, match="shift (is|has|holds)"):
+    with pytest.raises(TaskError, match=r"shift (is|has|holds)"):
         plan_gait(task, angle=1.0, shift=shift)
 
 

@@ -422,7 +422,7 @@ def test_timeline_refuses_what_cannot_be(options: dict[str, float], message: str
 
 
 def test_record_every_must_be_positive(plan: GraspPlan) -> None:
-    with pytest.raises(TaskError, match="record_every, .*, is 0"):
+    with pytest.raises(TaskError, match=r"record_every, .*, is 0"):
         Trial(plan, record_every=0.0)
 
 
