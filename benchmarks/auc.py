@@ -16,8 +16,6 @@ from scipy.stats import mannwhitneyu
 
 from planner.spatial import FloatArray
 
-__all__ = ["Auc", "auc"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Auc:

@@ -36,8 +36,6 @@ from planner.task import GraspTask
 from sim.runner import Check, Runner
 from sim.tables import Row, number, table_of
 
-__all__ = ["audit_tables", "run_audit"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class _AuditJob(ObjectJob):

@@ -13,8 +13,6 @@ from typing import Any
 
 from benchmarks.statistics import median_of
 
-__all__ = ["BASELINE_EPSILON", "BASELINE_RATE", "against_baseline"]
-
 BASELINE_RATE = 0.43
 """Grasps found per CPU second (1/s), over 42 objects."""
 

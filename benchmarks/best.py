@@ -31,8 +31,6 @@ from planner.synthesis.options import SynthesisOptions
 from sim.runner import Check, Runner
 from sim.tables import Row, grouped, number, table_of
 
-__all__ = ["CLIMB", "WAYS", "best_tables", "run_best", "summary_of_ways"]
-
 CLIMB = "climb"
 """Name of the search whose attempts build on each other."""
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-__all__ = ["card", "grid", "plain"]
-
 
 def card(*, title: str, page: str, picture: str, lines: Iterable[str], kind: str = "") -> str:
     """One card.

@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from benchmarks.conditions import Conditions
-from benchmarks.run import by_cell, measure
+from benchmarks.run import measure
 from planner.plain import finite
 from sim.runner import Check, Runner
 from sim.tables import Row
-
-__all__ = ["Case", "by_cell", "not_found", "row_of", "run_cases"]
 
 
 class Case(Protocol):

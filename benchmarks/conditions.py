@@ -10,21 +10,6 @@ import numpy as np
 
 from benchmarks.meshes import scaled_spec
 
-__all__ = [
-    "BELIEVED_MU",
-    "FRICTION",
-    "KINDS",
-    "MASS",
-    "PUSH_TIME",
-    "PUSH_UNTIL",
-    "REGRASP_FRICTION",
-    "REGRASP_MASS",
-    "REGRASP_RATE",
-    "SIZE",
-    "Conditions",
-    "Kind",
-]
-
 Kind: TypeAlias = Literal["cylinder", "block", "sphere", "ellipsoid"]
 
 KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]

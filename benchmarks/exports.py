@@ -31,8 +31,6 @@ from planner.spatial import rotation_angle
 from sim.runner import Check, Runner
 from sim.tables import Row, grouped, number, share, table_of
 
-__all__ = ["LIMIT", "export_tables", "round_trip_formats", "run_exports"]
-
 LIMIT = 1e-6
 """Largest error (m, rad) with which a grasp counts as brought back."""
 

@@ -27,8 +27,6 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.task import GraspTask
 
-__all__ = ["FAULTS", "KnownFault", "judged_with_fault", "other_hand"]
-
 OPENED, CLOSED, LARGER, GRIP = 0.3, -0.1, 1.2, 1000.0
 """Shares of the way to the pre-grasp (-), factor of the object (-), N."""
 

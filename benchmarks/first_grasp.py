@@ -20,8 +20,6 @@ from planner.errors import TaskError
 from planner.numerics.kernels import kernels_are_compiled
 from planner.system.disk_cache import CACHE_VARIABLE
 
-__all__ = ["first_grasp_s"]
-
 
 def first_grasp_s(request: Request) -> float | None:
     """CPU time (s) of a request in a new process; None where it finds no grasp.

@@ -37,8 +37,6 @@ from planner.spatial import FloatArray
 from sim.runner import Check, Runner
 from sim.tables import Row, number, table_of
 
-__all__ = ["force_tables", "run_forces"]
-
 SIDES = (4, 8, 16, 32)
 """Sides of the pyramids (-); each doubles the last, so that its edges are a subset of the next."""
 

@@ -23,8 +23,6 @@ from sim.runner import Check, Runner
 from sim.tables import Row, grouped, share, table_of
 from sim.trial import simulate
 
-__all__ = ["GraspJob", "grasps_table", "plan_and_execute", "run_grasps"]
-
 FORMAT = "opposable-bench-grasps"
 
 

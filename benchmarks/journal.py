@@ -14,8 +14,6 @@ from typing import Self
 from planner.errors import FileFormatError
 from sim.tables import Row
 
-__all__ = ["Journal"]
-
 
 class Journal:
     """An open file of rows, which no other run writes meanwhile.

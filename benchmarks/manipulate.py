@@ -56,8 +56,6 @@ from sim.runner import Check, Runner
 from sim.simulation import Simulation
 from sim.tables import Row
 
-__all__ = ["Turn", "believed", "execute_turn", "plan_turn", "run_manipulate", "run_turn"]
-
 FORMAT = "opposable-bench-manipulate"
 
 ANGLE = np.pi / 2

@@ -16,8 +16,6 @@ from planner.shapes import SIZED_SHAPES, Shape
 from planner.shapes.made.base import Made
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["scaled_spec", "standing"]
-
 SURE_DEG = 10.0
 """Least tilt (degrees) that an object must bear to stand higher than in its surest pose."""
 

@@ -22,8 +22,6 @@ from sim.reality import Reality
 from sim.runner import Runner
 from sim.tables import Row, grouped, share, table_of
 
-__all__ = ["metrics_table", "run_metrics", "samples_for", "summary_of_trials"]
-
 FORMAT = "opposable-bench-metrics"
 SAME = "same task"
 """Column of pairs of the same hand, object and condition: which of two grasps of this object?"""

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from benchmarks.cases import by_cell, row_of, run_cases
+from benchmarks.cases import row_of, run_cases
 from benchmarks.conditions import KINDS, Conditions, Kind
+from benchmarks.run import by_cell
 from benchmarks.statistics import median_of
 from planner.errors import NoGraspFoundError, NotFoundError, PlannerError
 from planner.motion import plan_motion
@@ -26,8 +27,6 @@ from planner.objects import parse_object
 from planner.task import GraspTask
 from sim.runner import Check, Runner
 from sim.tables import number, table_of
-
-__all__ = ["MANY", "MotionCase", "motion_table", "run_case", "run_motion"]
 
 FORMAT = "opposable-bench-motion"
 

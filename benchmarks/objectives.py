@@ -26,8 +26,6 @@ from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from sim.runner import Check, Runner
 from sim.tables import Row, grouped, number, percent, table_of
 
-__all__ = ["objective_tables", "run_objectives", "summary_of_objective"]
-
 DIGITS = 3
 """Significant digits of a measure."""
 

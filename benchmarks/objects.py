@@ -9,8 +9,6 @@ from pathlib import Path
 from planner.errors import ObjectError
 from planner.shapes.meshes.io import MESH_SUFFIXES
 
-__all__ = ["BenchObject", "bench_objects"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class BenchObject:

@@ -28,8 +28,6 @@ from planner.spatial import FloatArray, pose_from_wxyz
 from sim.runner import Check, Runner
 from sim.tables import Columns, Row, number, share, summary_table
 
-__all__ = ["pages_table", "run_pages"]
-
 TIMES = 10
 """Random times at which poses are read."""
 

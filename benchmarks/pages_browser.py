@@ -21,8 +21,6 @@ from PIL import Image
 from planner.errors import PlannerError
 from planner.spatial import FloatArray
 
-__all__ = ["Opened", "headless", "opened"]
-
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 """Names that are looked for on the PATH."""
 

@@ -26,8 +26,6 @@ from sim.manipulation.page import manipulation_page
 from sim.physics import PhysicsOptions
 from sim.recording import Recording
 
-__all__ = ["KINDS", "Made", "ReportKind", "States", "make_report"]
-
 ReportKind: TypeAlias = Literal["plan", "trial", "without forces", "manipulation", "full turn"]
 
 KINDS: dict[ReportKind, float] = {

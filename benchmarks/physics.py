@@ -34,16 +34,6 @@ from sim.scene import build_scene
 from sim.tables import Row, grouped, number, share, summary_table, table_of
 from sim.trial import simulate
 
-__all__ = [
-    "NO_SUCH_GRIP",
-    "PARTS",
-    "PhysicsJob",
-    "physics_jobs",
-    "physics_row",
-    "physics_tables",
-    "run_physics",
-]
-
 Measure: TypeAlias = Callable[[GraspPlan, str, Reality], Row]
 """Measures a case with a grasp, under a reality."""
 

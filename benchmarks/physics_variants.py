@@ -8,8 +8,6 @@ from types import MappingProxyType
 
 from sim.physics import PRESETS, PhysicsOptions
 
-__all__ = ["SOFT", "VARIANTS", "Variant"]
-
 SOFT = PRESETS["mujoco-default"]
 """The physics of which one number is varied."""
 

@@ -19,8 +19,6 @@ from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 
-__all__ = ["bears", "closes", "doubts", "nearest_on", "signed_distance"]
-
 TOUCH, DEEP = 5.5e-4, 2e-4
 """Gap (m) of a pad that still touches, sampling included; depth (m) of a sample that penetrates."""
 

@@ -18,8 +18,6 @@ from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.tables import Row
 
-__all__ = ["PlannedJob", "ask", "run_parts"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedJob(ObjectJob):

@@ -14,8 +14,6 @@ from planner.quality import analyse
 from planner.quality.ball import epsilon_frogger
 from planner.task import DEFAULT_MU
 
-__all__ = ["PREDICTORS", "predictors_of"]
-
 PREDICTORS = {
     "min_weight": "normalised min-weight, 8 edges",
     "epsilon": "L1 epsilon, 8 edges, torque over the bounding radius",

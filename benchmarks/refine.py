@@ -42,8 +42,6 @@ from planner.verification.grasp import verify_grasp
 from sim.runner import Check, Runner
 from sim.tables import Row, number, percent, share, summary_table
 
-__all__ = ["LEVELS", "NEAR", "perturbed", "refine_tables", "run_refine"]
-
 NEAR = 0.012
 """Displacement (m) of every contact up to which a grasp counts as near."""
 

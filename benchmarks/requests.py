@@ -34,20 +34,6 @@ from planner.synthesis.options import SynthesisOptions
 from planner.system.stage_times import timed
 from planner.task import DEFAULT_MU, GraspTask
 
-__all__ = [
-    "APPROACH",
-    "Request",
-    "RequestOutcome",
-    "Setting",
-    "check_tasks",
-    "clearance_of",
-    "half_longest_side",
-    "loaded_hand",
-    "outcome_of",
-    "outcome_of_task",
-    "task_for",
-]
-
 APPROACH = "approach"
 """The stage that is the last check of an attempt."""
 

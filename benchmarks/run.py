@@ -21,8 +21,6 @@ from sim.reality import Reality
 from sim.runner import Check, Runner, made_with
 from sim.tables import Row, grouped
 
-__all__ = ["Job", "ObjectJob", "by_cell", "measure", "stated"]
-
 
 class _Numbered(Protocol):
     """A job with a number of its own."""

@@ -46,8 +46,6 @@ from planner.task import FINGERS_NEEDED, GraspTask
 from sim.runner import Check, Runner
 from sim.tables import Row, number, table_of
 
-__all__ = ["CURVES", "curve", "points_of", "run_scaling", "scaling_tables"]
-
 SOFT_TORSION = 0.01
 """Torsional friction (m) where two fingers have to do."""
 

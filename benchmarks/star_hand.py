@@ -10,8 +10,6 @@ import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-__all__ = ["write_star_hand"]
-
 CIRCLE = 0.045
 """Radius (m) of the circle in which the fingers stand: a sphere of 30 mm has room between them."""
 

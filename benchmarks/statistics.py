@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binomtest
 
-__all__ = ["PowerLaw", "median_of", "power_law", "quantile_of", "ratio", "summed", "wilson"]
-
 
 def quantile_of(values: Iterable[float], share: float) -> float | None:
     """The value below which a share of them lies, interpolated."""

@@ -28,8 +28,6 @@ from planner.task import GraspTask
 from sim.runner import Check, Runner
 from sim.tables import Row, grouped
 
-__all__ = ["run_synthesis", "summary_of", "total_of"]
-
 SOON = 1.0
 """CPU time (s) within which a request should be met."""
 

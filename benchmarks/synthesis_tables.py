@@ -7,8 +7,6 @@ from rich.table import Table
 from benchmarks.baseline import BASELINE_EPSILON, BASELINE_RATE
 from sim.tables import Row, number, percent, table_of
 
-__all__ = ["synthesis_tables"]
-
 
 def synthesis_tables(result: Row) -> list[Table | str]:
     """All tables, what could not be tried, and the comparison with the baseline."""

@@ -28,8 +28,6 @@ from sim.simulation import Simulation
 from sim.tables import Row, grouped, table_of
 from sim.trial import Trial
 
-__all__ = ["Replay", "TrialCostJob", "run_trial_cost", "time_trial", "trial_cost_table"]
-
 FORMAT = "opposable-bench-trials"
 
 

@@ -29,8 +29,6 @@ from sim.simulation import Simulation
 from sim.tables import Row
 from sim.trial import Timeline, Trial
 
-__all__ = ["CONDITIONS", "GRADES", "Condition", "Grade", "Sample", "try_sample"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Grade:

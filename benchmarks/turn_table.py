@@ -6,11 +6,9 @@ from typing import Any
 
 from rich.table import Table
 
-from benchmarks.cases import by_cell
+from benchmarks.run import by_cell
 from benchmarks.statistics import median_of
 from sim.tables import number, table_of
-
-__all__ = ["manipulate_table"]
 
 COLUMNS = (
     "planned",

@@ -29,8 +29,6 @@ from sim.runner import Check, Runner
 from sim.tables import Row, grouped, number, percent, table_of
 from sim.trial import simulate
 
-__all__ = ["WALLED", "as_used", "run_walls", "walls_tables"]
-
 WALLED = (
     "cup:0.035x0.09x0.001",
     "cup:0.03x0.1x0.002",

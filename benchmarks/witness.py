@@ -28,8 +28,6 @@ from sim.scene_export.check import hold
 from sim.second_engine import drake_missing, hold_in_drake
 from sim.tables import Row, grouped, share, table_of
 
-__all__ = ["WitnessJob", "run_witness", "witness_tables"]
-
 FORMAT = "opposable-bench-witness"
 
 

@@ -19,8 +19,6 @@ from sim.controllers import Target
 from sim.controllers.follow import MotionReference
 from sim.manipulation import ManipulationReport, ManipulationTimeline
 
-__all__ = ["DT", "QUICK", "UP", "first_in_palm", "follow", "phases_of", "task_of", "with_log"]
-
 UP = np.array([0.0, 0.0, 1.0])
 DT = 0.002
 

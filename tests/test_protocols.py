@@ -39,9 +39,9 @@ from sim.protocols.cases import AXES, Conditions
 from sim.protocols.dexgraspbench import (
     DexGraspBenchCase,
     Replay,
-    benchmark_physics,
     dexgraspbench_cases,
 )
+from sim.protocols.dexgraspbench_scene import benchmark_physics
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.forces import GravityCase, PushCase, forces_cases, proven_bound
 from sim.protocols.robust import RobustCase, displaced, robust_cases

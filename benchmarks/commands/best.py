@@ -10,8 +10,6 @@ from benchmarks.commands.common import HandsArgument, NumberOption, ObjectsOptio
 from sim.cli.common import MuOption, SeedOption, errors_for_people, names
 from sim.cli.options import ObjectiveOption, with_options
 
-__all__ = ["best"]
-
 
 @errors_for_people()
 @with_options

@@ -10,8 +10,6 @@ from benchmarks.commands.common import BOTH_HANDS, BothHandsArgument, ObjectsOpt
 from sim.cli.common import SeedOption, errors_for_people, names
 from sim.cli.options import with_options
 
-__all__ = ["exports"]
-
 
 @errors_for_people()
 @with_options

@@ -28,8 +28,6 @@ from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.tables import Row
 
-__all__ = ["PARTS", "ControlJob", "Part", "control_jobs", "control_row", "grasps_of", "run_control"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Part:

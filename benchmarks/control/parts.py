@@ -23,8 +23,6 @@ from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
 from sim.reality import Reality
 
-__all__ = ["drift_row", "fc_row", "rate_row", "robust_row"]
-
 DRIFT_S = 10.0
 """How long an object is held for its drift to be seen, s."""
 

@@ -23,8 +23,6 @@ from sim.protocols.disturbance import DROPPED, DisturbanceTrial
 from sim.reality import Reality
 from sim.verdict import Fault
 
-__all__ = ["MOST", "promise_row"]
-
 SLOW_FIRST, SLOW_STEP, SLOW_S = 0.7, 0.01, 0.1
 """Slow load: share of the certified load reached in the first second, and increments from there
 (-); duration of each increment (s)."""

@@ -23,8 +23,6 @@ from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
 from sim.reality import Reality
 
-__all__ = ["conditions", "largest_grip", "push_row", "tried_grips", "unit"]
-
 GRIPS = 3
 """Grips tried between the planned and the largest feasible one (-)."""
 

@@ -27,8 +27,6 @@ from sim.reality import Reality, RealityOfTrial
 from sim.reality.senses import TIME_TOL
 from sim.verdict import Fault
 
-__all__ = ["NOISE", "Watched", "slip_row"]
-
 NOISE = Reality(name="pads", touch_noise=0.02, sliding_noise=0.002)
 """Noise of the pads: 20 mN and 2 mm/s at every step, of the order of a good optical pad."""
 

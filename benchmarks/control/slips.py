@@ -13,8 +13,6 @@ import numpy as np
 from planner.spatial import FloatArray
 from sim.controllers.monitors import LOADED, SLIP_SPEED
 
-__all__ = ["LATENCY", "SLIP_TIME", "Slip", "SlipScore", "score_slips", "true_slips"]
-
 SLIP_TIME = 0.01
 """How long (s) the speed must be too high."""
 

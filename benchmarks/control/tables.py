@@ -11,8 +11,6 @@ from benchmarks.control.promise import MOST
 from benchmarks.statistics import median_of, quantile_of, ratio, summed
 from sim.tables import Columns, Row, grouped, number, percent, share, summary_table
 
-__all__ = ["control_tables"]
-
 Rows = list[Row]
 
 ENOUGH = 0.7

@@ -13,8 +13,6 @@ from typing import Any
 
 from planner.errors import FileFormatError, TaskError
 
-__all__ = ["COMMIT", "HANDS", "REQUIREMENTS", "Installed", "install"]
-
 COMMIT = "1e7a5a6"
 """Of https://github.com/JYChen18/DexGraspBench, 2025-06-05."""
 

@@ -22,8 +22,6 @@ from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.runner import Check, Runner
 from sim.tables import Row, grouped, share, table_of
 
-__all__ = ["SETTINGS", "dexgraspbench_table", "run_dexgraspbench"]
-
 SETTINGS = ("fc", "tabletop")
 """The benchmark's settings for hands without an arm."""
 

@@ -30,8 +30,6 @@ from sim.runner import Check, Runner
 from sim.tables import Row, number, table_of
 from sim.trial import simulate
 
-__all__ = ["agrees", "episodes_table", "run_episodes"]
-
 LAUNCH = Path(__file__).with_name("launch.py")
 """Script for the environment's Python."""
 

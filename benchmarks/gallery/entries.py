@@ -8,8 +8,6 @@ from pathlib import Path
 
 from planner.errors import NotFoundError
 
-__all__ = ["EXAMPLES", "Entry", "chosen", "gallery_entries"]
-
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 """Folder of the examples, in the checkout."""
 

@@ -20,8 +20,6 @@ from benchmarks.run import Job, measure
 from sim.runner import Check, Runner
 from sim.tables import Row
 
-__all__ = ["FORMAT", "EntryJob", "run_gallery", "small_film", "text_picture"]
-
 FORMAT = "opposable-gallery"
 
 ROOT = Path(__file__).resolve().parents[2]

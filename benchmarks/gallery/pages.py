@@ -8,8 +8,6 @@ from pathlib import Path
 from benchmarks.cards import card, grid, plain
 from sim.tables import Row
 
-__all__ = ["CARDS", "gallery_pages", "write_pages"]
-
 CARDS = "cards.txt"
 """What the index of the gallery includes: a card per entry."""
 

@@ -6,8 +6,6 @@ from rich.table import Table
 
 from sim.tables import Row, number, table_of
 
-__all__ = ["gallery_table"]
-
 
 def gallery_table(result: Row) -> Table:
     """Whether each entry ran, and what it left."""

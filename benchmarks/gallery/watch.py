@@ -21,8 +21,6 @@ import planner.search
 from sim.manipulation.run import ManipulationRun
 from sim.trial import Trial, simulate
 
-__all__ = ["FILM", "PAGE", "watch"]
-
 FILM, PAGE = "film.webp", "page.html"
 """Files that a run leaves."""
 

@@ -9,8 +9,6 @@ from typing import TypeAlias
 from benchmarks.statistics import median_of
 from sim.tables import Row
 
-__all__ = ["CELL", "Found", "cells_of", "numbers_of"]
-
 CELL = ("task", "reality", "loop", "hand", "object")
 """What a cell is named by."""
 

@@ -16,8 +16,6 @@ from sim.learning import open_loop, policy_controller
 from sim.learning.controller import POLICY
 from sim.reality import Reality
 
-__all__ = ["LOOPS", "Loop", "named_loop", "register_loop"]
-
 
 def _as_it_is(reality: Reality) -> Reality:
     return reality

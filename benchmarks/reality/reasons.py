@@ -6,8 +6,6 @@ import re
 
 from sim.manipulation import ManipulationReport
 
-__all__ = ["class_of_turn"]
-
 CLASSES = (
     (r"the object was dropped", "dropped"),
     (r"diverged|not finite", "diverged"),

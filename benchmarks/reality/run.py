@@ -28,8 +28,6 @@ from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.tables import Row
 
-__all__ = ["ComparedTrial", "compared_row", "compared_trials", "run_reality"]
-
 FORMAT = "opposable-bench-reality"
 
 BITS = 52

@@ -10,8 +10,6 @@ from rich.table import Table
 from benchmarks.statistics import wilson
 from sim.tables import Row, grouped, number, table_of
 
-__all__ = ["reality_tables"]
-
 NUMBERS = {
     "off_deg": ("off deg", 1),
     "tilt_deg": ("tilt deg", 1),

@@ -33,8 +33,6 @@ from sim.reality import Reality
 from sim.tables import Row
 from sim.trial import simulate
 
-__all__ = ["TASKS", "ComparedTask", "named_task", "register_task"]
-
 SHAPES = ("sphere", "box", "cylinder", "capsule", "ellipsoid")
 TURNED = ("cylinder", "block")
 PUSHED = (*SHAPES, "mug", "lbracket", "torus", "hammer", "superquadric")

@@ -13,8 +13,6 @@ from planner.hand_loading import load_hand
 from planner.spatial import FloatArray
 from sim.tactile import ContactEstimator, PadContact, TaxelArray, TaxelLayout, contact_image
 
-__all__ = ["array_layout", "array_row", "random_contact"]
-
 FORCES = (0.5, 5.0)
 """Normal forces (N), drawn evenly."""
 

@@ -26,8 +26,6 @@ from planner.spatial import FloatArray
 from sim.physics import PhysicsOptions
 from sim.tactile import ContactEstimator, PadContact, TaxelLayout, contact_image
 
-__all__ = ["engines_row"]
-
 RADIUS, SPACING, COUNT = 0.012, 0.002, 13
 """Of the pad, of its taxels (m), and of rows and columns."""
 

@@ -20,8 +20,6 @@ from planner.errors import NotFoundError
 from sim.runner import Check, Runner
 from sim.tables import Row
 
-__all__ = ["PARTS", "TouchJob", "run_touch"]
-
 PARTS: Mapping[str, int] = MappingProxyType({"arrays": 0, "engines": 1, "turns": 2, "slips": 3})
 """Parts, and their place among the numbers of a trial."""
 

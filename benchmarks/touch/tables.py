@@ -9,8 +9,6 @@ from rich.table import Table
 from benchmarks.statistics import median_of, quantile_of
 from sim.tables import Row, grouped, number, percent, table_of
 
-__all__ = ["touch_tables"]
-
 
 def touch_tables(result: Row) -> list[Table]:
     """A table per part that has rows."""

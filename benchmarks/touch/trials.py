@@ -22,8 +22,6 @@ from sim.protocols.disturbance import DisturbanceTrial
 from sim.reality import Reality
 from sim.simulation import Simulation
 
-__all__ = ["slip_trial", "turn_trial"]
-
 ANGLE = math.pi / 2
 """Turn, rad."""
 

@@ -23,8 +23,6 @@ from sim.simulation import Simulation
 from sim.tactile import TOUCH_SENSES, TouchContext, make_sense
 from sim.tactile.taxels import TaxelSense
 
-__all__ = ["SENSES", "TouchWatch", "score"]
-
 SENSES = ("taxels", "effort", "binary")
 """Senses that look on."""
 

@@ -31,8 +31,6 @@ from sim.runner import Check, Runner
 from sim.tables import Row
 from sim.trial import simulate
 
-__all__ = ["FORMAT", "HandJob", "run_zoo"]
-
 FORMAT = "opposable-zoo"
 
 MAX_ATTEMPTS = 25

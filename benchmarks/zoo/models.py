@@ -10,8 +10,6 @@ from typing import Any
 from planner.errors import FileFormatError, NotFoundError
 from planner.hands.catalog import foreign_hand_names, hand_names
 
-__all__ = ["MODELS_FILE", "ZooModel", "chosen", "zoo_models"]
-
 MODELS_FILE = Path(__file__).resolve().parents[2] / "docs" / "zoo" / "models.toml"
 """The list of published models, in the checkout."""
 

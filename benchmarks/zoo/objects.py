@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from planner.describe import CheckReport
 
-__all__ = ["fitting_objects", "fitting_width"]
-
 SHARE = 0.35
 """Where the width of an object lies between the widths of the hand's postures pinch and open."""
 

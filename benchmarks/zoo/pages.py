@@ -13,8 +13,6 @@ from benchmarks.cards import card, grid, plain
 from benchmarks.zoo.table import counts
 from sim.tables import Row
 
-__all__ = ["CARDS", "write_pages", "zoo_pages"]
-
 CARDS = "cards.txt"
 """What the index of the zoo includes: the counts and a card per hand."""
 

@@ -9,8 +9,6 @@ from rich.table import Table
 
 from sim.tables import Row, number, table_of
 
-__all__ = ["counts", "zoo_tables"]
-
 SHORT = 70
 """Characters of a reason in the table; the JSON file has all of it."""
 

@@ -20,8 +20,6 @@ from planner.objects import object_names, parse_object
 from planner.shapes import SIZED_SHAPES, shape_key
 from planner.shapes.meshes.io import MESH_SUFFIXES
 
-__all__ = ["GraspFile"]
-
 SAME_SIZE = 0.01
 """Relative difference (-) of extents and volume from which on two meshes are two objects."""
 

@@ -31,8 +31,6 @@ from planner.tolerances import ANGLE_TOL, CLOSURE_EDGES, FLAT_ANGLE_TOL, TOUCH_T
 from planner.verification.geometry import contacts_of, edge_failures, verify_geometry
 from planner.verification.grasp import no_closure, no_forces, plan_forces
 
-__all__ = ["Judge", "T_world_base"]
-
 MOST_TASKS = 24
 """Tasks that are kept: one per set of fingers, scale and place of the object."""
 

@@ -23,8 +23,6 @@ from planner.hands.catalog import hand_names
 from planner.hands.hand import Hand
 from planner.task import GraspTask
 
-__all__ = ["right_task"]
-
 SIGNS = ((0.001, 3), (0.01, 2))
 """Distance (m) of pads from the surface, either side, and how many of them must be so near: nearly
 touching, which the other hand's pads do not; and near at all."""

@@ -19,8 +19,6 @@ from planner.errors import TaskError
 from planner.files import whole_file
 from planner.plain import short_repr
 
-__all__ = ["AuditReport", "joined_reports"]
-
 SHARES = (0.5, 0.9)
 """Shares of grasps (-) for which the tolerance is told."""
 

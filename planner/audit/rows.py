@@ -9,8 +9,6 @@ from typing import Any
 
 from planner.plain import finite
 
-__all__ = ["STAGES", "AuditRow", "Stage", "StageResult"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:

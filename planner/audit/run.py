@@ -24,8 +24,6 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.task import GraspTask
 
-__all__ = ["audit_file", "audit_grasps", "audit_plans"]
-
 FEW, FEW_EXECUTED = 1000, 20
 """Grasps, without and with execution, up to which several processes do not pay: each takes 4 s of
 CPU to load libraries and models, a verdict 3 to 10 ms, an execution 0.2 s."""

@@ -10,8 +10,6 @@ from planner.errors import TaskError
 from planner.objects import GraspObject, parse_object
 from planner.shapes import SIZED_SHAPES, Mesh
 
-__all__ = ["scaled_object"]
-
 SAME = 1e-3
 """Largest relative error (-) of lengths and volume of the result; it is larger for
 a shape of which not all sizes are lengths."""

@@ -15,8 +15,6 @@ from planner.plan import GraspPlan
 from planner.spatial import pose_from_wxyz
 from planner.task import GraspTask
 
-__all__ = ["given_of_batch", "given_of_plans"]
-
 
 def given_of_plans(
     plans: Sequence[GraspPlan], source: Path, names: Sequence[str] | None = None

@@ -16,8 +16,6 @@ from planner.batch.rows import arrow
 from planner.errors import FileFormatError, shown
 from planner.files.data import LARGEST
 
-__all__ = ["check_fingers", "checked_row", "reading"]
-
 REMEDY = "; delete that file and go on with the batch, which plans its rows again"
 
 

@@ -28,8 +28,6 @@ from planner.spatial import SE3, IntArray, pose_from_wxyz
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 
-__all__ = ["GraspSet"]
-
 MOST_COMPARED = 10_000
 """Grasps per object by which diversity is measured, the first in order of k: they are independent
 of each other, so the first are as good as any."""

@@ -27,8 +27,6 @@ from planner.shapes import Shape
 from planner.shapes.triangulation import surface_points
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["N_CELLS", "Diversity", "cell_of", "diversity", "posture_entropy"]
-
 N_SIDE = 4
 """Resolution: cells along the edge of each of the twelve base cells."""
 

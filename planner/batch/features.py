@@ -19,8 +19,6 @@ from planner.spatial import FloatArray, pose_from_wxyz
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.task import GraspTask
 
-__all__ = ["GraspFeatures"]
-
 DRAWS_PER_START = 50
 """Draws per start before the seeder counts as unable to give one."""
 

@@ -26,8 +26,6 @@ from joblib import wrap_non_picklable_objects
 from planner.batch.jobs import end_with
 from planner.system.environment import on_interrupt
 
-__all__ = ["FORK", "can_fork", "forked_results"]
-
 FORK = "fork"
 """Name of this backend beside those of joblib."""
 

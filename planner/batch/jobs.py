@@ -28,8 +28,6 @@ from planner.synthesis.options import SynthesisOptions
 from planner.system.environment import on_interrupt
 from planner.task import GraspTask
 
-__all__ = ["BatchObject", "Job", "batch_jobs", "end_with", "grasp_seed", "plan_row", "warm_up"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class BatchObject:

@@ -16,8 +16,6 @@ from planner.errors import FileFormatError, shown
 from planner.files import read_json
 from planner.schema import StrictData, faults_of
 
-__all__ = ["MANIFEST", "Manifest", "ManifestObject", "read_manifest"]
-
 MANIFEST = "manifest.json"
 """Name of the file."""
 

@@ -24,8 +24,6 @@ from planner.batch.rows import failed_row
 from planner.errors import TaskError, shown
 from planner.system.environment import on_interrupt, safe_path
 
-__all__ = ["LOKY", "check_backend", "default_backend", "finished", "planned_rows"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

@@ -25,8 +25,6 @@ from planner.spatial import SE3
 from planner.system.threads import made_once
 from planner.task import GraspTask
 
-__all__ = ["Recipe", "label_of", "recipe_of", "task_of", "with_fingers_of"]
-
 
 class Recipe(StrictData):
     """A task before its search: the task of a plan file, and what only the search needs.

@@ -27,8 +27,6 @@ from planner.synthesis.options import SynthesisOptions
 from planner.system.environment import on_interrupt
 from planner.task import GraspTask
 
-__all__ = ["refine_grasps"]
-
 AT_ONCE = 8
 """Poses per message to a worker: some 0.1 s of work."""
 

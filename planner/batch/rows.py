@@ -19,8 +19,6 @@ from planner.quality import epsilon_l1, min_weight
 from planner.search import Attempt
 from planner.spatial import pose_to_wxyz
 
-__all__ = ["arrow", "attempt_rows", "attempt_schema", "failed_row", "found_row", "grasp_schema"]
-
 EDGES = 8
 """Edges per friction cone of ``min_weight`` and ``epsilon`` (-)."""
 

@@ -27,8 +27,6 @@ from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 from planner.version import written_by
 
-__all__ = ["BatchProgress", "plan_grasps"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class BatchProgress:

@@ -25,8 +25,6 @@ from planner.spatial import FloatArray, IntArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
-__all__ = ["farthest_points", "plan_several", "separations"]
-
 FOUND_PER_CHOSEN = 4
 """Grasps that are found for each diverse one that is chosen."""
 

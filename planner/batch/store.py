@@ -27,8 +27,6 @@ from planner.errors import FileFormatError
 from planner.files import write_json
 from planner.files.whole import PART
 
-__all__ = ["ATTEMPTS", "GRASPS", "Store", "shard_file", "waiting_rows", "whole_shards"]
-
 GRASPS, ATTEMPTS = "grasps", "attempts"
 """The two tables."""
 

@@ -14,8 +14,6 @@ from planner.batch.features import GraspFeatures
 from planner.errors import TaskError
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["CONTACT_TOL", "FLEXION_TOL", "POSITION_TOL", "ROTATION_TOL", "distances", "thin"]
-
 POSITION_TOL = 0.010
 """Distance (m) between two bases up to which they are alike: a tenth of a hand's length."""
 

@@ -40,8 +40,6 @@ from planner.system.stage_times import stage
 from planner.task import GraspTask
 from planner.verification.grasp import plan_forces
 
-__all__ = ["FALLEN_BEHIND", "ClimbingContext", "improving_attempts"]
-
 FALLEN_BEHIND = "fallen_behind"
 """Kind of the failure of a grasp that would not have been the best: it was not verified."""
 

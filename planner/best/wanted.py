@@ -14,8 +14,6 @@ from planner.plan_metrics import Measure
 from planner.synthesis.objectives.registry import EPSILON
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 
-__all__ = ["BEST", "DEFAULT_MAX_ATTEMPTS", "FIRST", "Wanted"]
-
 FIRST = "first"
 """Name for keeping the first grasp found, or the best of the first few."""
 

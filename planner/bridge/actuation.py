@@ -18,8 +18,6 @@ from planner.bridge.joint_rows import actuator_row, couplings_from_mujoco, tendo
 from planner.errors import ModelError
 from planner.spatial import FloatArray
 
-__all__ = ["actuation_from_mujoco"]
-
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
 _BIAS_NONE = int(mujoco.mjtBias.mjBIAS_NONE)

@@ -17,8 +17,6 @@ import numpy as np
 from planner.bridge.pinocchio_model import body_name
 from planner.errors import ModelError
 
-__all__ = ["spec_from_model"]
-
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _HFIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
 _SDF = int(mujoco.mjtGeom.mjGEOM_SDF)

@@ -15,8 +15,6 @@ from planner.errors import ModelError
 from planner.shapes.convex import convex_geometry
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
-__all__ = ["LinkGeometry", "coal_geometry", "hand_geometries"]
-
 _TYPE = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
     int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",

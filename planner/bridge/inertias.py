@@ -17,16 +17,6 @@ import numpy as np
 from planner.bridge.pinocchio_model import body_name
 from planner.spatial import FloatArray
 
-__all__ = [
-    "LEAST_INERTIA",
-    "LEAST_MASS",
-    "ImpossibleInertia",
-    "give_least_inertias",
-    "impossible_inertias",
-    "with_least_inertias",
-    "worst_inertia",
-]
-
 LEAST_MASS = 1e-5
 """Mass of a link that has none, kg: a thousandth of a small fingertip's."""
 

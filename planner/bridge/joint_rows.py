@@ -21,8 +21,6 @@ from planner.couplings import Coupling
 from planner.errors import ModelError
 from planner.spatial import FloatArray
 
-__all__ = ["actuator_row", "couplings_from_mujoco", "is_fixed_tendon", "tendon_row"]
-
 _AXES = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
 _JOINTS = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)

@@ -18,15 +18,6 @@ from planner.bridge.inertias import give_least_inertias
 from planner.bridge.mesh_files import add_visuals, convert_meshes, find_meshes
 from planner.errors import ModelError, NotFoundError
 
-__all__ = [
-    "compile_balanced",
-    "compile_spec",
-    "load_spec",
-    "model_bytes",
-    "model_files",
-    "named_files",
-]
-
 RIGID_SOLREF = (0.004, 1.0)
 RIGID_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
 """Time constant (s) and damping ratio, and impedance (-), of a coupling that is a gear: two steps

@@ -9,8 +9,6 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["body_positions", "geom_distance", "joint_inertia", "touching_geoms"]
-
 FURTHEST = 1.0
 """Largest distance (m) that MuJoCo measures between two geoms."""
 

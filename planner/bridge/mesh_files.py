@@ -22,8 +22,6 @@ from planner.errors import ModelError
 from planner.shapes.meshes.convert import converted_mesh, needs_conversion
 from planner.spatial import FloatArray
 
-__all__ = ["HIDDEN_GROUP", "add_visuals", "convert_meshes", "find_meshes"]
-
 HIDDEN_GROUP = 3
 """Group of geoms that collide and are not drawn; MuJoCo's viewer hides it too."""
 

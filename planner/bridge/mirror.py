@@ -22,8 +22,6 @@ from planner.bridge.mesh_files import HIDDEN_GROUP
 from planner.errors import HandError
 from planner.spatial import FloatArray
 
-__all__ = ["mirror_spec"]
-
 _SYMMETRIC = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE),
     int(mujoco.mjtGeom.mjGEOM_CAPSULE),

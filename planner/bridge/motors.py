@@ -20,8 +20,6 @@ from planner.bridge.actuation import actuation_from_mujoco
 from planner.bridge.load import compile_spec
 from planner.errors import HandError
 
-__all__ = ["motorise_spec"]
-
 _EQ_TENDON = int(mujoco.mjtEq.mjEQ_TENDON)
 
 

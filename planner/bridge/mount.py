@@ -17,8 +17,6 @@ from planner.bridge.prepare import name_parts
 from planner.errors import ModelError, NotFoundError
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 
-__all__ = ["ARM_PREFIX", "mount_spec"]
-
 ARM_PREFIX = "arm/"
 """Prefix of every name of the arm's model in a hand that it carries."""
 

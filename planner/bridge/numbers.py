@@ -13,8 +13,6 @@ import numpy as np
 
 from planner.errors import ModelError
 
-__all__ = ["check_numbers", "check_repeated_names", "check_sizes"]
-
 MOST_LENGTH = 10.0
 """Largest size or offset (m) of a part of a hand or its arm: files in millimetres exceed it."""
 

@@ -21,8 +21,6 @@ from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Spher
 from planner.shapes.meshes.union import manifold_is_installed
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
-__all__ = ["ObjectBody", "object_body"]
-
 FINENESS = 64
 """Points around a round geom that becomes triangles: 0.1 % of the radius from the true surface."""
 

@@ -19,8 +19,6 @@ import pinocchio as pin
 from planner.bridge.joint_rows import actuator_row
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
-__all__ = ["body_name", "effort_limits", "joint_name", "pinocchio_from_mujoco", "site_name"]
-
 _HINGE, _SLIDE, _BALL, _FREE = (
     int(t)
     for t in (

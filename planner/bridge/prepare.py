@@ -19,8 +19,6 @@ from planner.bridge.numbers import check_repeated_names, check_sizes
 from planner.description import ActuatorDescription, HandDescription
 from planner.errors import HandError, NotFoundError
 
-__all__ = ["add_described_parts", "isolate_base", "name_parts", "prepare_spec", "repair_spec"]
-
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _QUATERNION = mujoco.mjtOrientation.mjORIENTATION_QUAT
 _JOINT_WRAP = int(mujoco.mjtWrap.mjWRAP_JOINT)

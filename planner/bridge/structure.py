@@ -20,17 +20,6 @@ from planner.bridge.mesh_files import convert_meshes
 from planner.bridge.pinocchio_model import body_name
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
-__all__ = [
-    "ActuatorPart",
-    "BodyPart",
-    "GeomPart",
-    "JointPart",
-    "ModelStructure",
-    "TendonPart",
-    "read_spec",
-    "structure_of",
-]
-
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)

@@ -11,8 +11,6 @@ import numpy as np
 from planner.bridge.pinocchio_model import body_name
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
-__all__ = ["LinkSurface", "link_surfaces"]
-
 _SPHERE, _CAPSULE, _CYLINDER, _BOX, _ELLIPSOID, _MESH = (
     int(t)
     for t in (

@@ -36,8 +36,6 @@ from planner.forces import ForceProblem
 from planner.quality import Interval, ball_interval
 from planner.spatial import FloatArray
 
-__all__ = ["Breaking", "Disturbance", "breaking_along", "smallest_breaking"]
-
 Disturbance: TypeAlias = Literal["force", "torque", "wrench"]
 
 _UNITS = {"force": "N", "torque": "N m", "wrench": "N"}

@@ -26,8 +26,6 @@ from planner.plan import GraspPlan
 from planner.quality import Interval, epsilon_linf, epsilon_round, force_closure
 from planner.spatial import FloatArray
 
-__all__ = ["SCHEMA_VERSION", "Certificate", "CertifyOptions", "certify", "certify_contacts"]
-
 SCHEMA_VERSION = 1
 """Version of ``Certificate.as_dict``."""
 

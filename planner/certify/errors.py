@@ -14,8 +14,6 @@ from scipy.spatial.transform import Rotation
 from planner.contacts import ContactSet
 from planner.spatial import FloatArray, contact_frames
 
-__all__ = ["displaced", "random_directions", "random_errors", "worst_errors"]
-
 _SMALL = 1e-12
 """Lengths below this share of the others have no direction (-)."""
 

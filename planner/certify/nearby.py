@@ -42,8 +42,6 @@ from planner.numerics.lp import LpSolution, solve_lp
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, skew
 
-__all__ = ["NearBound", "bound_nearby"]
-
 SIDES = 16
 """Cuts per contact to begin with (-)."""
 

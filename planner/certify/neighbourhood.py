@@ -30,8 +30,6 @@ from planner.kinematics.state import HandState, joint_axes
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["NEAR", "Changes", "Neighbourhood"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Neighbourhood:

@@ -41,8 +41,6 @@ from planner.contacts import ContactSet
 from planner.shapes import Shape
 from planner.spatial import FloatArray
 
-__all__ = ["PoseError", "PoseErrors", "largest_turn"]
-
 PoseError: TypeAlias = Literal["shift", "turn"]
 
 AGREEMENT = 1e-4

@@ -32,8 +32,6 @@ from planner.forces import ForceProblem
 from planner.numerics.lp import NOT_KNOWN, LpSolution, Undecided, solve_lp
 from planner.spatial import FloatArray
 
-__all__ = ["Resistance", "without_grip"]
-
 SOLVER_MARGIN = 1e-7
 """Share of a value (-) by which bounds are set apart: a hundred times that of ``solve_lp``."""
 

@@ -45,8 +45,6 @@ from planner.numerics.lp import LpSolution, solve_lp
 from planner.quality import measure_hull
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Verdict", "closure_survives", "weakest_motion"]
-
 MARGIN = 1e-6
 """M and the ball of forces must exceed this share of the lever arm or of the force (-): a thousand
 times what the programme may leave unbalanced."""

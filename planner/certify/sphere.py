@@ -8,8 +8,6 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["halved", "icosphere"]
-
 
 @cache
 def icosphere(halvings: int) -> tuple[FloatArray, IntArray]:

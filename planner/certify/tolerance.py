@@ -28,8 +28,6 @@ from planner.contacts import ContactSet
 from planner.quality import closure_of_wrenches, primitive_wrenches
 from planner.spatial import FloatArray
 
-__all__ = ["JUDGE_EDGES", "Tolerance", "contact_tolerances", "pose_tolerances", "sampled"]
-
 REL_TOL = 0.02
 """A promise ends within this share (-) of a size for which no proof was found."""
 

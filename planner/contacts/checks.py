@@ -13,8 +13,6 @@ import numpy as np
 from planner.errors import ContactError
 from planner.spatial import FloatArray
 
-__all__ = ["MOST_FRICTION", "check_forces", "check_frames", "check_friction", "check_positions"]
-
 FARTHEST = 1e6
 """Largest coordinate (m): beyond it torques lose the digits that a verdict needs."""
 

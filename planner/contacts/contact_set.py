@@ -42,13 +42,6 @@ from planner.spatial import FloatArray, contact_frames, skew
 if TYPE_CHECKING:
     from planner.spatial import SE3
 
-__all__ = [
-    "CONTACT_DIM",
-    "Contact",
-    "ContactModel",
-    "ContactSet",
-]
-
 ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
 """What a contact transmits: a normal force, friction too, or torsion about the normal as well."""
 

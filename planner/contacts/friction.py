@@ -38,20 +38,6 @@ from planner.arrays import checked_count
 from planner.errors import ContactError, shown
 from planner.spatial import FloatArray
 
-__all__ = [
-    "MIN_EDGES",
-    "MOST_EDGES",
-    "Cone",
-    "Pyramid",
-    "check_edges",
-    "cone_edges",
-    "cone_support",
-    "cone_utilisation",
-    "outline_faces",
-    "pyramid_faces",
-    "round_cone",
-]
-
 Pyramid: TypeAlias = Literal["inscribed", "circumscribed"]
 """How a friction pyramid lies to its cone: edges on the cone, or faces."""
 Cone: TypeAlias = Literal["inscribed", "circumscribed", "round"]

@@ -15,15 +15,6 @@ from planner.description import FingerDescription, PadDescription, TipDescriptio
 from planner.errors import HandError
 from planner.spatial import FloatArray
 
-__all__ = [
-    "default_fingers",
-    "describe_finger",
-    "find_fingers",
-    "find_opposer",
-    "palm_body",
-    "palm_normal",
-]
-
 TIP_BELOW, TIP_BESIDE = 0.015, 0.006
 """How far (m) before the end of a finger, and beside its bone, a site may be to be its tip."""
 

@@ -18,8 +18,6 @@ from planner.describe.propose import located, propose
 from planner.description import HandDescription
 from planner.system.disk_cache import read_text, write_text
 
-__all__ = ["proposed_description"]
-
 KIND = "proposal"
 
 LIBRARIES = ("mujoco", "pin", "coal", "numpy", "scipy", "trimesh")

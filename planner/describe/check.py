@@ -18,8 +18,6 @@ from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["check_hand"]
-
 SAMPLES = 500
 """Random configurations that sample a finger's workspace."""
 

@@ -11,8 +11,6 @@ import numpy as np
 from planner.bridge import LinkGeometry
 from planner.spatial import FloatArray
 
-__all__ = ["ConvexLink", "cone_directions", "sphere_directions"]
-
 ELLIPSOID_DIRECTIONS = 4000
 """Directions with which the depth in an ellipsoid is taken: at most 2 % of a radius too large where
 its proportions are 1 to 3, and the verdict is coal's."""

@@ -18,15 +18,6 @@ from planner.describe.reasons import Reason
 from planner.description import ActuatorDescription, CouplingDescription
 from planner.spatial import FloatArray
 
-__all__ = [
-    "Drive",
-    "PadContact",
-    "impossible_couplings",
-    "in_span",
-    "joint_stops",
-    "stops_and_springs",
-]
-
 LEAST_TRAVEL = 0.05
 """A coupling that leaves every joint that it ties less than this share of its range is wrong."""
 

@@ -17,8 +17,6 @@ from planner.describe.convex_links import ConvexLink, cone_directions
 from planner.describe.tree import Branch
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["Fingertip", "Skeleton", "fingertip_of"]
-
 END_CONE = np.deg2rad(20.0)
 """Half angle (rad) of the cone about the bone whose support points are averaged into the end, so
 that a flat or a lopsided end is met in its middle."""

@@ -16,8 +16,6 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
 
-__all__ = ["check_pads", "check_postures"]
-
 LEAST_PRESS = 1.5
 """Force (N) that a pad should reach in the pinch posture: the share of each finger in a default
 grasp of 100 g."""

@@ -23,8 +23,6 @@ from planner.hands.hand import Hand
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["TOUCHING", "HandGaps", "Overlap", "check_overlaps", "frequent_overlaps"]
-
 TOUCHING = -5e-5
 """Signed distance (m) below which two parts of a hand overlap."""
 

@@ -20,8 +20,6 @@ from planner.describe.convex_links import ConvexLink, cone_directions
 from planner.describe.fingertips import Fingertip
 from planner.spatial import FloatArray
 
-__all__ = ["PadFit", "fit_pad"]
-
 FIT_TOL = 2e-3
 """Difference (m) between geom and sphere up to which a direction belongs to the pad's cone."""
 

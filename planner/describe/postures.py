@@ -30,8 +30,6 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
 
-__all__ = ["RADII", "PostureCandidate", "PosturePart", "PostureSolver"]
-
 RADII = (0.012, 0.016, 0.022, 0.028, 0.034, 0.040, 0.046, 0.052)
 """Radii (m) of the object over which a posture is followed: up to a jar of 100 mm."""
 

@@ -46,8 +46,6 @@ from planner.hands.build import build_from_spec
 from planner.hands.catalog import find_hand, foreign_hand_model
 from planner.spatial import FloatArray
 
-__all__ = ["located", "propose"]
-
 
 def propose(model: Any, *, name: str | None = None, base_body: str | None = None) -> Proposal:
     """Propose a hand description from a model.

@@ -6,8 +6,6 @@ from dataclasses import dataclass, field
 
 from planner.description import HandDescription
 
-__all__ = ["Notes", "Proposal", "Reason"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Reason:

@@ -31,14 +31,6 @@ from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3
 
-__all__ = [
-    "prepared_model",
-    "repair_and_base",
-    "with_possible_inertias",
-    "without_impossible_couplings",
-    "without_overlaps",
-]
-
 NARROW_HINGE, WIDE_HINGE = 0.1, 20.0
 """Widest range (rad) of all hinges below which a file was written in radians and read in degrees,
 and above which the reverse."""

@@ -11,16 +11,6 @@ from typing import Any, Literal
 
 from planner.plain import finite, short_repr
 
-__all__ = [
-    "CheckReport",
-    "Finding",
-    "JointRow",
-    "PadRow",
-    "PostureRow",
-    "TouchRow",
-    "WorkspaceRow",
-]
-
 Level = Literal["error", "warning", "note"]
 
 

@@ -16,8 +16,6 @@ from planner.describe.reasons import Reason
 from planner.description import ActuatorDescription, JointDefaults
 from planner.spatial import FloatArray
 
-__all__ = ["joint_defaults", "missing_servos"]
-
 LARGEST_EFFORT = {"hinge": 5.0, "slide": 500.0}
 """Efforts (N m, N) above these are not those of a finger's joint: URDF files often hold fillers."""
 

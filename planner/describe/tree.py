@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from planner.bridge.structure import ModelStructure
 from planner.errors import HandError, NotFoundError
 
-__all__ = ["Branch", "HandTree", "find_base", "finger_names", "read_tree"]
-
 LONGEST_WRIST = 2
 """Joints between root and palm up to which they are a wrist; more are an arm that carries the hand
 and that the base leaves out."""

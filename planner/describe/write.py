@@ -18,8 +18,6 @@ from planner.description import HandDescription
 from planner.errors import FileFormatError
 from planner.hands.catalog import PACKAGE_SCHEME
 
-__all__ = ["description_text", "write_description", "write_proposal"]
-
 COMMENT_WIDTH = 98
 """Width of a comment, characters."""
 

@@ -20,18 +20,6 @@ from numpy.typing import NDArray
 from planner.errors import FileFormatError, NotFoundError
 from planner.exchange.pickles import Budget, load_pickle
 
-__all__ = [
-    "ARRAY_SUFFIXES",
-    "MOST_BYTES",
-    "OWN_BYTES",
-    "checked_small",
-    "is_torch",
-    "read_array_file",
-    "read_npy",
-    "read_npz",
-    "read_pickle",
-]
-
 ARRAY_SUFFIXES = (".npy", ".npz", ".pkl", ".pickle", ".pt", ".pth")
 """How files end that are read here, or refused by name."""
 

@@ -28,8 +28,6 @@ from planner.exchange.postures import FileJoints
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["read_dexgraspnet"]
-
 NAME = "dexgraspnet"
 
 _PLACE = ("WRJTx", "WRJTy", "WRJTz")

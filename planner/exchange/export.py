@@ -12,8 +12,6 @@ from planner.exchange.joints import channels_of
 from planner.exchange.sources import AnyPlan, task_of_plan
 from planner.plan import GraspPlan
 
-__all__ = ["Export", "check_export", "export_plans"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Export:

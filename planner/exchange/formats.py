@@ -17,20 +17,6 @@ from planner.exchange.array_files import ARRAY_SUFFIXES, read_array_file
 from planner.exchange.given import GivenGrasps
 from planner.hands.hand import Hand
 
-__all__ = [
-    "FORMATS",
-    "GraspFormat",
-    "Reading",
-    "Writing",
-    "format_named",
-    "format_of",
-    "load_formats",
-    "readable_format",
-    "register_format",
-    "writable_format",
-]
-
-
 BY = ("joints", "actuators")
 """What numbers in a file may belong to."""
 

@@ -20,16 +20,6 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
-__all__ = [
-    "T_base_body",
-    "T_file_object",
-    "T_object_body",
-    "hand_frame",
-    "need_no_arm",
-    "need_one_pair",
-    "object_frame",
-]
-
 
 def T_file_object(task: GraspTask) -> SE3:
     """Pose of our frame of a task's object in the frame of the object's own file."""

@@ -17,8 +17,6 @@ from planner.hands.hand import Hand
 from planner.immutable import freeze
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["GivenGrasp", "GivenGrasps", "joints_by_name"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GivenGrasp:

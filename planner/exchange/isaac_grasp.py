@@ -58,8 +58,6 @@ from planner.plan import GraspPlan
 from planner.spatial import pose_to_wxyz
 from planner.version import written_by
 
-__all__ = ["ISAAC_GRASP", "read_isaac_grasp", "write_isaac_grasp"]
-
 NAME, VERSION = "isaac_grasp", 1.0
 """What such a file says of itself."""
 

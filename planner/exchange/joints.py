@@ -23,8 +23,6 @@ from planner.exchange.yaml_text import read_documents, table, text
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Channels", "channels_of", "completed_joints", "followers", "read_renaming", "renaming"]
-
 DETERMINED = 1e-9
 """A joint is tied by couplings if each direction that they leave free moves it by less (-)."""
 

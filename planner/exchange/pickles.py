@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from planner.errors import FileFormatError
 
-__all__ = ["MOST_ITEMS", "Budget", "load_pickle"]
-
 MOST_ITEMS = 500_000
 """Instructions and values of a pickle, each value counted as often as it is referred to: at most
 1.5 s, and 5,000 grasps of a dictionary of 50 numbers each."""

@@ -18,8 +18,6 @@ from planner.exchange.given import joints_by_name
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
-__all__ = ["FileJoints", "pose_of_seven"]
-
 _SHADOW = re.compile(r"(?:robot0:|rh_|lh_)?((?:FF|MF|RF|LF|TH|WR)J)(\d)")
 """Joints of the Shadow hand: its maker counts from 1, the model of OpenAI (``robot0:``) from 0."""
 

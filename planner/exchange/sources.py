@@ -24,8 +24,6 @@ from planner.motion.plan import MotionPlan
 from planner.plan import GraspPlan
 from planner.task import GraspTask
 
-__all__ = ["AnyPlan", "plans_of", "task_of_plan"]
-
 AnyPlan: TypeAlias = GraspPlan | MotionPlan | GaitPlan | ManipulationPlan
 """What has a joint trajectory."""
 

@@ -24,8 +24,6 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_to_wxyz
 
-__all__ = ["read_table", "table_of", "write_given", "write_table"]
-
 NAME = "table"
 
 HEAD = 4096

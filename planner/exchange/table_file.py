@@ -18,8 +18,6 @@ from pydantic import Field, model_validator
 
 from planner.schema import StrictData
 
-__all__ = ["ANGLES", "LENGTHS", "PARTS", "TableFile", "TableGrasp"]
-
 LENGTHS = {"m": 1.0, "mm": 1e-3}
 """Unit of lengths and of slides -> metres."""
 

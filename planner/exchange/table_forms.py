@@ -29,8 +29,6 @@ from planner.exchange.table_file import ANGLES, LENGTHS, PARTS, TableFile
 from planner.files import read_json
 from planner.files.json_csv import checked_file
 
-__all__ = ["TABLE_FORMS", "read_table_file", "table_bytes"]
-
 _PREFIXES = dict(zip(PARTS, ("", "pregrasp:", "squeeze:"), strict=True))
 _TEXTS = ("name", "object")
 _VECTORS = {"position": 3, "quaternion_wxyz": 4, "object_position": 3, "object_quaternion_wxyz": 4}

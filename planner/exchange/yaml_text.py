@@ -18,17 +18,6 @@ from planner.errors import FileFormatError, TaskError, shown
 from planner.plain import LARGEST_FLOAT
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
-__all__ = [
-    "member",
-    "number",
-    "numbers",
-    "pose_of",
-    "read_documents",
-    "table",
-    "text",
-    "yaml_text",
-]
-
 UNIT_TOL = 1e-3
 """How far the length of a quaternion may be from 1 (-): files with four decimals pass."""
 

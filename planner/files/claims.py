@@ -18,14 +18,6 @@ from planner.contacts import ContactSet
 from planner.errors import FileFormatError, shown
 from planner.quality import primitive_wrenches
 
-__all__ = [
-    "CLEARANCE_TOL",
-    "QUALITY_ABS_TOL",
-    "QUALITY_REL_TOL",
-    "check_clearances",
-    "check_quality",
-]
-
 QUALITY_REL_TOL = 1e-3
 """How far stored figures may be from those computed again, as a share of the larger (-): contacts
 recomputed on another machine differ by rounding, 1e-9 and less."""

@@ -14,8 +14,6 @@ from planner.files.json_csv import read_json
 from planner.files.plans import read_plan
 from planner.schema import StrictData, faults_of
 
-__all__ = ["ContactInput", "ContactsFile", "read_contacts"]
-
 
 class ContactInput(StrictData):
     """One contact that a user typed in."""

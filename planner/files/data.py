@@ -21,27 +21,6 @@ from planner.regions import Region, TouchRegion
 from planner.schema import StrictData
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 
-__all__ = [
-    "LARGEST",
-    "PLAN_VERSION",
-    "ArmData",
-    "ContactData",
-    "Finite",
-    "GraspData",
-    "HandData",
-    "NotNegative",
-    "ObjectData",
-    "ObstacleData",
-    "PlanFile",
-    "PoseData",
-    "RecordData",
-    "RegionData",
-    "TaskData",
-    "TouchData",
-    "Vector3",
-    "Vector4",
-]
-
 PLAN_VERSION = 1
 """Version of plan files that is written."""
 

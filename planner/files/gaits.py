@@ -25,8 +25,6 @@ from planner.motion.gait.verify import GaitVerifier
 from planner.schema import StrictData
 from planner.version import written_by
 
-__all__ = ["GaitFile", "gait_from_dict", "gait_to_dict", "read_gait", "write_gait"]
-
 MOST_CYCLES = 1000
 """Most cycles of a file: each is judged when it is read."""
 

@@ -17,8 +17,6 @@ from planner.plan import JointTrajectory
 from planner.schema import StrictData, faults_of
 from planner.spatial import pose_to_wxyz
 
-__all__ = ["checked_file", "read_json", "write_json", "write_trajectory"]
-
 FileT = TypeVar("FileT", bound=StrictData)
 
 

@@ -25,15 +25,6 @@ from planner.motion.release import verify_release
 from planner.schema import StrictData
 from planner.version import written_by
 
-__all__ = [
-    "ManipulationFile",
-    "given_manipulation",
-    "manipulation_from_dict",
-    "manipulation_to_dict",
-    "read_manipulation",
-    "write_manipulation",
-]
-
 SAME = 1e-6
 """How far (m, rad, -) what a file tells may be from what follows from its motion."""
 

@@ -29,8 +29,6 @@ from planner.plan import GraspPlan
 from planner.schema import StrictData
 from planner.version import written_by
 
-__all__ = ["MotionFile", "motion_from_dict", "motion_to_dict", "read_motion", "write_motion"]
-
 SAME = 1e-9
 """How far (rad, m) the first knot of a file may be from its grasp."""
 

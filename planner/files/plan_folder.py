@@ -12,8 +12,6 @@ from pathlib import Path
 
 from planner.errors import FileFormatError
 
-__all__ = ["format_told", "plan_files"]
-
 HEAD = 4096
 """Bytes of a file within which it says its format."""
 

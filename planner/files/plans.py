@@ -37,18 +37,6 @@ from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 from planner.version import written_by
 
-__all__ = [
-    "CONTACT_TOL",
-    "contact_data",
-    "given_plan",
-    "numbers_of",
-    "plan_from_dict",
-    "plan_to_dict",
-    "pose_of_plan",
-    "read_plan",
-    "write_plan",
-]
-
 CONTACT_TOL = 1e-4
 """How far stored contacts (m), normals (-), forces (N) and torques (N m) may be from those
 recomputed from the stored joints: what rounding leaves after a quadratic programme."""

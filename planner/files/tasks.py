@@ -19,8 +19,6 @@ from planner.objects import GraspObject
 from planner.shapes import shape_from_dict, shape_to_dict
 from planner.task import GraspTask, Obstacle
 
-__all__ = ["task_data", "task_from_data"]
-
 
 def task_data(task: GraspTask) -> TaskData:
     """A task as data; its fingers are those it has, none to be spared later.

@@ -12,8 +12,6 @@ from typing import BinaryIO
 
 from planner.errors import FileFormatError
 
-__all__ = ["LONGEST_NAME", "PART", "plain_name", "whole_file"]
-
 LONGEST_NAME = 100
 """Characters of a name in a file's name: file systems end at 255 bytes."""
 

@@ -21,8 +21,6 @@ from planner.forces.torque_limits import TorqueCase, TorqueLimits, loaded_rows
 from planner.spatial import FloatArray
 from planner.system.threads import made_once
 
-__all__ = ["ForceArguments", "LimitArguments", "build_force_problem", "gravity_wrench"]
-
 EXTRA_COST = 1e-4
 """Cost of (force / length)^2 of an actuator or stop that repeats others, beside that of (contact
 force)^2 (-): it decides where contact forces are equal."""

@@ -26,8 +26,6 @@ from planner.forces.loop import STEP_TOL, ForceLoop
 from planner.numerics.qp_workspace import DEFAULT_SOLVER, solver_names
 from planner.spatial import FloatArray
 
-__all__ = ["SolverComparison", "SolverRecord", "compare_solvers", "turning_wrenches"]
-
 PUSH_SHARE = 0.5
 """Greatest pulsating push, in units of the turning force (-)."""
 

@@ -21,8 +21,6 @@ from planner.arrays import checked_number, float_array
 from planner.errors import ContactError
 from planner.spatial import FloatArray
 
-__all__ = ["QuadraticCost"]
-
 CONVEX_TOL = 1e-9
 """Least eigenvalue of P, as a share of the largest (-), below which a cost is not convex."""
 

@@ -15,8 +15,6 @@ from planner.forces.problem import names_of_contacts
 from planner.spatial import FloatArray, IntArray
 from planner.system.threads import made_once
 
-__all__ = ["FrictionPart", "friction_part"]
-
 KEPT = 64
 """Layouts that are kept (-), 10 kB each."""
 

@@ -20,8 +20,6 @@ from planner.forces.build import ForceArguments
 from planner.forces.solve import distribute_forces
 from planner.numerics.qp_workspace import DEFAULT_SOLVER
 
-__all__ = ["PyramidGap", "cone_gaps"]
-
 SIDES = (3, 4, 6, 8, 12, 16, 32)
 """Numbers of sides that are compared unless others are given."""
 

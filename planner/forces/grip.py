@@ -16,8 +16,6 @@ from dataclasses import dataclass
 
 from planner.arrays import check_fields
 
-__all__ = ["LOAD_SAFETY", "ExpectedLoad", "grip_for_load"]
-
 LOAD_SAFETY = 1.5
 """Factor on the grip for an expected load (-). What a plan then bears along each axis of the world:
 ``opposable test PLAN --protocol forces``."""

@@ -24,8 +24,6 @@ from planner.forces.problem import RESIDUAL_TOL, ForceProblem
 from planner.numerics.lp import NOT_KNOWN, LpAnswer, LpSolution, solve_lp
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["FEASIBLE", "Infeasibility", "explain_infeasibility", "outlined"]
-
 MULTIPLIER_TOL = 1e-7
 """Multipliers above this (-) name a limit; those of the unbalanced part are about 1."""
 

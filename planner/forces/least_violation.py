@@ -21,8 +21,6 @@ from planner.numerics.dense_qp import DenseQp
 from planner.numerics.qp_workspace import qp_workspace
 from planner.spatial import FloatArray
 
-__all__ = ["Relaxation"]
-
 VIOLATION_WEIGHT = 1e6
 """Cost of a squared newton of unbalanced wrench over that of a squared newton of contact force (-):
 an infeasible wrench stays unbalanced by the least and a millionth of the forces."""

@@ -44,8 +44,6 @@ from planner.numerics.kernels import kernels_are_compiled
 from planner.numerics.qp_workspace import DEFAULT_SOLVER, QpWorkspace, qp_workspace
 from planner.spatial import FloatArray
 
-__all__ = ["ForceLoop", "ForceStep"]
-
 STEP_TOL = 1e-6
 """Largest residual of a step's answer (N, torques divided by the length), by the larger of the
 wrench's size and 1 N."""

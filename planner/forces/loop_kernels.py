@@ -12,19 +12,6 @@ from numpy.typing import NDArray
 from planner.numerics.kernels import kernel
 from planner.spatial import FloatArray, cross
 
-__all__ = [
-    "AWAY_CHANGED",
-    "OPEN_CHANGED",
-    "REFUSED",
-    "STOPS_CHANGED",
-    "give_answer",
-    "place_points",
-    "press_points",
-    "renew_limits",
-    "shortfall",
-    "turn_onto",
-]
-
 REFUSED, OPEN_CHANGED = 1, 2
 """What ``place_points`` answers beside 0: numbers that are not finite or frames that are no
 rotations; that contacts load other joints than before."""

@@ -38,8 +38,6 @@ from planner.spatial import FloatArray, IntArray
 if TYPE_CHECKING:
     import qpsolvers
 
-__all__ = ["RESIDUAL_TOL", "ForceProblem", "ForceResiduals", "contact_names", "names_of_contacts"]
-
 RESIDUAL_TOL = 1e-6
 """Largest residual of an answer, in units of ``ForceProblem.force_scale`` (-): 1e-6 N for a weight
 of 1 N, far below what any sensor or simulator resolves."""

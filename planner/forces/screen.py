@@ -8,8 +8,6 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["at_most", "force_table", "torque_table", "wrench_text"]
-
 MOST_LINES = 14
 """Lines of a table; the rest are counted."""
 

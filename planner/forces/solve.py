@@ -26,14 +26,6 @@ from planner.numerics.qp_workspace import CONE_SOLVER, DEFAULT_SOLVER, qp_worksp
 from planner.spatial import FloatArray
 from planner.system.threads import built
 
-__all__ = [
-    "ForceSolution",
-    "LeastViolation",
-    "distribute_forces",
-    "least_violation",
-    "solve_force_problem",
-]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ForceSolution:

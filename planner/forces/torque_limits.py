@@ -29,8 +29,6 @@ from planner.forces.loop_kernels import renew_limits
 from planner.spatial import FloatArray
 from planner.system.threads import built, made_once
 
-__all__ = ["TorqueCase", "TorqueLimits", "loaded_rows"]
-
 RANK_TOL = 1e-9
 """Share of a column (-) that must be outside the columns before it, else it repeats them."""
 

@@ -10,8 +10,6 @@ from planner.errors import ContactError
 from planner.forces.loop_kernels import turn_onto
 from planner.spatial import FloatArray, contact_frames, skew
 
-__all__ = ["ContactWorkspace", "turned_frames"]
-
 OPPOSED = -0.9
 """Cosine between an old and a new normal below which tangents are chosen anew (-)."""
 

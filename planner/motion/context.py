@@ -27,8 +27,6 @@ from planner.synthesis.terms.term import first_failure
 from planner.system.threads import kept_by_thread
 from planner.task import GraspTask
 
-__all__ = ["MotionContext", "Reaches", "merit"]
-
 Reaches: TypeAlias = Callable[[SE3, FloatArray], bool]
 """Whether the hand's base can be at a pose, in the world, with joints q (nq,)."""
 

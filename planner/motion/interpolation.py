@@ -23,8 +23,6 @@ from planner.numerics.ik_step import Task, ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
-__all__ = ["interpolate_rolling"]
-
 STEPS = 6
 """Most inverse-kinematics steps at a sample."""
 

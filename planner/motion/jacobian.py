@@ -15,8 +15,6 @@ from planner.motion.unknowns import SHARED
 from planner.spatial import FloatArray
 from planner.synthesis.terms.term import Row
 
-__all__ = ["Block", "MotionJacobian"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Block:

@@ -23,8 +23,6 @@ from planner.motion.unknowns import OFFSET, SHARE
 from planner.spatial import FloatArray
 from planner.synthesis.terms.term import Role
 
-__all__ = ["Limit", "what_limits", "worst_term"]
-
 LISTED = 6
 """Largest number of limits in a report."""
 

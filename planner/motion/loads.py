@@ -36,8 +36,6 @@ from planner.synthesis.unknowns import Unknowns, mrp_matrix
 from planner.task import GraspTask
 from planner.tolerances import FRICTION_SHARE
 
-__all__ = ["MOST_LOAD", "load_function", "load_parameters"]
-
 MOST_LOAD = 0.75
 """Largest share (-) of an actuator's limit that the contact forces may take."""
 

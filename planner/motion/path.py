@@ -17,15 +17,6 @@ from planner.errors import TaskError, shown
 from planner.immutable import freeze
 from planner.spatial import SE3, FloatArray
 
-__all__ = [
-    "LARGEST_TURN",
-    "ObjectPath",
-    "check_place",
-    "checked_axis",
-    "checked_shift",
-    "tilts",
-]
-
 SHORTEST = 1e-9
 """Length (-) below which an axis has no direction; turns (rad) and shifts (m) below it are zero."""
 

@@ -21,8 +21,6 @@ from planner.quality import ClosureResult
 from planner.showing import Shown, in_notebook
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["Knot", "MotionPlan", "MotionRecord"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Knot:

@@ -45,8 +45,6 @@ from planner.synthesis.terms.term import WrittenTerm, table_of
 from planner.system.threads import built
 from planner.task import GraspTask
 
-__all__ = ["MotionNumbers", "MotionProblem"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class MotionNumbers:

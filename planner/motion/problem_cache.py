@@ -25,8 +25,6 @@ from planner.synthesis.terms.term import Term
 from planner.system.threads import BUILDING, made_once
 from planner.task import GraspTask
 
-__all__ = ["build_motion_problem", "motion_problem_for", "turned_surface_of"]
-
 NORMAL_ERROR, STEEP, EDGE_WORTH = 0.08, 0.97, 10.0
 """Largest error (rad) of normals at a contact; least slope (-) of the smooth distance at a contact
 that is on no edge; and weight factor (-) of a lower slope, 1 in a grasp. Thumb,

@@ -18,8 +18,6 @@ from planner.failure import Failure
 from planner.motion.plan import MotionPlan
 from planner.task import GraspTask
 
-__all__ = ["SINKS", "find_release", "standing", "verify_release"]
-
 SINKS = 0.01
 """Largest change of height (m) of a turned object on the obstacles that carry it."""
 

@@ -33,8 +33,6 @@ from planner.synthesis.field_points import Field
 from planner.synthesis.terms.term import Row, Term
 from planner.system.stage_times import stage
 
-__all__ = ["LEVER", "MotionResiduals"]
-
 LEVER = 0.035
 """Distance (m) of a contact from the axis that makes a shift comparable to a turn."""
 

@@ -32,8 +32,6 @@ from planner.numerics.casadi_compiled import compiled
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 
-__all__ = ["pivoting_function", "rolling_function", "slips"]
-
 
 def rolling_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
     """CasADi function of two knots' grasp unknowns and R0 (9, by columns).

@@ -18,16 +18,6 @@ from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
-__all__ = [
-    "MOTION_OPTIONS",
-    "PATH_TOLERANCE",
-    "UP",
-    "MotionAttempt",
-    "check_task",
-    "motion_attempts",
-    "plan_motion",
-]
-
 MotionAttempt = Attempt[MotionPlan]
 """One attempt: a motion, or why there is none."""
 

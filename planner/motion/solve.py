@@ -43,8 +43,6 @@ from planner.synthesis.problem import Start
 from planner.synthesis.room import with_room
 from planner.task import GraspTask
 
-__all__ = ["MotionCandidate", "MotionSolver"]
-
 PARAMETER_SCALE, OFFSET_SCALE = 0.1, 0.01
 """Steps that count as alike: of the path parameter (-), of the offset from the path (m)."""
 

@@ -26,8 +26,6 @@ from planner.synthesis.terms.forces import PRESS_MIN
 from planner.synthesis.unknowns import mrp_matrix
 from planner.tolerances import SWING_SHARE
 
-__all__ = ["Stance", "StanceRows"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Stance:

@@ -31,8 +31,6 @@ from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.system.threads import made_once
 from planner.task import GraspTask
 
-__all__ = ["finger_sets", "on_opposed_sides", "tripods", "with_rolling_pads"]
-
 FACING = float(np.cos(np.deg2rad(45.0)))
 """Least cosine between the normal of a side and the line across: less belongs to a neighbour."""
 

@@ -11,22 +11,6 @@ from planner.synthesis.terms.contact import PER_METRE
 from planner.synthesis.terms.forces import BALANCE, CONE, LEVEL, PRESS
 from planner.synthesis.terms.term import Role, Row, Term
 
-__all__ = [
-    "BEARING",
-    "LOAD",
-    "MOTION_TERMS",
-    "PATH",
-    "PIVOTING",
-    "REACH",
-    "ROLLING",
-    "STEADY",
-    "SWING",
-    "load_rows",
-    "rows_of_fingers",
-    "steady_rows",
-    "swing_rows",
-]
-
 ROLLING = Term(
     name="rolling",
     meaning="slip of each tip from knot to knot",

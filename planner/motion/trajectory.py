@@ -15,8 +15,6 @@ from planner.kinematics.arm_ik import palm_path, palm_pose
 from planner.plan import GraspPlan, JointTrajectory
 from planner.spatial import SE3, FloatArray, interpolate_path, minimum_jerk
 
-__all__ = ["JOINT_RATE", "TURN_RATE", "TrajectoryBuilder"]
-
 JOINT_RATE = 4.0
 """Default largest rate of a joint, rad/s (m/s for slides)."""
 

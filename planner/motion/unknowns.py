@@ -28,8 +28,6 @@ from planner.spatial import FloatArray
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 from planner.system.threads import made_once
 
-__all__ = ["SHARED", "MotionUnknowns", "placement"]
-
 SHARED = 7
 """Unknowns that all knots share: turn, shift, and the covered share of the path."""
 

@@ -33,8 +33,6 @@ from planner.verification.geometry import contacts_of, verify_geometry
 from planner.verification.grasp import no_closure, no_forces, plan_forces, verify_grasp
 from planner.verification.projection import project_onto_surface
 
-__all__ = ["MotionVerifier", "Waypoint"]
-
 SUBKNOTS = 3
 """Knots of the plan per interval of the solver: 10 degrees apart where the solver's are 30."""
 

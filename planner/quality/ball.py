@@ -25,15 +25,6 @@ from planner.spatial import FloatArray
 if TYPE_CHECKING:
     from scipy.spatial import ConvexHull
 
-__all__ = [
-    "HullMeasure",
-    "check_hull",
-    "epsilon_frogger",
-    "epsilon_l1",
-    "measure_hull",
-    "volume_l1",
-]
-
 FLAT_TOL = 1e-9
 """A hull is flat, and has no ball and no volume, where the least singular value of its centred
 points is below this share of the largest (-). Qhull needs about 1e-13."""

@@ -33,8 +33,6 @@ from planner.plain import finite
 from planner.quality.cones import primitive_wrenches
 from planner.spatial import FloatArray
 
-__all__ = ["ClosureResult", "closure_of_wrenches", "force_closure", "min_weight"]
-
 RANK_TOL = 1e-6
 """Singular values of W below this share of the largest count as zero (-). A grasp of 30 mm that has
 rank 6 by contacts 30 nm out of line has no closure that anyone can use."""

@@ -18,8 +18,6 @@ from planner.contacts.friction import Pyramid, check_edges, cone_edges, cone_sup
 from planner.errors import ContactError, shown
 from planner.spatial import FloatArray, skew
 
-__all__ = ["RoundCones", "check_length", "contact_wrenches", "primitive_wrenches"]
-
 EdgeUnit: TypeAlias = Literal["normal", "length"]
 
 SHORTEST, LONGEST = 1e-6, 1e6

@@ -20,8 +20,6 @@ from planner.numerics.kernels import kernel
 from planner.quality.cones import primitive_wrenches
 from planner.spatial import FloatArray
 
-__all__ = ["plainly_closed", "positive_weights"]
-
 PLAIN = 1e-4
 """Normalised min-weight that weights must prove (-): a thousand times what counts as positive."""
 

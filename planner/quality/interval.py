@@ -35,8 +35,6 @@ from planner.quality.ball import JITTER, flat_direction, jittered
 from planner.quality.cones import RoundCones, contact_wrenches
 from planner.spatial import FloatArray
 
-__all__ = ["Interval", "ball_interval", "epsilon_linf", "epsilon_round"]
-
 Support: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Directions (q, d) -> values h (q,) and points of the body (q, p, d), those that attain h among
 them, and others on the way out that may serve too."""

@@ -14,8 +14,6 @@ from planner.contacts import ContactSet
 from planner.quality.cones import RoundCones
 from planner.spatial import FloatArray
 
-__all__ = ["isotropy", "singular_values", "smallest_singular_value"]
-
 
 def singular_values(contacts: ContactSet, *, length: float) -> FloatArray:
     """Six singular values (-) of the scaled grasp map, descending, zeros where the rank is less.

@@ -10,8 +10,6 @@ from planner.quality.ball import check_hull
 from planner.quality.cones import primitive_wrenches
 from planner.spatial import FloatArray
 
-__all__ = ["wrench_reach"]
-
 
 def wrench_reach(
     contacts: ContactSet, directions: FloatArray, *, length: float, edges: int = 8

@@ -25,8 +25,6 @@ from planner.quality.isotropy import singular_values
 from planner.spatial import FloatArray
 from planner.tolerances import CLOSURE_EDGES
 
-__all__ = ["QualityReport", "analyse", "closure_and_epsilon"]
-
 ROUND_REL_TOL = 0.05
 """Width of a report's interval for true cones, as a share of its upper end (-)."""
 

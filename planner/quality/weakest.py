@@ -17,8 +17,6 @@ from planner.numerics.kernels import kernel
 from planner.quality.wrench_hull import hull_faces
 from planner.spatial import FloatArray
 
-__all__ = ["first_apart", "pyramid_wrenches", "sides_of", "weakest_directions", "wrench_faces"]
-
 EDGES = 4
 """Sides of the pyramids: Qhull takes 1 ms with four, 4 ms with eight."""
 

@@ -19,8 +19,6 @@ import numpy as np
 from planner.numerics.kernels import kernel
 from planner.spatial import FloatArray
 
-__all__ = ["distinct_faces", "hull_faces", "walked_faces"]
-
 MOST_WALKED = 32
 """Wrenches (-) beyond which Qhull is asked at once: 8 contacts with 4 edges."""
 

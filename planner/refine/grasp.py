@@ -35,8 +35,6 @@ from planner.synthesis.problem_cache import Problems, problems_for
 from planner.system.threads import made_once
 from planner.task import GraspTask
 
-__all__ = ["refine_grasp", "with_fingers"]
-
 AS_GIVEN = 0.002
 """Largest gap (m) of a pad, either sign, with which the given pose itself is tried."""
 

@@ -19,8 +19,6 @@ import numpy as np
 from planner.immutable import freeze
 from planner.spatial import SE3, FloatArray, rotation_angle
 
-__all__ = ["JOINT_UNIT", "LENGTH_UNIT", "TURN_UNIT", "Movement"]
-
 LENGTH_UNIT, TURN_UNIT, JOINT_UNIT = 0.01, 0.2, 0.2
 """Displacement of contacts and palm (m), turn of the palm (rad) and change of joints (rad) that
 count as alike. A slide of 0.2 m is as far as that for no hand, and none that we know has one."""

@@ -24,8 +24,6 @@ from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.registry import register_term
 from planner.synthesis.terms.term import Role, Rows, Term
 
-__all__ = ["NEAR", "near_numbers"]
-
 SMALLEST_RANGE = 1e-3
 """Least range (rad or m) of a joint that its change is compared with."""
 

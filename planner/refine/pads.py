@@ -18,8 +18,6 @@ from planner.hands.fingers import Finger
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
-__all__ = ["UnderPads", "fingers_near", "under_pads"]
-
 BEHIND = np.array([0.0, 0.004, 0.008, 0.014, 0.02])
 """Distances (m) behind a pad's centre from which the surface is looked for, in this order."""
 

@@ -18,8 +18,6 @@ from planner.spatial import SE3, FloatArray, pose_change
 from planner.task import GraspTask
 from planner.tolerances import JOINT_TOL
 
-__all__ = ["GivenPose", "palm_pose"]
-
 SAME_PLACE = 1e-6
 """Difference of pose (m, -) from a base that the task fixes that counts as none."""
 

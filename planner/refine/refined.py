@@ -12,8 +12,6 @@ from planner.refine.movement import Movement
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
-__all__ = ["RefinedGrasp"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class RefinedGrasp:

@@ -29,8 +29,6 @@ from planner.synthesis.seeds.draw import frozen_joints, opposed_forces
 from planner.system.stage_times import stage
 from planner.task import GraspTask
 
-__all__ = ["BOUNDED", "RUNGS", "Rung", "climb_rung", "near_options", "start_at"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Rung:

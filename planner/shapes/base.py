@@ -14,17 +14,6 @@ from planner.shapes.stable import StablePose
 from planner.shapes.surface import Surface
 from planner.spatial import SE3, FloatArray
 
-__all__ = [
-    "ALIGNED",
-    "LARGEST",
-    "SMALLEST",
-    "Shape",
-    "checked_extents",
-    "checked_length",
-    "checked_points",
-    "sized_spec",
-]
-
 LARGEST = 2.0
 """Largest accepted size (m): more is too large to grasp, or was given in millimetres."""
 

@@ -17,8 +17,6 @@ from planner.shapes.stable import StablePose, stable_poses
 from planner.shapes.surface import CODE_DIM, KEPT, Patch, Surface, box_clearance, edge_margin
 from planner.spatial import FloatArray, fixed_array
 
-__all__ = ["Box"]
-
 
 @dataclass(frozen=True)
 class Box(Shape):

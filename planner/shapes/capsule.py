@@ -16,8 +16,6 @@ from planner.shapes.closest_point import unit
 from planner.shapes.surface import KEPT, Patch, Surface, soft_norm
 from planner.spatial import FloatArray
 
-__all__ = ["Capsule"]
-
 
 @dataclass(frozen=True)
 class Capsule(Shape):

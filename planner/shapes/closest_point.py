@@ -6,8 +6,6 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["ON_SURFACE", "nearest_of_faces", "nearest_on_cylinder", "sign", "unit"]
-
 ON_SURFACE = 1e-12
 """Points nearer than this (m) to the surface take the normal of the nearest face: the direction
 from the surface point would be rounding noise."""

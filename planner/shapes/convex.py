@@ -17,8 +17,6 @@ import numpy as np
 from planner.errors import ModelError
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["BLUNT", "convex_geometry"]
-
 BLUNT = 1e-6
 """How far (m) from an apex its edges are cut: nothing of the hull that is lost is farther than that
 from what remains. It is coal's accuracy."""

@@ -15,8 +15,6 @@ from planner.shapes.closest_point import nearest_on_cylinder
 from planner.shapes.surface import KEPT, Patch, Surface, edge_margin, soft_max, soft_norm
 from planner.spatial import FloatArray
 
-__all__ = ["Cylinder"]
-
 
 @dataclass(frozen=True)
 class Cylinder(Shape):

@@ -25,8 +25,6 @@ from planner.shapes.closest_point import sign, unit
 from planner.shapes.surface import KEPT, Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 
-__all__ = ["Ellipsoid"]
-
 ITERATIONS = 60
 """Cap on Newton steps. Five to ten are usual; points next to the focal curve, at distances from a
 symmetry plane down to ``ON_PLANE``, need up to 40."""

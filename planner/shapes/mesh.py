@@ -34,8 +34,6 @@ from planner.system.disk_cache import read_arrays, write_arrays
 if TYPE_CHECKING:
     from scipy.spatial import ConvexHull
 
-__all__ = ["Mesh", "MeshSource"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSource:

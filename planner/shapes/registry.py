@@ -43,15 +43,6 @@ from planner.shapes.made import (
 from planner.shapes.mesh import Mesh
 from planner.shapes.sphere import Sphere
 
-__all__ = [
-    "SHAPES",
-    "SIZED_SHAPES",
-    "register_shape",
-    "shape_from_dict",
-    "shape_key",
-    "shape_to_dict",
-]
-
 _OWN: tuple[type[Shape], ...] = (
     *(Sphere, Box, Cylinder, Capsule, Ellipsoid),
     *(Mug, LBracket, Torus, Hammer, Superquadric, Knot),

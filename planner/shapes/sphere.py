@@ -15,8 +15,6 @@ from planner.shapes.closest_point import unit
 from planner.shapes.surface import KEPT, Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 
-__all__ = ["Sphere"]
-
 
 @dataclass(frozen=True)
 class Sphere(Shape):

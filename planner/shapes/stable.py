@@ -22,8 +22,6 @@ from planner.spatial import FloatArray, IntArray
 if TYPE_CHECKING:
     from scipy.spatial import ConvexHull
 
-__all__ = ["StablePose", "stable_poses"]
-
 FLAT_DEG = 0.5
 """Neighbouring faces of the hull that differ by less than this angle (degrees) are one face: the
 facets of a scanned or finely divided bottom."""

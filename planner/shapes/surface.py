@@ -24,19 +24,6 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = [
-    "CODE_DIM",
-    "KEPT",
-    "SIZE_DIM",
-    "Patch",
-    "Surface",
-    "box_clearance",
-    "edge_margin",
-    "soft_max",
-    "soft_norm",
-    "whole_surface",
-]
-
 SOFTNESS = 0.002
 """Length (m) over which the largest of several face distances is softened."""
 

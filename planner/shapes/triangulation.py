@@ -12,8 +12,6 @@ from planner.shapes.decomposition.hulls import hull_of
 from planner.shapes.mesh import Mesh
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["surface_points", "surface_triangles"]
-
 FINENESS = 4
 """Subdivisions of the icosahedron in whose directions a convex shape is seen: 2562, 4 degrees
 apart, so that chords of a sphere lie within 0.1 % of its radius."""

@@ -26,8 +26,6 @@ from planner.synthesis.optimize import GAIN, MEND_ITERATIONS, NEARLY, GraspRun
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, Start
 
-__all__ = ["climb", "nearby_start", "with_light_costs"]
-
 STEPS = 12
 """Most steps: after some ten the gain of one is below a hundredth."""
 

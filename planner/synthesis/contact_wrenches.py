@@ -12,8 +12,6 @@ import casadi as ca
 from planner.hands.fingers import Finger
 from planner.kinematics.symbolic import SymbolicHand
 
-__all__ = ["TINY", "contact_torque", "support"]
-
 TINY = 1e-9
 """Keeps the root of a sum of squares differentiable at zero."""
 

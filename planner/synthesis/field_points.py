@@ -22,8 +22,6 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["COEFFICIENTS", "Field", "FieldPoints"]
-
 COEFFICIENTS = 10
 """Taylor coefficients of phi up to its second derivatives."""
 

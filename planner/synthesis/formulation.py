@@ -22,8 +22,6 @@ from planner.synthesis.terms.resistance import RESISTANCE_WEIGHT
 from planner.synthesis.terms.term import Role, Rows, Term, WrittenTerm
 from planner.synthesis.unknowns import Unknowns
 
-__all__ = ["Formulation", "formulate"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Formulation:

@@ -19,16 +19,6 @@ from planner.kinematics.state import HandState, MovingHand
 from planner.spatial import FloatArray
 from planner.synthesis.link_spheres import fill, span
 
-__all__ = [
-    "LinkCapsule",
-    "between_segments",
-    "capsules_are_true",
-    "closest_on_segments",
-    "collision_pairs",
-    "finger_capsules",
-    "rooms_at_rest",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class LinkCapsule:

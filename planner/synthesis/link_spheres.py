@@ -22,17 +22,6 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
 
-__all__ = [
-    "LinkSphere",
-    "fill",
-    "hull_spheres",
-    "is_bar",
-    "link_spheres",
-    "margin_of",
-    "moving",
-    "span",
-]
-
 SPACING = 2.0
 """Largest distance between neighbouring spheres of a link, in radii."""
 

@@ -21,8 +21,6 @@ from planner.shapes.surface import Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 from planner.synthesis.field_points import Field, FieldPoints
 
-__all__ = ["mesh_surface", "surface_of"]
-
 NORMAL_ERROR, DISTANCE_ERROR = 0.1, 0.0007
 """Largest errors of the smooth distance: of its normals (rad) near edges, and of its values (m) on
 the surface."""

@@ -28,17 +28,16 @@ from planner.quality.weakest import wrench_faces
 from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray
 from planner.synthesis.loops.solver import LoopResiduals
-from planner.synthesis.objectives.registry import EPSILON, GraspPoint, objective_parameters
+from planner.synthesis.objectives.registry import EPSILON, objective_parameters
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.residuals import Residuals
+from planner.synthesis.symbols import GraspPoint
 from planner.synthesis.terms.link_distance import find_link_distances
 from planner.synthesis.terms.resistance import N_DIRECTIONS
 from planner.system.stage_times import stage
 from planner.task import GraspTask
-
-__all__ = ["GAIN", "MEND_ITERATIONS", "NEARLY", "GraspRun", "optimize_grasp"]
 
 TURN_SCALE, SHIFT_SCALE, JOINT_SCALE, POINT_SCALE, FORCE_SCALE = 0.3, 0.02, 0.3, 0.01, 0.5
 """Steps that count as alike in least squares: Rodrigues parameters (-), base (m), joints (rad or

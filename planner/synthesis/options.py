@@ -18,8 +18,6 @@ from planner.synthesis.terms.registry import TERMS, checked_terms
 from planner.synthesis.terms.term import Term
 from planner.tolerances import SYNTHESIS_SHARE
 
-__all__ = ["NO_OBJECTIVE", "OPTION_NAMES", "ProblemForm", "SynthesisOptions", "named_weights"]
-
 NO_OBJECTIVE = "none"
 """Name for no objective at all: the first grasp that is reached."""
 

@@ -48,8 +48,6 @@ from planner.synthesis.terms.term import Term, WrittenTerm, table_of
 from planner.system.threads import built
 from planner.task import GraspTask
 
-__all__ = ["Candidate", "GraspProblem", "Start", "build_problem", "problem_on"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Start:

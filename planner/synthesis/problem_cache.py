@@ -13,8 +13,6 @@ from planner.synthesis.problem import GraspProblem, build_problem
 from planner.system.threads import BUILDING, made_once
 from planner.task import GraspTask
 
-__all__ = ["Problems", "problems_for"]
-
 
 @dataclass(frozen=True)
 class Problems:

@@ -30,8 +30,6 @@ from planner.synthesis.terms.term import Row, WrittenTerm
 from planner.system.stage_times import stage
 from planner.system.threads import BUILDING, built
 
-__all__ = ["Residuals"]
-
 
 class Residuals:
     """Active weighted residuals r(x), (m,), and their Jacobian (m, n).

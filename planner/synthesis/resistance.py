@@ -18,8 +18,6 @@ import numpy as np
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.contact_wrenches import TINY
 
-__all__ = ["TIE", "least_resisted", "missing_resistance"]
-
 
 def missing_resistance(
     directions: FloatArray,

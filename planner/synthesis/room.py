@@ -17,8 +17,6 @@ from planner.kinematics.state import HandState
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
-__all__ = ["ROOM_DEVIATIONS", "tip_reach", "with_room"]
-
 ROOM_DEVIATIONS = 1.0
 """Standard deviations of a fingertip's place that the room has (-)."""
 

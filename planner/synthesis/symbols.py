@@ -18,8 +18,6 @@ from planner.synthesis.contact_wrenches import contact_torque
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 from planner.task import GraspTask
 
-__all__ = ["GraspPoint", "GraspSymbols"]
-
 
 class GraspSymbols:
     """The unknowns and parameters of a grasp, and expressions that terms share: CasADi SX.

@@ -7,8 +7,6 @@ import numpy as np
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 
-__all__ = ["NO_TABLE", "obstacles_in_object", "table_in_object"]
-
 NO_TABLE = 10.0
 """Distance (m) at which problems put the table when there is none: beyond any hand."""
 

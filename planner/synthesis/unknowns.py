@@ -10,8 +10,6 @@ import numpy as np
 
 from planner.spatial import SE3, FloatArray, skew
 
-__all__ = ["Unknowns", "mrp_matrix", "mrp_numeric", "mrp_rates"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Unknowns:

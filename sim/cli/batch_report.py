@@ -12,8 +12,6 @@ from planner.batch import BatchProgress, GraspSet
 from sim.progress import ProgressBar
 from sim.tables import number, table_of
 
-__all__ = ["BatchBar", "batch_summary", "batch_table"]
-
 
 class BatchBar(ProgressBar):
     """The bar of a batch, with its rate and what was found; use it as a context."""

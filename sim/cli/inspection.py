@@ -21,8 +21,6 @@ from planner.plain import without_prefix
 if TYPE_CHECKING:
     from planner.describe import CheckReport
 
-__all__ = ["hand_tables", "inspect_hand", "print_check"]
-
 
 def inspect_hand(hand: Hand) -> dict[str, Any]:
     """A hand as plain data: fingers, joints, actuators, couplings, masses (SI units, radians)."""

@@ -31,8 +31,6 @@ from sim.cli.states import states
 from sim.cli.test import test
 from sim.cli.view import view
 
-__all__ = ["GROUPS", "MEASURE", "Listed", "flowing", "overview", "register"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Listed:

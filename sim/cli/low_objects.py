@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from planner.synthesis.options import SynthesisOptions
     from planner.task import GraspTask
 
-__all__ = ["advice_for_low", "advice_for_size", "said_of_low"]
-
 LOW = 2.0
 """Height of an object over the thickness of a fingertip (-) below which it may be too low. The
 Allegro-type hand, 24 mm, fails at plates of 12 and 15 mm and grasps those of 20 mm."""

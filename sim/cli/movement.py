@@ -8,8 +8,6 @@ import typer
 
 from sim.cli.common import MOVEMENT_PANEL, numbers
 
-__all__ = ["NO_SHIFT", "RotateOption", "ShiftOption", "movement"]
-
 NO_SHIFT, USUAL_TURN = "0,0,0", "z:90"
 """What is done if nothing is said: no translation, and this turn where there is no translation."""
 

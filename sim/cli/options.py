@@ -52,8 +52,6 @@ if TYPE_CHECKING:
     from planner.synthesis.options import SynthesisOptions
     from sim.report import TrialReport
 
-__all__ = ["BestOptions", "PlanOptions", "TrialOptions", "with_options"]
-
 Command = TypeVar("Command", bound=Callable[..., None])
 
 AttemptsOption = Annotated[

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from planner.spatial import SE3
     from planner.task import Obstacle
 
-__all__ = ["OBSTACLE_FORM", "POSE_FORM", "object_of", "obstacle_of", "pose_of", "table_of"]
-
 POSE_FORM = "x,y,z or x,y,z,roll,pitch,yaw"
 """How a pose is written: m in the world, and degrees about the world's fixed axes x, y, z."""
 

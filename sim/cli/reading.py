@@ -19,15 +19,6 @@ if TYPE_CHECKING:
     from planner.exchange.formats import Reading
     from planner.plan import GraspPlan
 
-__all__ = [
-    "ReadingOptions",
-    "listed_plans",
-    "one_plan",
-    "our_kind",
-    "refuse_beside_ours",
-    "renaming",
-]
-
 READING_PANEL = "What the file does not say"
 """Group of options in the help."""
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from planner.plan import GraspPlan
 
-__all__ = ["numbered", "plans_table"]
-
 
 def numbered(file: Path, n: int) -> list[Path]:
     """Names for n files: plan.json gives plan-1.json and so on, with as many digits as n has."""

@@ -13,8 +13,6 @@ from sim.tables import table_of
 if TYPE_CHECKING:
     from sim.reset_states import StatesProgress
 
-__all__ = ["StatesBar", "states_table"]
-
 
 class StatesBar(ProgressBar):
     """The bar of each phase, with rate and share kept; use it as a context."""

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from planner.spatial import SE3
     from planner.task import GraspTask
 
-__all__ = ["TaskOptions"]
-
 PLACE, POSITION, POSE = 2, 3, 6
 """Numbers of ``--at``: a place on the table, a position, a pose."""
 

@@ -10,8 +10,6 @@ from rich.markup import escape
 
 from sim.cli.common import check_folder, err, errors_for_people, out, say
 
-__all__ = ["view"]
-
 
 @errors_for_people()
 def view(

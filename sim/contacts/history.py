@@ -20,8 +20,6 @@ from sim.contacts.rows import ContactRows
 from sim.contacts.touches import collisions
 from sim.scene import Scene
 
-__all__ = ["ContactHistory", "contacts_from_mujoco", "hand_contacts"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Noted:

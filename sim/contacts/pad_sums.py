@@ -14,8 +14,6 @@ from planner.numerics.kernels import kernel, loops_of_kernels
 from planner.spatial import FloatArray, IntArray
 from sim.contacts.reading import NO_FORCE, load_of
 
-__all__ = ["pad_means", "twist_of"]
-
 MIN_LENGTH = 1e-12
 """Least length (-) of a mean of normals that is divided by: a finger that pinches the object by
 itself can have none."""

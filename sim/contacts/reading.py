@@ -11,8 +11,6 @@ from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import FloatArray
 from sim.scene import Scene
 
-__all__ = ["NO_FORCE", "contact_forces", "contact_loads", "normal_forces", "object_contacts"]
-
 NO_FORCE = 1e-6
 """Normal force (N) up to which a contact counts as unloaded: what the contact solver leaves."""
 

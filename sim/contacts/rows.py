@@ -17,8 +17,6 @@ from planner.contacts.friction import cone_utilisation
 from planner.spatial import FloatArray, IntArray, contact_frames
 from planner.task import GraspTask
 
-__all__ = ["ContactRows", "as_believed", "merge_per_finger"]
-
 MIN_MEAN_NORMAL = 0.1
 """Below this length (-) the mean of a finger's normals says nothing (it pinches the object by
 itself); the normal of its strongest contact is taken."""

@@ -10,8 +10,6 @@ from typing import Any, Literal, TypeAlias
 from sim.contacts.reading import NO_FORCE, contact_forces
 from sim.scene import HAND_PREFIX, OBJECT, OBSTACLE_PREFIX, TABLE, Scene
 
-__all__ = ["Touch", "collisions", "other_touches"]
-
 TouchKind: TypeAlias = Literal[
     "hand-hand", "hand-table", "hand-obstacle", "object-table", "object-obstacle"
 ]

@@ -24,19 +24,6 @@ from sim.controllers.pads import PadReading
 from sim.controllers.schedule import TOUCH_FORCE
 from sim.controllers.touch import TouchReading
 
-__all__ = [
-    "PHASES",
-    "ClosesAgain",
-    "Controller",
-    "NeedsSenses",
-    "Observation",
-    "Phase",
-    "ReportsEvents",
-    "ReportsLimits",
-    "Sense",
-    "UsesSenses",
-]
-
 Phase: TypeAlias = Literal[
     "approach",
     "close",

@@ -11,8 +11,6 @@ import numpy as np
 
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["PoseBelief", "SeenPose"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeenPose:

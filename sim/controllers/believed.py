@@ -24,8 +24,6 @@ from numpy.typing import NDArray
 from planner.actuation import STOP_TOL, Actuation
 from planner.spatial import FloatArray
 
-__all__ = ["MOST_OFF", "BelievedJoints", "servo_commands"]
-
 MOST_OFF = 0.22
 """Largest error (rad) of a stop's reading: three standard deviations of the sum of two joints that
 are off by 3 degrees each, 3 sqrt(2) 3 degrees."""

@@ -20,8 +20,6 @@ from sim.controllers.base import Observation
 from sim.controllers.offsets import Look, OffsetEstimate, estimate_offsets
 from sim.controllers.pads import PadReading
 
-__all__ = ["CONTRADICTION", "OFF_PAD", "Calibration"]
-
 CONTRADICTION = 1.0
 """Root mean square of the contacts' errors in standard deviations (-) from which on joints count as
 off: contacts 1 mm off the surface with normals that fit, for instance. Exact joints leave 0.04, 1

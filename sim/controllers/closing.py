@@ -26,8 +26,6 @@ from sim.controllers.base import Observation
 from sim.controllers.neighbours import Neighbours
 from sim.controllers.schedule import TOUCH_FORCE
 
-__all__ = ["SEARCH_DAMPING", "GuardedClosing", "SearchWay", "search_ways"]
-
 CLOSE_RATE = 4.0
 """Fastest change (1/s) of a finger's share of the closing motion, for one that lost touch."""
 

@@ -17,8 +17,6 @@ import pinocchio as pin
 from planner.spatial import SE3, FloatArray
 from sim.controllers.belief import PoseBelief
 
-__all__ = ["Doubt"]
-
 DEVIATIONS = 3.0
 """How many standard deviations of the estimate, the largest so far, it may take back (-)."""
 

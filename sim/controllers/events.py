@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-__all__ = ["AS_TOLD", "Event", "EventKind", "told_events"]
-
 EventKind: TypeAlias = Literal[
     "contact lost",
     "contact found",

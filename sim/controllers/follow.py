@@ -34,8 +34,6 @@ from planner.motion import Knot, MotionPlan
 from planner.spatial import SE3, FloatArray, signed_twist
 from sim.controllers.reference import Target
 
-__all__ = ["MAX_ADVANCE", "RATE", "MotionReference"]
-
 RATE = 1.1
 """Default largest rate of the turn, rad/s: 90 degrees in 1.6 s with the ramps."""
 

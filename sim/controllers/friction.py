@@ -15,8 +15,6 @@ from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 from sim.controllers.motors import FULL_FRICTION_RATE, joint_drag
 
-__all__ = ["LEAST_FRICTION", "FoundFriction"]
-
 FAST = 0.3
 """Rate (rad/s) of an actuator's length from which on a step counts: six times that at which all of
 a joint's dry friction acts."""

@@ -30,8 +30,6 @@ from sim.controllers.loads import HandLoads, crossed
 from sim.controllers.motors import MotorServo
 from sim.controllers.retouch import TouchAgain
 
-__all__ = ["GraspController", "saturated"]
-
 FIRST_SHARE = 0.1
 """Share of the planned forces at which the squeeze begins: about the force of first touch."""
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from planner.numerics.kernels import kernel
 from planner.spatial import FloatArray, skew
 
-__all__ = ["FLAT", "RANK_TOL", "grasp_matrix", "tips_moved", "torques_for", "twist_of"]
-
 POSTURE_STIFFNESS = 0.3
 """Spring (N m/rad) on what a redundant finger can do by itself, a tenth of a servo's."""
 

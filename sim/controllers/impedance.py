@@ -31,8 +31,6 @@ from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
 
-__all__ = ["ImpedanceGains", "ImpedanceLaw", "felt_inertia"]
-
 BANDWIDTH = 60.0
 """Natural frequency (rad/s) of the held object. Contacts give way at 200 rad/s in simulation, and
 a control step of 2 ms at 60 rad/s is a phase of 7 degrees."""

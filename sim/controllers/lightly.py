@@ -14,8 +14,6 @@ from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 from sim.controllers.motors import FULL_FRICTION_RATE, joint_drag
 
-__all__ = ["LIGHTEST", "LightTouch"]
-
 LIGHTEST = 0.05
 """Torque (N m) that a finger's actuator may push with: 0.5 N at a tip 0.1 m from its joint, half of
 what counts as a collision (``sim.verdict.COLLISION_N``)."""

@@ -16,8 +16,6 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 
-__all__ = ["HandLoads", "crossed"]
-
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 

@@ -21,8 +21,6 @@ from planner.spatial import FloatArray
 from sim.controllers.events import EventKind
 from sim.controllers.pads import CREEP, PadReading
 
-__all__ = ["LOADED", "SLIP_SPEED", "InfeasibilityMonitor", "SlipDetector"]
-
 SLIP_SPEED = 0.005
 """Tangential speed (m/s) of an object over a pad that counts as a slip."""
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 
-__all__ = ["FULL_FRICTION_RATE", "MotorServo", "joint_drag", "motor_servo"]
-
 MOTOR_FREQUENCY, MOTOR_DAMPING = 30.0, 1.0
 """Natural frequency (rad/s) and damping ratio (-) of the spring given to joints with motors: about
 the stiffness of a hand with servos."""

@@ -14,16 +14,6 @@ from sim.controllers.base import Controller
 from sim.controllers.grasp import GraspController
 from sim.controllers.object_impedance import ObjectImpedance
 
-__all__ = [
-    "CONTROLLERS",
-    "AnyController",
-    "MakeController",
-    "controller_for",
-    "controller_maker",
-    "controller_name",
-    "named_controller",
-]
-
 MakeController: TypeAlias = Callable[[GraspPlan], Controller]
 """What makes a controller of a plan: a class or a function."""
 

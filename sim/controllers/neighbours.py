@@ -16,8 +16,6 @@ from planner.kinematics.state import MovingHand
 from planner.spatial import FloatArray
 from planner.synthesis.link_capsules import closest_on_segments, collision_pairs, finger_capsules
 
-__all__ = ["Neighbours"]
-
 
 class Neighbours:
     """Distances between fingers, their links taken as capsules."""

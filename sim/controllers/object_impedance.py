@@ -47,8 +47,6 @@ from sim.controllers.reference import Reference
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 from sim.controllers.torques import HoldingTorques
 
-__all__ = ["ObjectImpedance"]
-
 MAX_NORMAL = 40.0
 """Largest normal force (N) that a pad is asked for; the actuators usually end far below."""
 

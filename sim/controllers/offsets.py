@@ -28,8 +28,6 @@ from planner.kinematics.state import HandState
 from planner.shapes.base import Shape
 from planner.spatial import SE3, FloatArray, skew
 
-__all__ = ["Look", "OffsetEstimate", "estimate_offsets"]
-
 OFFSET = np.deg2rad(2.0)
 """Prior standard deviation (rad) of a joint's offset: between a good calibration and a bad one."""
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from planner.errors import ContactError, shown
 from planner.spatial import FloatArray
 
-__all__ = ["CREEP", "PadReading"]
-
 ZERO_NOISE = 0.1
 """How far (N) below 0 a pad without contact may read: pads are zeroed, and drift by some 0.03 N."""
 

@@ -11,8 +11,6 @@ from typing import Protocol
 
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["Reference", "Target"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Target:

@@ -22,8 +22,6 @@ from sim.controllers.calibration import Calibration
 from sim.controllers.closing import GuardedClosing
 from sim.controllers.schedule import TOUCH_FORCE
 
-__all__ = ["AGAIN_TIME", "TouchAgain", "closed"]
-
 OPEN_TIME, CLOSE_TIME = 0.3, 0.5
 """Time (s) to open after the first touch, and to close again: as a trial's own closing."""
 

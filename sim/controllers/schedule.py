@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 
-__all__ = ["ContactSchedule"]
-
 RAMP = 0.1
 """Time (s) in which a finger takes or gives away its whole force: slow beside the bandwidth."""
 

@@ -26,8 +26,6 @@ from sim.controllers.holding_loops import tips_moved, torques_for
 from sim.controllers.loads import HandLoads
 from sim.controllers.motors import FULL_FRICTION_RATE, joint_drag, motor_servo
 
-__all__ = ["HoldingTorques"]
-
 TIP_STIFFNESS = 150.0
 """Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
 

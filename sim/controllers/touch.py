@@ -11,8 +11,6 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["TouchReading"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TouchReading:

@@ -13,8 +13,6 @@ import numpy as np
 
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["bounding_box"]
-
 
 def bounding_box(geometry: Any, pose: SE3) -> FloatArray | None:
     """Lowest and highest corner (2, 3), m, of a geometry in the frame where its pose is given.

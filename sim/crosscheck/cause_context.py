@@ -15,8 +15,6 @@ from sim.crosscheck.reader import ReaderResult, is_urdf
 from sim.crosscheck.sources import Source
 from sim.crosscheck.states import as_drawn
 
-__all__ = ["EQUAL", "ORIENTATIONS", "Context"]
-
 ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fromto")
 """Attributes of MJCF that turn an element."""
 

@@ -22,8 +22,6 @@ from sim.crosscheck.reader import is_urdf
 from sim.crosscheck.report import Column
 from sim.crosscheck.sources import Source
 
-__all__ = ["explain", "explain_failure"]
-
 
 @cache
 def _known() -> tuple[dict[str, Any], ...]:

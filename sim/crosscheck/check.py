@@ -26,8 +26,6 @@ from sim.crosscheck.report import Column, CrosscheckReport, column_from
 from sim.crosscheck.sources import Source, compiled, stated_velocities
 from sim.crosscheck.states import as_drawn, random_states
 
-__all__ = ["BRIDGE", "READER", "compare_models", "crosscheck"]
-
 BRIDGE, READER = "bridge", "Pinocchio's reader"
 """Names of the columns of ``crosscheck``."""
 

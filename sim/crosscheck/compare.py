@@ -23,8 +23,6 @@ from sim.crosscheck.parts import (
 )
 from sim.crosscheck.quantities import Tally
 
-__all__ = ["compare_local", "compare_observations", "compare_parts", "local_pose"]
-
 _HUGE = 1e15
 """Limit, in any unit, beyond which a number stands for "none" (largest float and the like)."""
 

@@ -26,8 +26,6 @@ from sim.crosscheck.mujoco_side import MujocoSide
 from sim.crosscheck.parts import Observation, State
 from sim.crosscheck.quantities import Tally
 
-__all__ = ["EqualityCheck", "compare_couplings", "equality_names"]
-
 _CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)

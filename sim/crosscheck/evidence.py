@@ -19,8 +19,6 @@ from planner.spatial import FloatArray, pose_from_wxyz
 from sim.crosscheck.cause_context import EQUAL, ORIENTATIONS, Context
 from sim.crosscheck.quantities import Difference
 
-__all__ = ["EVIDENCE", "Evidence", "Reasons", "when"]
-
 Reasons: TypeAlias = dict[str, dict[str, Any]]
 """Name of each reason that applies -> values of its text."""
 

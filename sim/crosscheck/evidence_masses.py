@@ -20,8 +20,6 @@ from sim.crosscheck.evidence import Evidence, Reasons, when
 from sim.crosscheck.geometry import geom_name
 from sim.crosscheck.quantities import Difference
 
-__all__ = ["EVIDENCE_OF_MASSES"]
-
 _SHOWN = 1e-4
 """Up to which sizes, as they are shown with six digits, are equal (relative)."""
 

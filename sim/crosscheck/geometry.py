@@ -25,8 +25,6 @@ from planner.spatial import SE3, pose_from_wxyz
 from sim.crosscheck.parts import Observation, State
 from sim.crosscheck.quantities import Tally
 
-__all__ = ["GeometryCheck", "geom_name"]
-
 _KINDS = {
     int(mujoco.mjtGeom.mjGEOM_PLANE): "plane",
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",

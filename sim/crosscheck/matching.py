@@ -15,8 +15,6 @@ import pinocchio as pin
 from sim.crosscheck.parts import Layout
 from sim.crosscheck.pinocchio_side import PinJoint, PinocchioSide, joints_of
 
-__all__ = ["match"]
-
 _WORLD = "world"
 """Link of a URDF that is MuJoCo's world, which is no body of its own."""
 

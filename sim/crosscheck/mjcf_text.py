@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
-__all__ = ["MjcfText"]
-
 _MAIN = "main"
 """Name of the class that applies where none is named."""
 

@@ -11,8 +11,6 @@ import numpy as np
 from planner.spatial import FloatArray
 from sim.crosscheck.parts import LinkInertia
 
-__all__ = ["body_inertia", "efforts", "link_inertia"]
-
 _PUSH = 1e9
 """Control, far outside of any range, that drives an actuator to its force limit."""
 

@@ -28,8 +28,6 @@ from sim.crosscheck.parts import (
     State,
 )
 
-__all__ = ["MujocoSide", "layout_of", "left_out"]
-
 _OFF = (
     mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
     mujoco.mjtDisableBit.mjDSBL_ACTUATION,

@@ -15,18 +15,6 @@ from numpy.typing import NDArray
 
 from planner.spatial import SE3, FloatArray
 
-__all__ = [
-    "BoolArray",
-    "JointFacts",
-    "Layout",
-    "LinkInertia",
-    "Observation",
-    "Parts",
-    "Side",
-    "Slot",
-    "State",
-]
-
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 FREE, BALL, SLIDE, HINGE = KINDS = ("free", "ball", "slide", "hinge")

@@ -32,8 +32,6 @@ from sim.crosscheck.parts import (
     State,
 )
 
-__all__ = ["PinocchioSide", "joints_of"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class PinJoint:

@@ -9,8 +9,6 @@ import numpy as np
 from planner.arrays import check_fields
 from planner.spatial import FloatArray
 
-__all__ = ["QUANTITIES", "Difference", "Quantity", "Tally", "Tolerances"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:

@@ -24,8 +24,6 @@ from planner.errors import PlannerError
 from planner.spatial import FloatArray
 from sim.crosscheck.boxes import bounding_box
 
-__all__ = ["ReaderResult", "answer_in_child", "is_urdf", "read_with_pinocchio"]
-
 STARTED, ANSWER = "started", "answer.pickle"
 """Files that the child leaves in its folder: the first before it reads the model."""
 

@@ -22,8 +22,6 @@ from sim.crosscheck.mujoco_side import MujocoSide
 from sim.crosscheck.quantities import Tally
 from sim.crosscheck.reader import ReaderResult
 
-__all__ = ["compare_boxes", "compare_geometries", "geoms_of_bodies"]
-
 _BOUNDED = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE),
     int(mujoco.mjtGeom.mjGEOM_CAPSULE),

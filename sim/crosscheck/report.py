@@ -9,8 +9,6 @@ from typing import Any
 from planner.plain import finite, short_repr
 from sim.crosscheck.quantities import QUANTITIES, Difference, Quantity, Tally, Tolerances
 
-__all__ = ["SCHEMA", "Cell", "Column", "CrosscheckReport", "column_from"]
-
 SCHEMA = 1
 """Version of the JSON that ``CrosscheckReport.to_dict`` gives."""
 

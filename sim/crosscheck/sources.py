@@ -18,8 +18,6 @@ from planner.errors import ModelError
 from planner.hand_loading import load_hand
 from planner.hands.catalog import find_hand
 
-__all__ = ["Source", "compiled", "stated_velocities"]
-
 DESCRIPTION = ".toml"
 """How the name of a file ends that describes a hand and is no model."""
 

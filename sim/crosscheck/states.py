@@ -6,8 +6,6 @@ import numpy as np
 
 from sim.crosscheck.parts import BALL, FREE, BoolArray, JointFacts, Layout, State
 
-__all__ = ["as_drawn", "random_states"]
-
 UNLIMITED = {"hinge": np.pi, "slide": 0.1}
 """Half of the range, rad and m, in which a joint without limits is tried."""
 

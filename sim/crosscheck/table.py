@@ -9,8 +9,6 @@ from rich.table import Table
 from sim.crosscheck.quantities import QUANTITIES
 from sim.crosscheck.report import Cell, Column, CrosscheckReport
 
-__all__ = ["crosscheck_tables"]
-
 _STYLE = {"agrees": "green", "differs": "red", "reported": "dim"}
 
 

@@ -28,8 +28,6 @@ from sim.recording import Recording
 from sim.report import TrialReport
 from sim.report_file import ReportFile
 
-__all__ = ["AnyReport", "Episode", "episodes_of"]
-
 AnyReport: TypeAlias = TrialReport | ReportFile | ManipulationReport | ManipulationReportFile
 """Reports of which episodes are made."""
 

@@ -22,8 +22,6 @@ from sim.looking.painter import Painter, Pixels, Quality, open_painter
 from sim.looking.view import FIELD_OF_VIEW_DEG, View, choose_views
 from sim.scene import Scene, build_scene
 
-__all__ = ["ENCODING", "check_films", "draw_episode", "sampled_frames", "size_of"]
-
 ENCODING = ("-crf", "23", "-preset", "veryfast", "-g", "2", "-bf", "0", "-movflags", "+faststart")
 """Options of ffmpeg: every second frame stands by itself, so that one is decoded without those
 before it, which is how training reads them."""

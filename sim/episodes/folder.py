@@ -11,8 +11,6 @@ from pathlib import Path
 
 from planner.errors import FileFormatError
 
-__all__ = ["whole_folder"]
-
 
 @contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:

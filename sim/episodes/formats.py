@@ -16,9 +16,6 @@ from planner.arrays import check_fields, checked_count
 from planner.errors import NotFoundError, TaskError
 from sim.episodes.episode import Episode
 
-__all__ = ["FORMATS", "Asked", "EpisodeFormat", "EpisodeWriter", "format_named", "register_format"]
-
-
 MOST_FPS = 10_000
 """Most frames per second: recordings have one per time step at most, 0.1 ms."""
 

@@ -28,8 +28,6 @@ from sim.episodes.robot import Robot
 from sim.episodes.sampling import frames_at
 from sim.recording import Recording
 
-__all__ = ["ParquetWriter", "read_episodes"]
-
 FORMAT, VERSION = "opposable-episodes", "1"
 """Keys "format" and "version" of the metadata of both files."""
 

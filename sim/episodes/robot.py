@@ -10,8 +10,6 @@ from planner.errors import TaskError, shown
 from planner.hands.hand import Hand
 from sim.recording import PALM
 
-__all__ = ["Robot"]
-
 SERVO_TOL = 1e-9
 """Relative difference of gain and stiffness (-) up to which a command is the servo's target."""
 

@@ -11,8 +11,6 @@ import numpy as np
 from planner.errors import TaskError
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["frames_at", "rates_of"]
-
 TIME_TOL = 2e-6
 """How far (s) a sample may lie from its frame's time: report files round times to 1e-6 s."""
 

@@ -25,8 +25,6 @@ from sim.physics import PhysicsOptions
 from sim.report_file import read_report, report_data
 from sim.trial import simulate
 
-__all__ = ["Source", "Trials", "sources_of"]
-
 BATCH = "manifest.json"
 """File by which the folder of a batch is known."""
 

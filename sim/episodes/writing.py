@@ -16,8 +16,6 @@ from sim.episodes.formats import Asked, EpisodeWriter, format_named
 from sim.episodes.robot import Robot
 from sim.report import TrialReport
 
-__all__ = ["Written", "write_episodes", "write_lerobot", "write_parquet"]
-
 FAILED = "the trial failed: "
 """How the reason of an episode begins that is left out because its trial failed."""
 

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from planner.arrays import check_fields
 from sim.reality import Reality
 
-__all__ = ["SensorErrors"]
-
 LEAST_CAMERA, LEAST_TURN = 2e-4, math.radians(0.2)
 """Least errors of a camera, m and rad, that an estimator believes: a better one would be believed
 against the contacts, which give way by as much."""

@@ -28,8 +28,6 @@ from sim.estimation.knowing import Knowing
 from sim.estimation.moments import Look, Moment
 from sim.estimation.track import Track
 
-__all__ = ["ObjectEstimator", "Touch"]
-
 PERIOD = 0.01
 """Time (s) between two moments of the filter; it goes on at once where a finger (un)touches."""
 

@@ -28,8 +28,6 @@ from sim.estimation.state import Belief
 from sim.estimation.surface import nearest, touch_equations
 from sim.estimation.tips import TipKinematics, Tips
 
-__all__ = ["FARTHEST", "Filtered", "PoseFilter", "Trust"]
-
 FARTHEST = 22.5
 """Largest squared Mahalanobis distance (-) of a pose that is believed: 99.9 % of a chi-square
 distribution with 6 degrees of freedom lie below."""

@@ -13,8 +13,6 @@ import numpy as np
 from planner.spatial import FloatArray
 from sim.controllers import Event
 
-__all__ = ["Knowing"]
-
 LOST = (0.01, math.radians(15.0))
 """Believed errors, m and rad (root mean squares), beyond which a pose is not known."""
 

@@ -21,8 +21,6 @@ from planner.errors import FileFormatError, TaskError
 from planner.spatial import FloatArray
 from sim.controllers import Observation
 
-__all__ = ["EstimateLog"]
-
 AXES = ("x", "y", "z")
 
 

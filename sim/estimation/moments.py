@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["Look", "Moment"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:

@@ -19,20 +19,6 @@ from sim.controllers import Event, Observation
 from sim.estimation.errors import SensorErrors
 from sim.reality import Reality
 
-__all__ = [
-    "ESTIMATORS",
-    "NONE",
-    "AnyEstimator",
-    "Estimator",
-    "MakeEstimator",
-    "NamedEstimator",
-    "check_estimator",
-    "default_estimator",
-    "estimator_for",
-    "estimator_name",
-    "register_estimator",
-]
-
 NONE = "none"
 """Name of no estimator: the controller reads the sensors themselves."""
 

@@ -21,8 +21,6 @@ import numpy as np
 from planner.spatial import FloatArray, cross, skew
 from sim.estimation.tips import Tips
 
-__all__ = ["Grip", "Motion", "rolling"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grip:

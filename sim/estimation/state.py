@@ -19,8 +19,6 @@ import pinocchio as pin
 
 from planner.spatial import SE3, FloatArray, skew
 
-__all__ = ["Belief", "about_origin"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:

@@ -19,8 +19,6 @@ from planner.spatial import FloatArray, contact_frames, cross, skew
 from sim.estimation.state import Belief
 from sim.estimation.tips import Tips
 
-__all__ = ["Equations", "nearest", "touch_equations"]
-
 STEP = 1e-4
 """Step (m) of the differences that give the curvature of a surface."""
 

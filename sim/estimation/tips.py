@@ -16,8 +16,6 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import MovingHand
 from planner.spatial import FloatArray, IntArray, cross
 
-__all__ = ["TipKinematics", "Tips"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tips:

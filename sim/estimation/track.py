@@ -15,8 +15,6 @@ from planner.spatial import SE3
 from sim.estimation.filter import Filtered, PoseFilter
 from sim.estimation.moments import Look, Moment
 
-__all__ = ["KEPT", "Track"]
-
 KEPT = 0.4
 """How long (s) moments are kept: a look that is older when it arrives is not used."""
 

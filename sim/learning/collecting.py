@@ -19,8 +19,6 @@ from sim.learning.trials import Conditions, Plans
 from sim.manipulation import ManipulationReport
 from sim.manipulation.pressing import ASKED_SHARE, force_limit
 
-__all__ = ["Episode", "read_episode", "run_episode"]
-
 _DAMAGED = (OSError, ValueError, KeyError, EOFError)
 
 

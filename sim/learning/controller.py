@@ -31,8 +31,6 @@ from sim.learning.policy import ACTION_SCALE, RATE_HZ, Policy
 from sim.learning.senses import SENSES, SenseHistory
 from sim.learning.shipped import policy_file, shipped_policies
 
-__all__ = ["PolicyController", "PolicyMaker", "named_driver", "open_loop", "policy_controller"]
-
 POLICY = "policy:"
 """What the name of a controller begins with that is a policy."""
 

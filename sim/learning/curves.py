@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["draw_curves"]
-
 SIZE, DPI = (7.0, 5.0), 100
 """Of the picture, inches, and dots per inch."""
 

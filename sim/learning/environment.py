@@ -55,8 +55,6 @@ from sim.manipulation import ManipulationReport, ManipulationRun
 from sim.physics import PhysicsOptions
 from sim.reality import named_reality
 
-__all__ = ["ACTIONS", "ENVIRONMENT", "INCREMENT", "TurnEnv"]
-
 ENVIRONMENT = "Opposable/Turn-v0"
 """Name under which it is registered when this module is imported."""
 

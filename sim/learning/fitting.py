@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from planner.errors import TaskError
 from sim.learning.policy import Policy, PolicyFor, normalised
 
-__all__ = ["NEEDS_SKLEARN", "fit", "trained_network"]
-
 HIDDEN = (64, 64)
 """Units of the hidden layers."""
 

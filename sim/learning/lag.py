@@ -23,8 +23,6 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
 from sim.controllers import Observation
 
-__all__ = ["LENGTH", "PLACES", "ObjectLag"]
-
 PLACES = 101
 """Places on the path at which everything planned is tabulated: a degree apart."""
 

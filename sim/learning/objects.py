@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from planner.errors import ObjectError, shown
 from planner.objects import GraspObject, parse_object
 
-__all__ = ["ObjectRange"]
-
 _RANGE = re.compile(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)")
 """Two numbers with two dots between them; a sign is read so that the object can refuse it."""
 

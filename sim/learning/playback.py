@@ -29,8 +29,6 @@ from sim.controllers.grasp import FIRST_SHARE
 from sim.controllers.loads import HandLoads, crossed
 from sim.learning.lag import PLACES, ObjectLag, interpolated
 
-__all__ = ["AIM", "Playback", "servo_shift"]
-
 AIM = float(np.deg2rad(2.0))
 """Turn (rad) beyond the goal at which the clock ends. With the half degree by which every goal lies
 beyond the asked turn (``sim.manipulation.driver.BEYOND``) that is the middle of what the protocol

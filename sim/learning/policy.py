@@ -41,18 +41,6 @@ from sim.learning.trials import FRICTION, MASS
 from sim.physics import PhysicsOptions
 from sim.reality import Reality
 
-__all__ = [
-    "ACTION_SCALE",
-    "POLICY_FORMAT",
-    "POLICY_VERSION",
-    "RATE_HZ",
-    "Policy",
-    "PolicyFor",
-    "errors_told",
-    "normalised",
-    "physics_told",
-]
-
 POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 3
 """What a file says it is, and the version of its contents. Version 1 had no ``estimator``; 2 did
 not tell masses, frictions, physics and errors."""

@@ -27,8 +27,6 @@ from planner.task import GraspTask
 from sim.controllers import Observation
 from sim.learning.playback import Playback
 
-__all__ = ["LAGS", "SENSES", "SenseHistory", "checked_senses", "columns"]
-
 SENSES: tuple[str, ...] = ("joints", "touch", "targets", "plan", "clock", "object")
 """Senses that a policy may have."""
 

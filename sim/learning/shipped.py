@@ -10,8 +10,6 @@ from pathlib import Path
 from planner.errors import FileFormatError, NotFoundError
 from planner.system.models import models_dir
 
-__all__ = ["policy_file", "shipped_policies"]
-
 SUFFIX = ".npz"
 """Ending of a policy's file."""
 

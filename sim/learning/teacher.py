@@ -35,8 +35,6 @@ from sim.learning.policy import Policy
 from sim.learning.senses import SENSES, SenseHistory, columns
 from sim.simulation import Simulation
 
-__all__ = ["ByTheClock", "Demonstrator"]
-
 BANDWIDTH = 30.0
 """Natural frequency (rad/s) of the object that the teacher holds: a decision is held for 10 ms, for
 which the 60 rad/s of a loop with steps of 2 ms are too many."""

@@ -45,8 +45,6 @@ from sim.learning.policy import (
 from sim.learning.senses import checked_senses, columns
 from sim.learning.trials import Plans, TurnTask
 
-__all__ = ["Course", "Learned", "Progress", "learn"]
-
 LEARN_FORMAT, LEARN_VERSION = "opposable-learn", 2
 """What ``learn.json`` says it is."""
 

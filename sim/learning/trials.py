@@ -31,8 +31,6 @@ from sim.manipulation.in_hand import AnyTurningController
 from sim.physics import PhysicsOptions
 from sim.reality import IDEAL, REALITIES, Reality
 
-__all__ = ["FRICTION", "MASS", "Conditions", "Plans", "TurnTask"]
-
 FRICTION, MASS = (0.5, 1.0), (0.05, 0.3)
 """True sliding friction (-) and mass (kg), as in ``benchmarks.conditions``."""
 

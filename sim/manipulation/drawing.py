@@ -19,8 +19,6 @@ from sim.looking.picture import draw_tape
 from sim.looking.tape import Tape
 from sim.scene import build_scene
 
-__all__ = ["draw_grasp", "draw_motion"]
-
 STROKE_S, RELOCATION_S = 3.0, 1.0
 """How long a stroke and a relocation take in a film of a plan, s."""
 

@@ -33,8 +33,6 @@ from sim.scene import Scene
 from sim.simulation import Simulation
 from sim.timeline import Timeline
 
-__all__ = ["ArmMover", "BaseMover", "ManipulationDriver", "mover_of"]
-
 BEYOND, TILTED_BEYOND = np.deg2rad(0.5), np.deg2rad(1.0)
 """Turn (rad) beyond the asked one, a margin against elastic return; and about an axis that is not
 vertical, where the weight turns the object back further."""

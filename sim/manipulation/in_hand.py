@@ -47,16 +47,6 @@ from sim.controllers import (
 from sim.controllers.object_impedance import REFERENCE_PHASES
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 
-__all__ = [
-    "AnyTurningController",
-    "GuidedController",
-    "InHandController",
-    "ManipulationObservation",
-    "ReportsMissed",
-    "TurningController",
-    "in_hand_controller",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ManipulationObservation(Observation):

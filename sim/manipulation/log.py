@@ -19,8 +19,6 @@ from sim.recording import PALM, Recording
 from sim.simulation import Simulation
 from sim.states import StateRecorder
 
-__all__ = ["ManipulationLog", "ManipulationRecorder"]
-
 
 def channel(
     in_file: str, *shape: int, kind: type = float, scale: float = 1.0, per_finger: bool = False

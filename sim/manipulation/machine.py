@@ -37,8 +37,6 @@ from planner.motion.gait import Relocation
 from planner.motion.manipulation import Ending, ManipulationPlan
 from sim.manipulation.timeline import ManipulationPhase
 
-__all__ = ["CLOSE_TO", "PhaseCall", "Situation", "State", "StateMachine"]
-
 State: TypeAlias = Literal["pick", "turn", "regrasp", "hold", "place", "put down", "end"]
 
 PICK: tuple[ManipulationPhase, ...] = ("stand", "approach", "close", "squeeze", "verify", "lift")

@@ -23,17 +23,6 @@ from planner.spatial import FloatArray, IntArray
 from sim.controllers.monitors import SLIP_SPEED
 from sim.manipulation.timeline import PHASES, ManipulationPhase
 
-__all__ = [
-    "MODES",
-    "ROLL_SPEED",
-    "Mode",
-    "measured_modes",
-    "mode_table",
-    "planned_modes",
-    "planned_points",
-    "told_modes",
-]
-
 Mode: TypeAlias = Literal["off", "break", "slip", "roll", "stick"]
 
 MODES: tuple[Mode, ...] = Mode.__args__  # type: ignore[attr-defined]

@@ -42,8 +42,6 @@ from sim.pages.words import (
 )
 from sim.recording import Recording
 
-__all__ = ["manipulation_page"]
-
 MODE_COLOURS = {
     "stick": "#3a9d5d",
     "roll": "#4a86c8",

@@ -27,8 +27,6 @@ from sim.manipulation.report_file import ManipulationReportFile
 from sim.pages.trial_page import force_of
 from sim.recording import Recording
 
-__all__ = ["Part", "motion_of", "obstacles_of", "parts_of", "planned_contacts", "planned_forces"]
-
 
 @dataclass(frozen=True, eq=False)
 class Part:

@@ -26,8 +26,6 @@ from sim.manipulation.results import Measured, off_target, placed, too_short, un
 from sim.manipulation.simulation import ManipulationSim
 from sim.manipulation.timeline import ManipulationPhase, ManipulationTimeline, SuccessCriteria
 
-__all__ = ["Phases"]
-
 STILL_SPEED = np.deg2rad(3.0)
 """Rate (rad/s) below which a turn that has reached its angle has ended."""
 

@@ -14,8 +14,6 @@ import numpy as np
 from planner.motion.manipulation import ManipulationPlan
 from sim.manipulation.log import ManipulationLog
 
-__all__ = ["ASKED_SHARE", "FingerForce", "finger_forces", "force_limit"]
-
 LEAST_LIMIT, OVER_PLAN = 18.0, 1.875
 """Normal force with which a finger may press in any case (N), and over the plan's largest (-): a
 margin for pushes and pose errors, and for what springs and movement add to what is asked. The

@@ -17,8 +17,6 @@ from sim.controllers import Observation
 from sim.manipulation.log import ManipulationRecorder
 from sim.simulation import Simulation
 
-__all__ = ["Reading"]
-
 
 class Reading:
     """What is read of one simulation, for ``ManipulationSim``."""

@@ -26,8 +26,6 @@ from sim.manipulation.simulation import ManipulationSim
 from sim.manipulation.swing import FingerSwing
 from sim.manipulation.timeline import ManipulationTimeline
 
-__all__ = ["MEASURED_MARGIN", "Regrasping", "margin_without"]
-
 MEASURED_MARGIN = 0.02
 """Least normalised min-weight (-) of the measured contacts that are to hold while a finger is away;
 planned is ``planner.motion.gait.order.CLOSURE_MARGIN``."""

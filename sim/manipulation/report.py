@@ -33,8 +33,6 @@ from sim.recording import Recording
 from sim.screen import reality_lines
 from sim.verdict import Fault, first_collision, lost
 
-__all__ = ["ManipulationReport"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ManipulationReport(Shown):

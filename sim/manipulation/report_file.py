@@ -15,8 +15,6 @@ from sim.manipulation.timeline import ManipulationPhase
 from sim.recording import RecordingData
 from sim.report_file import REPORT_VERSION, EventData, check_lengths, report_data, upgraded
 
-__all__ = ["ManipulationReportFile", "read_manipulation_report"]
-
 
 class PhaseData(StrictData):
     """The end of a phase."""

@@ -10,17 +10,6 @@ import numpy as np
 from planner.spatial import SE3, FloatArray, signed_twist
 from sim.manipulation.timeline import ManipulationPhase, SuccessCriteria
 
-__all__ = [
-    "Measured",
-    "PhaseResult",
-    "off_target",
-    "placed",
-    "short_of",
-    "tilt_between",
-    "too_short",
-    "undisturbed",
-]
-
 Measured: TypeAlias = tuple[str, dict[str, float]]
 """Why a phase failed, "" if it did not, and its numbers by name with unit."""
 

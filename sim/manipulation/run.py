@@ -42,8 +42,6 @@ from sim.physics import AnyPhysics
 from sim.reality import AnyReality
 from sim.simulation import Simulation
 
-__all__ = ["ManipulationRun", "manipulate"]
-
 
 class ManipulationRun:
     """One execution of a plan; the ``Situation`` of its state machine.

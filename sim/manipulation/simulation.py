@@ -30,8 +30,6 @@ from sim.reality import AnyReality
 from sim.simulation import Simulation
 from sim.verdict import DropCriteria, lost
 
-__all__ = ["DROPPED", "ManipulationSim", "Push"]
-
 SAMPLE_EVERY = 0.02
 """Time between samples, s: that at which closure and forces are judged."""
 

@@ -23,8 +23,6 @@ from planner.task import GraspTask
 from sim.physics import PhysicsOptions
 from sim.scene import Scene, build_scene
 
-__all__ = ["rests", "settled"]
-
 WATCHED = 1.0
 """Time (s) that an object is watched for: one that rolls off moves by 1 mm within 0.3 s."""
 

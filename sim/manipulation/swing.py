@@ -19,8 +19,6 @@ from sim.controllers import Observation
 from sim.controllers.closing import SEARCH_DAMPING
 from sim.controllers.motors import motor_servo
 
-__all__ = ["FingerSwing"]
-
 LANDING_SPEED = 0.02
 """Speed (m/s) along the normal of a pad that has come to the end of its way without touching."""
 

@@ -9,16 +9,6 @@ from planner.arrays import check_fields
 from sim.controllers import Phase
 from sim.verdict import COLLISION_N
 
-__all__ = [
-    "CONTROLLER_PHASE",
-    "IN_THE_AIR",
-    "PHASES",
-    "TURNING",
-    "ManipulationPhase",
-    "ManipulationTimeline",
-    "SuccessCriteria",
-]
-
 ManipulationPhase: TypeAlias = Literal[
     "stand",
     "approach",

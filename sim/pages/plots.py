@@ -14,17 +14,6 @@ from sim.controllers.events import AS_TOLD
 from sim.recording import Recording
 from sim.report_file import EventData
 
-__all__ = [
-    "column",
-    "command_plot",
-    "cone_plot",
-    "event_marks",
-    "force_plot",
-    "per_finger",
-    "phase_bands",
-    "quality_plot",
-]
-
 
 def column(values: Sequence[float | None]) -> FloatArray:
     """Numbers of a file (m,), NaN for null."""

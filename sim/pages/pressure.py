@@ -15,8 +15,6 @@ import numpy as np
 
 from planner.pages.blocks import Block, Heading, Image, Sentence
 
-__all__ = ["pressure_blocks", "pressure_svg"]
-
 CELL, MARGIN, GAP, TEXT = 10, 4, 14, 16
 """Side of a taxel, margin, distance of arrays and height of a line of text, pixels."""
 

@@ -14,8 +14,6 @@ from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask, Obstacle
 from sim.recording import Recording
 
-__all__ = ["NO_STATES", "Moving", "bare_scene", "measured_contacts", "moving_stage"]
-
 NO_STATES = (
     "This report has no recorded states (it is of an older version, or they were left out), so "
     "there is no motion to show; run it again for a page with the motion."

@@ -11,8 +11,6 @@ from planner.files.tasks import task_from_data
 from planner.hand_loading import load_hand
 from planner.task import GraspTask
 
-__all__ = ["plan_file", "task_of_plan"]
-
 
 def plan_file(plan: dict[str, Any], source: str = "the report's plan") -> PlanFile:
     """A plan that a report holds, with its format checked but not its claims.

@@ -42,8 +42,6 @@ from sim.pages.words import (
 from sim.recording import Recording
 from sim.report_file import ReportFile
 
-__all__ = ["force_of", "page_of_report", "planned_in_object", "trial_page"]
-
 
 def trial_page(report: ReportFile, task: GraspTask | None = None) -> Page:
     """The page of a trial, from its report alone.

@@ -10,20 +10,6 @@ from planner.pages.blocks import Block, Command, Facts, Folded, Heading, Sentenc
 from sim.report_file import EventData
 from sim.screen import reality_lines
 
-__all__ = [
-    "events_block",
-    "facts_of",
-    "grasp_rows",
-    "in_words",
-    "physics_blocks",
-    "plan_blocks",
-    "quality_rows",
-    "reality_blocks",
-    "shown",
-    "source_blocks",
-    "task_rows",
-]
-
 DIGITS = 3
 """Significant digits of a number."""
 

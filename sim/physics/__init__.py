@@ -1,7 +1,6 @@
 """Physics of the simulation: options with a reason each, and presets by name."""
 
 from sim.physics.named import (
-    SUFFIXES,
     AnyPhysics,
     as_physics,
     named_physics,
@@ -10,6 +9,7 @@ from sim.physics.named import (
 )
 from sim.physics.options import PRESETS, PhysicsOptions, register_physics
 from sim.physics.presets import dexgraspbench, menagerie, mujoco_default
+from sim.preset_files import SUFFIXES
 
 __all__ = [
     "PRESETS",

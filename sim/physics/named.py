@@ -15,17 +15,7 @@ from typing import TypeAlias
 
 from planner.errors import TaskError
 from sim.physics.options import OURS, PRESETS, PhysicsOptions
-from sim.preset_files import SUFFIXES, PresetFiles
-
-__all__ = [
-    "PRESETS",
-    "SUFFIXES",
-    "AnyPhysics",
-    "as_physics",
-    "named_physics",
-    "physics_for",
-    "read_physics",
-]
+from sim.preset_files import PresetFiles
 
 AnyPhysics: TypeAlias = PhysicsOptions | str
 """Physics, or what ``--physics`` takes: a preset's name or the path of a file."""

@@ -23,16 +23,6 @@ from planner.errors import TaskError, shown
 from planner.plain import finite
 from planner.spatial import FloatArray
 
-__all__ = [
-    "CONTACT_SOLIMP",
-    "CONTACT_SOLREF",
-    "MU_ROLLING",
-    "OURS",
-    "PRESETS",
-    "PhysicsOptions",
-    "register_physics",
-]
-
 OURS = "ours"
 """Name of the defaults."""
 

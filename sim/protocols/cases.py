@@ -15,8 +15,6 @@ from sim.physics import PhysicsOptions
 from sim.protocols.outcome import Outcome
 from sim.reality import Reality
 
-__all__ = ["AXES", "Case", "Conditions", "axis_of"]
-
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """Names of the six directions along the world's axes."""
 

@@ -20,8 +20,6 @@ from sim.physics import PhysicsOptions
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.scene import build_scene
 
-__all__ = ["CreepMeasured", "Tried", "measure_creep", "sized_remedies"]
-
 CALM_S, WATCHED_S = 0.3, 1.0
 """Time (s) after the grip is there that is left out, and in which creep is measured then."""
 

@@ -28,19 +28,11 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_change
 from sim.controllers import Observation
 from sim.protocols.cases import AXES, Conditions, axis_of
-from sim.protocols.dexgraspbench_scene import benchmark_physics, benchmark_scene
+from sim.protocols.dexgraspbench_scene import benchmark_scene
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.outcome import Outcome
 from sim.timeline import Timeline
 from sim.verdict import DropCriteria, Fault, lost
-
-__all__ = [
-    "DexGraspBenchCase",
-    "Replay",
-    "benchmark_physics",
-    "dexgraspbench_cases",
-    "unsuitable_for_dexgraspbench",
-]
 
 STAGES, CHECK_S, CHECKS = 10, 0.2, 10
 """Stages of a motion; time between checks (s), and how many there are."""

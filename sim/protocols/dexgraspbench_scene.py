@@ -38,15 +38,6 @@ from sim.scene import (
     index_scene,
 )
 
-__all__ = [
-    "HAND_SOLIMP",
-    "HAND_SOLREF",
-    "Welded",
-    "benchmark_contacts",
-    "benchmark_physics",
-    "benchmark_scene",
-]
-
 HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 0.0001)
 """Contact parameters that the benchmark gives to all geoms of a hand."""
 

@@ -35,8 +35,6 @@ from sim.timeline import Timeline
 from sim.trial import felt_by, run_grasp_phase
 from sim.verdict import DropCriteria, Fault, Reason, lost, put_down_to_actuators
 
-__all__ = ["DROPPED", "GRIP", "DisturbanceTrial"]
-
 GRIP = Timeline.quick(approach=0.1, close_wait=0.5, lift=0.4)
 """Durations; there is no approach, and "lift" is the time to come to rest when the object is let
 go."""

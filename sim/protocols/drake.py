@@ -33,8 +33,6 @@ from sim.scene_export import export_scene
 from sim.second_engine import INSTALL, TIME_STEP, Held, hold_in_drake
 from sim.verdict import Fault
 
-__all__ = ["DrakeCase", "drake_cases", "drake_physics", "unsuitable_for_drake"]
-
 PUSH_SHARE = 0.5
 """Push over the object's weight under 9.81 m/s2 (-): the planned forces carry the weight with a
 margin of 20 % in friction, and nothing closes the fingers further."""

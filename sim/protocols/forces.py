@@ -33,15 +33,6 @@ from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
 from sim.verdict import Fault
 
-__all__ = [
-    "GravityCase",
-    "PushCase",
-    "distance_from_plan",
-    "forces_cases",
-    "near_bound",
-    "proven_bound",
-]
-
 G = -GRAVITY[2]
 """Gravity (m/s2) of a task that has none, and what weights are reckoned with."""
 

@@ -27,8 +27,6 @@ from sim.protocols.dexgraspbench import FAR, STAGES, unsuitable_for_dexgraspbenc
 from sim.protocols.dexgraspbench_scene import benchmark_scene
 from sim.verdict import lost
 
-__all__ = ["hold_given_grasp"]
-
 STEPS = 10
 """Time steps of a stage."""
 

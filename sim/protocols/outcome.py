@@ -21,8 +21,6 @@ from sim.recording import Recording
 from sim.samples import Samples
 from sim.verdict import Fault, Reason
 
-__all__ = ["Outcome"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:

@@ -21,8 +21,6 @@ from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport
 from sim.report_file import EventData
 
-__all__ = ["outcome_page"]
-
 ON_THE_TABLE = ("robust",)
 """Protocols that begin as a trial does; in the others the object is held in the air."""
 

@@ -20,8 +20,6 @@ from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
 
-__all__ = ["Push", "PushesCase", "drawn_pushes", "pushes_cases"]
-
 PUSH_TIME = 0.3
 """Duration of a push, s."""
 

@@ -19,8 +19,6 @@ from sim.tactile import EXACT
 from sim.timeline import Timeline
 from sim.trial import Trial
 
-__all__ = ["RealityCase", "reality_cases", "with_errors"]
-
 RECORD_EVERY = 0.05
 """Time between samples, s."""
 

@@ -22,8 +22,6 @@ from sim.protocols.outcome import Outcome
 from sim.reality import draws_in_words
 from sim.screen import OnScreen, number, percent, reality_lines, table
 
-__all__ = ["ProtocolReport", "protocol_table", "write_csv"]
-
 PROTOCOL_VERSION = 2
 """Version of the JSON form; version 1 called the loads borne and broke, and one protocol fc."""
 

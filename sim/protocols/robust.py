@@ -21,8 +21,6 @@ from sim.protocols.settings import Settings
 from sim.timeline import Timeline
 from sim.trial import Trial
 
-__all__ = ["RobustCase", "displaced", "robust_cases"]
-
 RECORD_EVERY = 0.05
 """Time between samples, s."""
 

@@ -47,8 +47,6 @@ from sim.second_engine import drake_missing
 from sim.simulation import filmed
 from sim.verdict import Fault
 
-__all__ = ["IN_ALL", "PROTOCOLS", "cases_of", "run_protocol", "trials_of", "unsuitable"]
-
 MakeCases: TypeAlias = Callable[[Settings, int], Sequence[Case]]
 
 PROTOCOLS: Mapping[str, MakeCases] = MappingProxyType(

@@ -9,8 +9,6 @@ from planner.errors import TaskError
 from sim.protocols.disturbance import DROPPED
 from sim.verdict import DropCriteria
 
-__all__ = ["Settings"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:

@@ -25,8 +25,6 @@ from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
 
-__all__ = ["ShakeCase", "Shaker", "on_an_arm", "shake_cases"]
-
 TINY = 1e-4
 """Step (s) of the differences that rate and acceleration are taken by."""
 

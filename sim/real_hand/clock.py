@@ -17,8 +17,6 @@ from planner.spatial import FloatArray
 if TYPE_CHECKING:
     from sim.real_hand.plan_mark import PlanMark
 
-__all__ = ["Clock", "Pace", "RealClock", "RecordedClock"]
-
 LATE_TOL = 1e-9
 """Lateness (s) that is rounding."""
 

@@ -13,8 +13,6 @@ from planner.errors import HandError
 from planner.spatial import SE3, FloatArray
 from sim.controllers.pads import PadReading
 
-__all__ = ["DryRun", "EndOfReadings", "HandInterface", "HandReading", "HandWrapper"]
-
 
 class EndOfReadings(HandError):
     """There is nothing more to read: a log that is replayed has come to its end."""

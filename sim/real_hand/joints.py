@@ -27,8 +27,6 @@ from sim.real_hand.safety import Safety
 from sim.real_hand.senses import Observer
 from sim.tables import table_of
 
-__all__ = ["JointCheck", "check_joints", "checks_table"]
-
 AMPLITUDE = 0.1
 """How far each actuator is moved, rad: 10 mm at the tip of a finger of 10 cm."""
 

@@ -17,8 +17,6 @@ from planner.arrays import checked_number, float_array
 from planner.errors import NotFoundError, TaskError, shown
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["CommandLimiter", "CommandLimits"]
-
 RANGES_PER_SECOND = 2.0
 """Fastest commands unless told otherwise, in widths of an actuator's range per second: 3 to 5 rad/s
 for the fingers of an Allegro-type hand."""

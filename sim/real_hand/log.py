@@ -22,8 +22,6 @@ from sim.controllers.pads import PadReading
 from sim.real_hand.interface import HandReading
 from sim.real_hand.plan_mark import PlanMark
 
-__all__ = ["HandLog", "LogWriter", "read_log"]
-
 FORMAT, VERSION = "opposable-hand-log", 2
 
 READ = (1, 2)

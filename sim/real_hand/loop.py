@@ -28,8 +28,6 @@ from sim.real_hand.report import LoopReport, Times
 from sim.real_hand.safety import Guard, Safety, Stopped
 from sim.real_hand.senses import HandObservation, Observer
 
-__all__ = ["Carry", "ControlLoop"]
-
 Carry = Callable[[Phase, float, float], None]
 """Moves the hand as a whole, or tells who does: phase, share of it that has passed in [0, 1], and
 how fast that share grows, per second. Called in every tick, before the controller."""

@@ -28,8 +28,6 @@ from planner.errors import HandError, TaskError, shown
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from sim.real_hand.interface import HandReading
 
-__all__ = ["Inbox", "LossyLink", "Packet", "reading_of", "reading_values"]
-
 MARK = b"OPH1"
 
 _HEAD, _TAIL = struct.Struct("<4scIdH"), struct.Struct("<I")

@@ -12,8 +12,6 @@ import numpy as np
 from planner.plan import GraspPlan
 from planner.shapes import shape_key
 
-__all__ = ["PlanMark"]
-
 DIGITS = 9
 """Decimals of numbers that count: a plan that was written and read is the same to rounding."""
 

@@ -26,8 +26,6 @@ from sim.real_hand.log import HandLog, read_log
 from sim.real_hand.plan_mark import PlanMark
 from sim.real_hand.senses import places
 
-__all__ = ["Comparison", "ReplayedHand"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:

@@ -13,8 +13,6 @@ from planner.plain import finite, short_repr
 from planner.spatial import FloatArray
 from sim.tables import table_of
 
-__all__ = ["LoopReport", "Times"]
-
 MICRO = 1e6
 
 FORMAT = "opposable-loop-report"

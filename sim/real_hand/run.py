@@ -26,8 +26,6 @@ from sim.real_hand.safety import Safety
 from sim.real_hand.senses import HandObservation, Observer
 from sim.timeline import Timeline
 
-__all__ = ["run_controller"]
-
 
 def run_controller(
     interface: HandInterface,

@@ -19,8 +19,6 @@ from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 from sim.real_hand.interface import HandReading
 
-__all__ = ["Guard", "OnStop", "Safety", "StopCause", "Stopped"]
-
 OnStop: TypeAlias = Literal["torque off", "hold"]
 """What an emergency stop does after the last write."""
 

@@ -26,8 +26,6 @@ from sim.controllers.base import Controller, NeedsSenses, Observation, Phase, Se
 from sim.controllers.pads import PadReading
 from sim.real_hand.interface import HandInterface, HandReading
 
-__all__ = ["ASSUMABLE", "HandObservation", "Observer", "places"]
-
 ASSUMABLE: tuple[Sense, ...] = ("object_pose", "touch")
 """Senses for which planned values may stand in."""
 

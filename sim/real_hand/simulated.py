@@ -36,8 +36,6 @@ from sim.real_hand.interface import HandReading
 from sim.report import TrialReport
 from sim.trial import Trial
 
-__all__ = ["SimulatedHand"]
-
 ALL_SENSES: tuple[Sense, ...] = ("touch", "object_pose", "object_twist", "pads")
 """What a simulated hand can be read for; contacts it does not give away."""
 

@@ -21,8 +21,6 @@ from sim.controllers.base import PHASES, Phase
 from sim.real_hand.interface import HandReading
 from sim.real_hand.packets import Inbox, Packet, reading_of
 
-__all__ = ["UdpHand"]
-
 LOCAL = "127.0.0.1"
 
 LARGEST = 65536

@@ -19,8 +19,6 @@ from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 from sim.reality.errors import Reality
 
-__all__ = ["Drawn", "hand_actuators", "stream"]
-
 
 def stream(seed: int, name: str) -> np.random.Generator:
     """The random numbers of one error."""

@@ -33,8 +33,6 @@ from sim.reality.drawn import Drawn
 from sim.reality.errors import Reality
 from sim.reality.senses import TIME_TOL, encoder_error
 
-__all__ = ["RealDrive"]
-
 
 class RealDrive:
     """Commands to ctrl; call ``drive`` once a time step."""

@@ -15,8 +15,6 @@ from planner.errors import NotFoundError, TaskError, shown
 from planner.plain import finite
 from sim.tactile import EXACT, check_touch
 
-__all__ = ["IDEAL", "REALITIES", "Reality", "register_reality"]
-
 IDEAL = "ideal"
 """Name of the reality without errors."""
 

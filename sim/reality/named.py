@@ -16,8 +16,6 @@ from planner.errors import TaskError, shown
 from sim.preset_files import PresetFiles
 from sim.reality.errors import IDEAL, REALITIES, Reality
 
-__all__ = ["AnyReality", "as_reality", "named_reality", "read_reality", "reality_for"]
-
 AnyReality: TypeAlias = Reality | str
 """What is accepted as a reality: itself, the name of a preset, or the path of a file."""
 

@@ -29,8 +29,6 @@ from sim.controllers.pads import PadReading
 from sim.reality.drawn import Drawn, stream
 from sim.reality.errors import Reality
 
-__all__ = ["Drift", "RealSenses", "encoder_error"]
-
 TIME_TOL = 1e-9
 """Times that differ by less (s) are the same: rounding of sums of time steps."""
 

@@ -24,8 +24,6 @@ from sim.reality.world import change_world, lifted_by
 from sim.scene import Scene
 from sim.tactile import TaxelSense, TouchContext, TouchSense, make_sense
 
-__all__ = ["RealityOfTrial"]
-
 
 class RealityOfTrial:
     """Errors as drawn, with what applies them.

@@ -15,8 +15,6 @@ from planner.kinematics.state import joint_axes
 from planner.spatial import FloatArray
 from sim.reality.drawn import Drawn
 
-__all__ = ["drawn_numbers", "draws_in_words"]
-
 PHRASES: Mapping[str, tuple[str, float, int]] = {
     "largest_encoder_offset_deg": ("joints up to {} degrees off", 0.0, 1),
     "largest_slide_offset_mm": ("slides up to {} mm off", 0.0, 1),

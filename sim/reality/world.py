@@ -22,8 +22,6 @@ from sim.reality.drawn import Drawn, hand_actuators
 from sim.reality.errors import Reality
 from sim.scene import HAND_PREFIX, OBJECT
 
-__all__ = ["center_offset", "change_world", "lifted_by"]
-
 SIDES, TILT, WITHIN = 32, 0.01, 0.9
 """Directions (-) in which what an object stands on is measured, the tilt (rad) at which its extent
 is read off the support function, and the share (-) of it that the centre of mass stays within."""

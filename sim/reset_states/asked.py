@@ -25,8 +25,6 @@ from planner.shapes import Mesh, Shape, shape_from_dict, shape_to_dict
 from planner.task import GraspTask
 from sim.physics import PhysicsOptions
 
-__all__ = ["Cell", "Draws", "G", "StatesAsked", "cells_of", "scaled"]
-
 G = 9.81
 """Gravity, m/s2."""
 

@@ -15,8 +15,6 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["BANDS", "SECTORS", "TURNS", "coverage", "direction_cells", "orientation_cells"]
-
 BANDS, SECTORS, TURNS = 6, 12, 12
 """Cells along z, around z, and of the turn about the direction."""
 

@@ -11,8 +11,6 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["NEAR_ANGLE", "NEAR_JOINT", "NEAR_POSITION", "Distinct"]
-
 NEAR_POSITION, NEAR_ANGLE, NEAR_JOINT = 0.001, float(np.deg2rad(1.0)), float(np.deg2rad(1.0))
 """Tolerances: m, rad, rad (m for slides)."""
 

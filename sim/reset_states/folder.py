@@ -25,8 +25,6 @@ from planner.version import written_by
 from sim.reset_states.asked import StatesAsked
 from sim.reset_states.starts import WORK
 
-__all__ = ["CHECK_FILE", "MANIFEST", "SUMMARY", "append_line", "journal", "open_folder"]
-
 MANIFEST, SUMMARY, CHECK_FILE = "manifest.json", "summary.json", "check_states.py"
 """Files in the root of a cache."""
 

@@ -20,8 +20,6 @@ import numpy as np
 from planner.spatial import FloatArray
 from sim.reset_states.scene import HoldScene
 
-__all__ = ["HOLD_S", "REASONS", "Held", "hold"]
-
 HOLD_S = 2.0
 """Duration of a hold, s."""
 

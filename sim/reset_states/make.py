@@ -40,8 +40,6 @@ from sim.reset_states.sources import PlanJob, plan_jobs, planned_sources
 from sim.reset_states.starts import load_starts, rows_of, write_cell
 from sim.reset_states.states import StateSet
 
-__all__ = ["StatesProgress", "make_states"]
-
 ALL = "all"
 """Every format that can hold the states."""
 

@@ -26,8 +26,6 @@ from sim.physics import PhysicsOptions
 from sim.scene import OBJECT, add_solid_object, hand_spec
 from sim.scene_export.mjcf import portable_mjcf
 
-__all__ = ["SCENE_FILE", "HoldScene", "load_scene", "write_scene"]
-
 SCENE_FILE, MESHES = "scene.xml", "meshes"
 """Name of the model in its folder, and of the folder of its mesh files."""
 

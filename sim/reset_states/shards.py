@@ -22,8 +22,6 @@ from planner.spatial import FloatArray, IntArray
 from sim.reset_states.hold import REASONS, hold
 from sim.reset_states.starts import WORK, load_starts
 
-__all__ = ["SHARD", "Shard", "ShardJob", "held_shard", "read_shard", "shard_path"]
-
 SHARD = 64
 """Candidates per shard: 1 to 2 s of work."""
 

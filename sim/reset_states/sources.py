@@ -27,8 +27,6 @@ from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.reset_states.asked import Cell, StatesAsked
 
-__all__ = ["KINDS", "PlanJob", "Source", "plan_jobs", "planned_sources"]
-
 KINDS = ("grasp", "motion", "gait")
 """What a source is from."""
 

@@ -18,8 +18,6 @@ from sim.reset_states.asked import Cell, Draws, G, StatesAsked
 from sim.reset_states.scene import SCENE_FILE, HoldScene, load_scene
 from sim.reset_states.sources import KINDS
 
-__all__ = ["CELL_FILE", "SOURCES_FILE", "Start", "Starts", "load_starts", "write_cell"]
-
 CELL_FILE, SOURCES_FILE = "cell.json", "sources.npz"
 """Files that a worker needs beside the scene; both in the folder ``WORK``."""
 

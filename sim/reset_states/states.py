@@ -16,8 +16,6 @@ from planner.files.whole import whole_file
 from planner.spatial import FloatArray, IntArray
 from planner.version import written_by
 
-__all__ = ["FORMAT", "VERSION", "StateSet"]
-
 FORMAT, VERSION = "opposable-states", 1
 """Name and version of the file that ``StateSet.write`` makes."""
 

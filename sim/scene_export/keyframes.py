@@ -21,8 +21,6 @@ from planner.exchange.dexgraspbench.squeeze import without_servos
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 
-__all__ = ["KeyFrame", "key_frames"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KeyFrame:

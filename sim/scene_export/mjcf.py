@@ -27,8 +27,6 @@ from sim.physics import PhysicsOptions
 from sim.scene import SUPPORT, Scene, index_scene, scene_spec
 from sim.scene_export.keyframes import KeyFrame
 
-__all__ = ["MESHES", "MeshFile", "mesh_files", "plain_scene", "portable_mjcf", "scene_mjcf"]
-
 MESHES = "meshes"
 """Folder of the meshes beside the model."""
 

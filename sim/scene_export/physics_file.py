@@ -22,8 +22,6 @@ from sim.scene import HAND_PREFIX, OBJECT, Scene
 from sim.scene_export.check import MOST_DEG, MOST_MM, SECONDS
 from sim.scene_export.keyframes import KeyFrame
 
-__all__ = ["PHYSICS_FORMAT", "PHYSICS_VERSION", "physics_data"]
-
 PHYSICS_FORMAT, PHYSICS_VERSION = "opposable-scene", 1
 
 

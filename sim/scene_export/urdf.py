@@ -19,8 +19,6 @@ from planner.shapes.triangulation import surface_triangles
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from sim.scene_export.mjcf import MESHES, MeshFile
 
-__all__ = ["body_urdf", "ellipsoid_files", "not_in_urdf"]
-
 _FREE, _SLIDE, _HINGE = (
     int(getattr(mujoco.mjtJoint, f"mjJNT_{name}")) for name in ("FREE", "SLIDE", "HINGE")
 )

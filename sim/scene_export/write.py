@@ -31,8 +31,6 @@ from sim.scene_export.mjcf import MESHES, mesh_files, plain_scene, scene_mjcf
 from sim.scene_export.physics_file import PHYSICS_FORMAT, physics_data
 from sim.scene_export.urdf import body_urdf, ellipsoid_files, not_in_urdf
 
-__all__ = ["MJCF_SCENE", "export_scene"]
-
 SCENE, PHYSICS, CHECK, HAND_URDF, OBJECT_URDF = (
     "scene.xml",
     "physics.json",

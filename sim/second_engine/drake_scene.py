@@ -43,8 +43,6 @@ from planner.errors import FileFormatError, TaskError
 from planner.shapes.decomposition.hulls import hull_of
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
-__all__ = ["INSTALL", "TIME_STEP", "DrakeScene", "drake_missing", "load_drake_scene"]
-
 INSTALL = 'pip install "opposable[drake]"'
 """Command that installs the package."""
 

@@ -13,8 +13,6 @@ from planner.errors import TaskError
 from planner.spatial import SE3, FloatArray, IntArray, pose_change
 from sim.second_engine.drake_scene import TIME_STEP, DrakeScene, load_drake_scene
 
-__all__ = ["Held", "Touches", "hold_in_drake"]
-
 SAMPLE_EVERY = 0.1
 """Time between samples, s."""
 

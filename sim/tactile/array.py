@@ -13,8 +13,6 @@ import numpy as np
 from planner.spatial import FloatArray
 from sim.tactile.layout import TaxelLayout
 
-__all__ = ["TaxelArray"]
-
 TIME_TOL = 1e-9
 """Times that differ by less (s) are the same: rounding of sums of time steps."""
 

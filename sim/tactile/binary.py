@@ -16,8 +16,6 @@ from sim.tactile.bodies import PadBodies, PlannedNormals, pad_reading
 from sim.tactile.exact import layouts_of
 from sim.tactile.senses import TouchContext, register_touch
 
-__all__ = ["OFF", "ON", "BinarySense"]
-
 ON, OFF = 0.08, 0.04
 """Normal force (N) from which on a pad says that it touches, and below which it stops."""
 

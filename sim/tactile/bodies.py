@@ -21,8 +21,6 @@ from sim.pads import body_twist
 from sim.scene import HAND_PREFIX, Scene
 from sim.tactile.layout import TaxelLayout
 
-__all__ = ["PadBodies", "PlannedNormals", "pad_reading"]
-
 RANK = 1e-8
 """Added to the normal equations (m2): two contacts leave a turn about their line open."""
 

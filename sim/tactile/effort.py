@@ -28,8 +28,6 @@ from sim.tactile.bodies import PadBodies, PlannedNormals, pad_reading
 from sim.tactile.exact import layouts_of
 from sim.tactile.senses import TouchContext, register_touch
 
-__all__ = ["EffortSense"]
-
 LEAST_FORCE, LOST_FORCE = 0.12, 0.04
 """Force (N) along the normal from which on a finger touches, and below which it touches no more. A
 finger that closes in the air reads less; one that closes lightly on an object reads 0.15 to 0.25

@@ -17,8 +17,6 @@ import numpy as np
 from planner.spatial import FloatArray
 from sim.tactile.layout import TaxelLayout
 
-__all__ = ["ContactEstimate", "ContactEstimator"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ContactEstimate:

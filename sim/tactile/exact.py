@@ -21,15 +21,6 @@ from sim.tactile.layout import TaxelLayout
 from sim.tactile.pressure import contact_deviation, spread, spread_of_shear, stick_ratio
 from sim.tactile.texture import Texture
 
-__all__ = [
-    "PadContact",
-    "contact_image",
-    "exact_images",
-    "layouts_of",
-    "pad_contacts",
-    "read_touch",
-]
-
 NO_SHARE = 1e-9
 """Share of a force (-) on the array below which it lies beside it."""
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from sim.tactile.estimate import ContactEstimate
 
-__all__ = ["FrictionWatch"]
-
 GRID = np.geomspace(0.1, 2.0, 49)
 """Frictions (-) between which is chosen; neighbours differ by 6 %."""
 

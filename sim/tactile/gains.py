@@ -19,8 +19,6 @@ from sim.tactile.layout import TaxelLayout
 from sim.tactile.patches import FITTED, Patch
 from sim.tactile.pressure import contact_deviation
 
-__all__ = ["GainTracker"]
-
 SLOW = 0.08
 """Time constant (s) of the average by which gains are known."""
 

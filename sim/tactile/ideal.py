@@ -5,8 +5,6 @@ from __future__ import annotations
 from sim.controllers import Observation
 from sim.tactile.senses import EXACT, TouchContext, register_touch
 
-__all__ = ["ExactSense"]
-
 
 class ExactSense:
     """Leaves an observation as it is."""

@@ -17,8 +17,6 @@ import numpy as np
 from planner.description import FingerDescription, PadDescription, TaxelDescription
 from planner.spatial import FloatArray
 
-__all__ = ["DEFAULT_SPACING", "TaxelLayout", "default_array"]
-
 DEFAULT_SPACING = 0.002
 """Spacing (m) of an array that no ``hand.toml`` describes."""
 

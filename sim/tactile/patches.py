@@ -17,8 +17,6 @@ from planner.spatial import FloatArray
 from sim.tactile.layout import TaxelLayout
 from sim.tactile.pressure import spread_with_slopes
 
-__all__ = ["FITTED", "Patch", "fit_patches"]
-
 FITTED = 4
 """Numbers that each image determines besides gains: force, place and width of the patch."""
 

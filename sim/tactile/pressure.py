@@ -26,15 +26,6 @@ from scipy.special import erf
 
 from planner.spatial import FloatArray
 
-__all__ = [
-    "CONTACT_MODULUS",
-    "contact_deviation",
-    "spread",
-    "spread_of_shear",
-    "spread_with_slopes",
-    "stick_ratio",
-]
-
 CONTACT_MODULUS = 1.3e6
 """Contact modulus E / (1 - nu^2) of pads, Pa: the soft rubber of ``sim.physics.options``."""
 

@@ -20,17 +20,6 @@ from planner.plan import GraspPlan
 from sim.controllers import Observation
 from sim.scene import Scene
 
-__all__ = [
-    "EXACT",
-    "TOUCH_SENSES",
-    "MakeSense",
-    "TouchContext",
-    "TouchSense",
-    "check_touch",
-    "make_sense",
-    "register_touch",
-]
-
 EXACT = "exact"
 """Name of the sense without error."""
 

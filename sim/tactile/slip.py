@@ -24,8 +24,6 @@ from sim.tactile.gains import GainTracker
 from sim.tactile.layout import TaxelLayout
 from sim.tactile.patches import FITTED, Patch, fit_patches
 
-__all__ = ["SlipWatch"]
-
 BLOCK = 0.004
 """Length of the shortest blocks, s: neighbours are compared this often."""
 
@@ -200,11 +198,12 @@ class _Blocks:
         self, counts: tuple[int, ...], freedom: FloatArray, excess: FloatArray, noise: FloatArray
     ) -> None:
         """Judge the newest of some squared changes (n,), oldest first."""
+        free, beyond, usual = freedom.tolist(), excess.tolist(), noise.tolist()  # few: no NumPy
         for count in counts:
-            known = float(freedom[-count:].sum()) / (SHARED if count > 1 else 1.0)
+            known = sum(free[-count:]) / (SHARED if count > 1 else 1.0)
             if known < 1.0:
                 continue
-            change, expected = float(excess[-count:].sum()), float(noise[-count:].sum())
+            change, expected = sum(beyond[-count:]), sum(usual[-count:])
             self.shiver = max(self.shiver, change)
             self.alarm |= change > max(ALARM, expected * (_unlikely(known) - 1.0))
 

@@ -26,8 +26,6 @@ from sim.tactile.senses import TouchContext, register_touch
 from sim.tactile.slip import SlipWatch
 from sim.tactile.texture import SHARE, Texture
 
-__all__ = ["TaxelSense"]
-
 
 class TaxelSense:
     """Arrays of taxels during one trial.

@@ -18,8 +18,6 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["LENGTH", "SHARE", "Texture"]
-
 SHARE = 0.1
 """Standard deviation (-) of the force on a taxel over the texture: twice the noise of a taxel."""
 

@@ -24,8 +24,6 @@ from planner.batch.thinning import distances
 from planner.plain import finite
 from planner.plan import GraspPlan
 
-__all__ = ["COLUMNS", "DatasetTables"]
-
 COLUMNS = {
     "object": "",
     "k": "",

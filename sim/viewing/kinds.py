@@ -20,8 +20,6 @@ from planner.pages.page import Page
 from sim.viewing.server import Site
 from sim.viewing.target import Target
 
-__all__ = ["Kind", "Shown", "ViewOptions", "WrittenPage", "kinds", "recognise", "register_kind"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class WrittenPage:

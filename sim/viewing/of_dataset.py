@@ -19,8 +19,6 @@ from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.server import Answer
 from sim.viewing.target import Target
 
-__all__ = ["KIND", "DatasetSite"]
-
 KEPT_PAGES = 32
 """Pages of grasps that are kept, about 1 MB each."""
 

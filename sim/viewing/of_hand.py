@@ -11,8 +11,6 @@ from planner.pages.page import Page
 from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.target import Target
 
-__all__ = ["KIND"]
-
 SCHEMES = ("menagerie:", "robot_descriptions:", "package:")
 """Beginnings of names of models in packages."""
 

@@ -13,8 +13,6 @@ from planner.shapes.meshes.io import CONVERTIBLE, MESH_SUFFIXES
 from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.target import Target
 
-__all__ = ["KIND"]
-
 
 def _recognises(target: Target) -> bool:
     if target.path is None:

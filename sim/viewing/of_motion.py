@@ -14,8 +14,6 @@ from planner.pages.page import Page
 from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.target import Target
 
-__all__ = ["KIND"]
-
 READERS: dict[str, Callable[[dict[str, Any], str], AnyMotion]] = {
     "opposable-motion": motion_from_dict,
     "opposable-gait": gait_from_dict,

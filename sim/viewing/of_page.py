@@ -5,8 +5,6 @@ from __future__ import annotations
 from sim.viewing.kinds import Kind, ViewOptions, WrittenPage
 from sim.viewing.target import Target
 
-__all__ = ["KIND"]
-
 
 def _shown(target: Target, options: ViewOptions) -> WrittenPage:
     assert target.path is not None

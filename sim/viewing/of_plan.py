@@ -13,8 +13,6 @@ from planner.synthesis.options import SynthesisOptions
 from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.target import Target
 
-__all__ = ["page_of_plan"]
-
 FORMAT = "opposable-plan"
 
 ATTEMPTS = 50

@@ -13,8 +13,6 @@ from sim.report_file import read_report
 from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.target import Target
 
-__all__ = ["KIND"]
-
 PAGES: dict[str, Callable[[Path], Page]] = {
     "opposable-report": lambda path: trial_page(read_report(path)),
     "opposable-manipulation-report": lambda path: manipulation_page(read_manipulation_report(path)),

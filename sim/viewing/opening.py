@@ -17,8 +17,6 @@ from planner.pages.page import Page, page_html
 from sim.viewing.kinds import Shown, WrittenPage
 from sim.viewing.server import Answer, LocalServer, Site
 
-__all__ = ["Opening", "show", "warnings_of"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Opening:

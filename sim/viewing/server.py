@@ -16,8 +16,6 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 from planner.errors import PlannerError, TaskError
 
-__all__ = ["DEFAULT_PORT", "HOST", "Answer", "LocalServer", "Site"]
-
 HOST = "127.0.0.1"
 """Where it listens."""
 

@@ -13,8 +13,6 @@ from typing import Any
 from planner.errors import FileFormatError, shown
 from planner.pages.page import read_page_data
 
-__all__ = ["Target"]
-
 HEAD = 1 << 16
 """Bytes from the beginning of a file by which it is recognised."""
 

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["array", "changed_json", "damaged", "number", "number_text", "replaced_numbers", "text"]
-
 NUMBERS: tuple[float, ...] = (
     0.0, -0.0, 1.0, -1.0, 1e-300, 5e-324, 1e-9, 1e-3, 0.5, 2.0, 10.0, 1e3, 1e7, 1e11, 1e18, 1e154,
     1e300, 1.7e308, -1e300, math.inf, -math.inf, math.nan, float(2**31), float(2**63), -2.0**63,

@@ -31,8 +31,6 @@ from planner.exchange.dexgraspbench.squeeze import Squeeze, plan_squeeze, withou
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
 
-__all__ = ["Exported", "export_dexgraspbench", "grasp_dict", "row_squeeze"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Exported:

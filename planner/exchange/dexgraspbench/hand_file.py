@@ -23,8 +23,6 @@ from planner.hands.description_toml import read_description
 from planner.hands.hand import Hand
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 
-__all__ = ["T_model_base", "export_name", "file_name", "write_hand"]
-
 NO_MODEL_NAME = ("", "MuJoCo Model")
 """Names of a model whose author gave none."""
 

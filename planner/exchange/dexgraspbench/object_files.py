@@ -21,8 +21,6 @@ from planner.shapes.triangulation import surface_triangles
 from planner.spatial import FloatArray, IntArray
 from planner.task import GraspTask
 
-__all__ = ["benchmark_pieces", "frame_shift", "write_object"]
-
 NO_BETTER = 0.9
 """Pieces that reach out of the solid by more than this share of what the hull does (-) gain
 nothing, and the hull is written: for example of a can with a thin rim at both ends."""

@@ -15,8 +15,6 @@ from types import MappingProxyType
 
 from planner.errors import ModelError, shown
 
-__all__ = ["PINNED", "pinned_mjcf"]
-
 PINNED = "3.3.2"
 """MuJoCo's version in the benchmark's README at commit 1e7a5a6."""
 

@@ -28,8 +28,6 @@ from planner.exchange.formats import Writing
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 
-__all__ = ["write_dexgraspbench"]
-
 
 def write_dexgraspbench(
     plans: Sequence[GraspPlan], folder: Path, writing: Writing

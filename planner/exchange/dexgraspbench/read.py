@@ -34,8 +34,6 @@ from planner.exchange.postures import FileJoints, pose_of_seven
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["read_dexgraspbench"]
-
 NAME = "dexgraspbench"
 
 

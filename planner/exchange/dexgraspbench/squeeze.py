@@ -30,19 +30,6 @@ from planner.task import GraspTask
 from planner.verification.grasp import plan_forces
 from planner.verification.stiffness import GraspStiffness
 
-__all__ = [
-    "FRICTION",
-    "LOADS",
-    "MASS",
-    "MISPLACED",
-    "PUSH",
-    "SPARE",
-    "STABLE",
-    "Squeeze",
-    "plan_squeeze",
-    "without_servos",
-]
-
 MASS = 0.1
 """Of every object in the benchmark, kg (``config/task/eval.yaml``)."""
 

@@ -9,8 +9,6 @@ from typing import Any
 from planner.errors import FileFormatError, shown
 from planner.exchange.yaml_text import number, table, text
 
-__all__ = ["FIELDS", "check_message"]
-
 FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
         "moveit_msgs/Grasp": {

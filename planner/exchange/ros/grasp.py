@@ -39,8 +39,6 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.version import written_by
 
-__all__ = ["ROS_GRASP", "grasp_message", "read_ros_grasps", "write_ros_grasps"]
-
 GRASP = "moveit_msgs/Grasp"
 
 CLOSE_S = 1.0

@@ -14,17 +14,6 @@ from planner.exchange.yaml_text import read_documents, yaml_text
 from planner.files import whole_file
 from planner.spatial import SE3, FloatArray, pose_to_wxyz
 
-__all__ = [
-    "duration",
-    "header",
-    "joint_trajectory",
-    "pose_stamped",
-    "read_messages",
-    "translation",
-    "vector",
-    "write_messages",
-]
-
 NANO = 1_000_000_000
 """Nanoseconds in a second."""
 

@@ -16,8 +16,6 @@ from planner.exchange.ros.parts import joint_trajectory, write_messages
 from planner.exchange.sources import AnyPlan, task_of_plan
 from planner.version import written_by
 
-__all__ = ["ROS_TRAJECTORY", "trajectory_message", "write_ros_trajectories"]
-
 TRAJECTORY = "trajectory_msgs/JointTrajectory"
 
 

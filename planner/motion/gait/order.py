@@ -22,17 +22,6 @@ from planner.quality import closure_of_wrenches, force_closure, primitive_wrench
 from planner.spatial import FloatArray
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
 
-__all__ = [
-    "CLOSURE_MARGIN",
-    "NO_ORDER",
-    "Lift",
-    "NoOrder",
-    "Order",
-    "find_order",
-    "holding",
-    "standing",
-]
-
 PROOF_EDGES = 32
 """Sides of the circumscribed pyramid that proves that round cones do not close. It overstates
 friction by 1/cos(pi/32) - 1 = 0.5 %."""

@@ -14,8 +14,6 @@ from planner.plan import JointTrajectory
 from planner.showing import Shown
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["GaitPlan", "Relocation", "Stroke"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stroke:

@@ -30,8 +30,6 @@ from planner.tolerances import SWING_VERDICT_SHARE, TOUCH_TOL
 from planner.verification.geometry import contacts_of
 from planner.verification.grasp import plan_forces
 
-__all__ = ["RegraspPlanner", "cut_motion", "plan_back", "plan_others"]
-
 HOLDING_GRIP = 0.5
 """Least normal force (N) of the fingers that hold, where the task's grip force is infeasible: a
 finger between two others pushes the object out of their grip, so it presses lightly."""

@@ -25,8 +25,6 @@ from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL
 
-__all__ = ["FingerPaths"]
-
 HEIGHTS = (0.012, 0.006, 0.02)
 """Heights (m) to which a pad is lifted, in the order they are tried. The first exceeds the
 deflection of a compliant hand, the lower one serves fingers close together, the higher one a

@@ -34,8 +34,6 @@ from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.seeds.opposition import frame_of
 from planner.task import GraspTask
 
-__all__ = ["plan_gait"]
-
 STROKES = tuple(np.deg2rad([30.0, 24.0, 36.0, 20.0]))
 """Angles (rad) of a stroke; attempts alternate between them. Longer strokes need fewer cycles,
 shorter ones leave the fingers more room to reach around the object while one of them is away."""

@@ -24,8 +24,6 @@ from planner.spatial import SE3
 from planner.task import GraspTask
 from planner.verification.geometry import contacts_of, verify_geometry
 
-__all__ = ["GaitVerifier"]
-
 SAME_POINT, SAME_NORMAL = 1e-5, 1e-3
 """Largest difference of contacts (m) and normals (-) of a later stroke from the first that counts
 as none: far below the tolerance of a contact."""

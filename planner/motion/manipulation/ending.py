@@ -23,16 +23,6 @@ from planner.motion.release import SINKS, find_release
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 
-__all__ = [
-    "Ending",
-    "Rests",
-    "backwards",
-    "object_at_target",
-    "planned_ending",
-    "standing_under",
-    "stands",
-]
-
 Rests: TypeAlias = Callable[[GraspTask], bool]
 """Whether the object of a task stays where the task has it; ``sim.manipulation.rests`` is one."""
 

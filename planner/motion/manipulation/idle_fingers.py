@@ -17,8 +17,6 @@ from planner.hands.hand import Hand
 from planner.motion.plan import MotionPlan
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["out_of_the_way"]
-
 ROOTS = 2
 """Joints of a finger, from its root, that move it away: abduction and flexion of the knuckle."""
 

@@ -30,8 +30,6 @@ from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 
-__all__ = ["OnArm"]
-
 SPARE = 0.02
 """How much farther (m) than planned the arm must reach at the target: the object lies in the hand
 by some millimetres and degrees otherwise than planned, and the hand makes up for that."""

@@ -22,8 +22,6 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.objectives.joint import driving
 from planner.task import GraspTask, Obstacle
 
-__all__ = ["ManipulationPlan", "torque_reserve"]
-
 LIFT_S, CARRY_S, LOWER_S, OPEN_S, RETREAT_S = 0.7, 0.8, 0.6, 0.4, 0.6
 """Durations (s) of the pieces of a trajectory in which the base moves or the fingers open."""
 

@@ -27,8 +27,6 @@ from planner.motion.plan import MotionPlan
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 
-__all__ = ["ONE_STROKE", "manipulation_of", "plan_manipulation", "plan_regrasping"]
-
 ONE_STROKE = math.radians(150.0)
 """Turn (rad) about the vertical beyond which regrasps are planned first: one stroke hardly ever
 goes so far, and its attempts would use up the budget."""

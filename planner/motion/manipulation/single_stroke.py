@@ -35,17 +35,6 @@ from planner.spatial import FloatArray
 from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.task import GraspTask
 
-__all__ = [
-    "LEAST_OVERSHOOT",
-    "MAX_ATTEMPTS",
-    "MOST_PIVOT",
-    "Fallback",
-    "fallback_schedule",
-    "good_enough",
-    "merit",
-    "plan_single_stroke",
-]
-
 CANDIDATES = 3
 """Plans of which the best is taken, unless one is good enough to be taken at once; fewer where the
 schedule gives no more."""

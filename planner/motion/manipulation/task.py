@@ -22,8 +22,6 @@ from planner.objects import GraspObject
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 
-__all__ = ["manipulation_task", "on_stand", "with_fingers"]
-
 LEAST_GRIP = 1.5
 """Smallest normal force (N) per finger: with less, contacts of three fingers were lost at times."""
 

@@ -20,8 +20,6 @@ from planner.shapes.mesh import Mesh
 from planner.shapes.meshes.triangles import cover
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["MAX_CELLS", "Cell", "Guards", "cut", "half_of"]
-
 MAX_CELLS = 160
 """Cells at most: a mesh that needs more is left with pieces that reach farther than asked."""
 

@@ -8,8 +8,6 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Hull", "clip", "crossing_points", "hull_of"]
-
 FLAT = 1e-12
 """Volume (m3) below which points span no solid: a cube of 0.1 mm. MuJoCo refuses such meshes."""
 

@@ -29,18 +29,6 @@ from planner.shapes.triangulation import surface_triangles
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
 
-__all__ = [
-    "MESH",
-    "TOLERANCE",
-    "Pieces",
-    "SolidGeom",
-    "convex_pieces",
-    "deviation",
-    "merge",
-    "solid_deviation",
-    "solid_geoms",
-]
-
 TOLERANCE = 0.001
 """How far (m) a piece may reach out of the solid, about; ``Pieces.deviation`` is measured. A
 smaller tolerance makes more pieces."""

@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 from planner.errors import ObjectError, shown
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["DistanceField", "Level", "taylor_size"]
-
 ORDERS = (0, 1, 2)
 """Orders of the derivatives that are continuous."""
 

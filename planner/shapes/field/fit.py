@@ -15,17 +15,6 @@ from planner.shapes.field.distance_field import DistanceField, Level
 from planner.shapes.field.pyramid import grid_nodes
 from planner.spatial import FloatArray, IntArray
 
-__all__ = [
-    "RIM_STEP",
-    "Bracket",
-    "Distance",
-    "GridDistance",
-    "error_bound",
-    "finest_spacing",
-    "fit_field",
-    "on_grids",
-]
-
 RIM_STEP = 1e-5
 """Largest step (m) of the value at the rim of the coarsest level; measured, see the tests."""
 

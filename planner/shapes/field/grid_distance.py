@@ -16,8 +16,6 @@ from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.surface_walk import SurfaceWalk
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["FIELD_VERSION", "field_fits", "fit_mesh_field"]
-
 FIELD_VERSION = "v6"
 """Part of the key of fields on disk: to be changed whenever a fitted field would change."""
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Grid", "Measure", "Pyramid", "grid_nodes", "within_cells"]
-
 NEAR = (2, 3, 5, 5)
 """Nodes that are measured on the finest grid, the next one, and so on: those of which a point of
 the surface is within so many spacings along each axis, and a few more. The last holds for all

@@ -12,8 +12,6 @@ from planner.shapes.mesh import Mesh
 from planner.shapes.meshes.polyhedron import Polyhedron
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Made"]
-
 
 class Made(Mesh):
     """A mesh that is made from a few sizes.

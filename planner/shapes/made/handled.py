@@ -16,8 +16,6 @@ from planner.shapes.made.walled import AROUND, Walled, closed_shell, revolved, s
 from planner.shapes.made.woven import stacked
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Pan", "Teacup"]
-
 HALF = 1
 """Half the width of a patch, in squares of the wall."""
 

@@ -13,8 +13,6 @@ from planner.shapes.made.base import Made
 from planner.spatial import FloatArray, IntArray
 from planner.system.models import models_dir
 
-__all__ = ["Hammer", "Mug"]
-
 SLENDER, SQUAT = 6.0, 1.4
 """Largest and smallest height of a mug, in radii."""
 

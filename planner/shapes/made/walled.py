@@ -21,8 +21,6 @@ from planner.shapes.made.woven import circle, stacked
 from planner.shapes.stable import StablePose
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["AROUND", "Bowl", "Cup", "Plate", "Tube", "Walled", "closed_shell", "revolved"]
-
 AROUND = 72
 """Points around the axis: facets of a wall of 40 mm radius deviate by 0.04 mm."""
 

@@ -18,8 +18,6 @@ from planner.errors import ObjectError
 from planner.shapes.made.base import Made
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Channel", "Knot", "LBracket", "Superquadric", "Torus"]
-
 TORUS_AROUND, TORUS_ACROSS = 72, 36
 """Points around the ring and around its tube: the facets deviate by 0.1 mm at the default size."""
 

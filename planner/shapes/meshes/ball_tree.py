@@ -12,8 +12,6 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["BallTree"]
-
 LEAF = 6
 """Most triangles of a leaf."""
 

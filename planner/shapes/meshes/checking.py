@@ -14,8 +14,6 @@ from planner.shapes.meshes.union import manifold_is_installed
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
 
-__all__ = ["check_solid", "checked_once"]
-
 CHECK_VERSION = "v3"
 """Changes where checks or mending do, so that stored results are made anew."""
 

@@ -18,8 +18,6 @@ from planner.shapes.meshes.simplify import simplified
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
 
-__all__ = ["converted_mesh", "needs_conversion"]
-
 CONVERTED_SUFFIXES = (".dae", ".glb", ".off", ".ply")
 """Formats that are converted, in lower case; MuJoCo itself reads OBJ, STL and MSH."""
 

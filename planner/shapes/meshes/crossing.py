@@ -14,8 +14,6 @@ from planner.shapes.meshes.near_pairs import overlapping_boxes
 from planner.shapes.meshes.triangles import TOUCHING, crossings
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["crossing_pairs", "flush_pairs", "folded_pairs", "near_pairs"]
-
 Pairs = tuple[IntArray, IntArray]
 
 FLUSH = 1e-8

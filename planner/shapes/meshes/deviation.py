@@ -9,8 +9,6 @@ from planner.shapes.meshes.nearest_triangle import NearestTriangles, coal_tree
 from planner.shapes.meshes.triangles import cover
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["deviation"]
-
 Surface = tuple[FloatArray, IntArray]
 """Vertices (n, 3), m, and faces (m, 3)."""
 

@@ -6,15 +6,6 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = [
-    "bodies_of",
-    "body_volumes",
-    "directed_edges",
-    "joined",
-    "paired_edges",
-    "undirected_edges",
-]
-
 
 def directed_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
     """Tails and heads (3 m,) of the edges of all faces, face after face."""

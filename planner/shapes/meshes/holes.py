@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from planner.shapes.meshes.edges import directed_edges
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["close_holes", "hole_widths", "rims"]
-
 LONGEST_RIM = 160
 """Corners of a rim, at most, that is closed by triangles of least area, which takes time with the
 third power; a longer one is closed by a fan from its middle."""

@@ -12,8 +12,6 @@ from planner.errors import ObjectError
 from planner.shapes.meshes.soundness import MOST_TRIANGLES
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["CONVERTIBLE", "MESH_SUFFIXES", "read_mesh"]
-
 MESH_SUFFIXES = (".glb", ".obj", ".ply", ".stl")
 """File formats that are read, by their suffix in lower case."""
 

@@ -22,8 +22,6 @@ from planner.shapes.meshes.union import manifold_is_installed, united
 from planner.shapes.meshes.wrapping import wrapped
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["MOVED", "WIDEST_HOLE", "Mending", "mended"]
-
 MOVED = 2e-4
 """Largest distance (m) by which mending may move the surface unasked: less than half of the 0.5 mm
 within which a pad of a verified grasp touches the true surface."""

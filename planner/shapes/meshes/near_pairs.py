@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["overlapping_boxes"]
-
 Corners = tuple[NDArray[np.float32], NDArray[np.float32]]
 """Lower and upper corners (3, n) of the boxes of one level of the tree."""
 

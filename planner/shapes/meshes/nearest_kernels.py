@@ -10,8 +10,6 @@ from planner.numerics.kernels import kernel, loops_of_kernels
 from planner.shapes.meshes.triangles import FACE, nearest_on_triangles
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["nearest_triangles", "triangles_within"]
-
 Found = tuple[FloatArray, IntArray, IntArray]
 """Nearest points (n, 3), m, numbers of their triangles (n,), and the features (n,) they are on."""
 

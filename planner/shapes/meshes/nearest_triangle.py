@@ -24,8 +24,6 @@ from planner.shapes.meshes.nearest_kernels import nearest_triangles, triangles_w
 from planner.shapes.meshes.triangles import COVERED, FACE, cover, nearest_on_triangles
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["NearestTriangles", "coal_tree", "edge_table"]
-
 COVER_POINTS = 5_000
 """Points on the surface, about, by which the triangles around a point are found."""
 

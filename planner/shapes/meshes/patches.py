@@ -14,8 +14,6 @@ from planner.shapes.meshes.edges import bodies_of, paired_edges, undirected_edge
 from planner.shapes.meshes.holes import close_holes
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["crossed_in_bodies", "without_crossings"]
-
 ROUNDS = 40
 """Rounds of cutting or smoothing, at most; 94 crossings of a scan of 16,384 triangles need 12."""
 

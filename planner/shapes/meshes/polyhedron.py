@@ -12,8 +12,6 @@ from planner.arrays import float_array
 from planner.errors import ObjectError
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Polyhedron", "checked_triangles", "digest_of", "moments"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Polyhedron:

@@ -12,8 +12,6 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["pierced"]
-
 NEEDLE = 1e-7
 """Radius (m) of the capsule by which coal looks for triangles."""
 

@@ -27,8 +27,6 @@ from planner.shapes.meshes.holes import close_holes
 from planner.shapes.meshes.soundness import surroundings
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["right_side_out", "with_paired_edges"]
-
 MERGE = 1e-5
 """Vertices on open edges nearer than this fraction of the longest extent become one."""
 

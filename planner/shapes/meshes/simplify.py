@@ -6,8 +6,6 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["clustered", "simplified"]
-
 ROUNDS = 8
 """Sizes of cells that are tried at most."""
 

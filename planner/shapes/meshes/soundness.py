@@ -30,15 +30,6 @@ from planner.shapes.meshes.near_pairs import overlapping_boxes
 from planner.shapes.meshes.triangles import winding_number
 from planner.spatial import FloatArray, IntArray
 
-__all__ = [
-    "MOST_TRIANGLES",
-    "Fault",
-    "faults_of",
-    "nested",
-    "size_fault",
-    "surroundings",
-]
-
 MOST_TRIANGLES = 1_000_000
 """Largest number of triangles: a scan's 300,000 and more, loaded and checked in some 5 s of CPU and
 1.5 GB (tests/test_large_meshes.py)."""

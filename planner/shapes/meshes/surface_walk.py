@@ -20,8 +20,6 @@ from planner.spatial import FloatArray, IntArray
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["SurfaceWalk"]
-
 CHUNK = 8192
 """Pairs of point and triangle that are measured at a time: their arrays stay in a core's cache."""
 

@@ -10,16 +10,6 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = [
-    "COVERED",
-    "FACE",
-    "cover",
-    "crossings",
-    "nearest_on_triangles",
-    "solid_angles",
-    "winding_number",
-]
-
 FACE = 6
 """Feature of a nearest point in the face; 0, 1, 2 are corners, 3 + k the edge from corner k."""
 

@@ -16,8 +16,6 @@ from planner.shapes.meshes.edges import bodies_of, body_volumes
 from planner.shapes.meshes.soundness import nested
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["manifold_is_installed", "united"]
-
 Triangles = tuple[FloatArray, IntArray]
 
 

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["wrapped"]
-
 PINCH = 0.02
 """Weight of the middle of a vertex's points beside that of their planes, which alone leave a vertex
 on a flat face loose."""

@@ -24,8 +24,6 @@ from planner.synthesis.loops.tables import (
 from planner.synthesis.residuals import Residuals
 from planner.synthesis.terms.clearance import box_clearance_of, clearance_of
 
-__all__ = ["LoopProblem", "loop_problem"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopProblem:

@@ -25,8 +25,6 @@ from planner.synthesis.loops.tables import (
 )
 from planner.synthesis.terms.clearance import FASTEST, FINGERS, OBJECT, OBSTACLE, TABLE
 
-__all__ = ["clearance_rows", "cross", "dot", "gather"]
-
 OBJECT_WEIGHT, TABLE_WEIGHT = OBJECT.weight, TABLE.weight
 OBSTACLE_WEIGHT, FINGERS_WEIGHT = OBSTACLE.weight, FINGERS.weight
 

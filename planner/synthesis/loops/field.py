@@ -12,8 +12,6 @@ from planner.numerics.kernels import loops_of_kernels
 from planner.shapes.field.distance_field import DistanceField
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["NO_FIELD", "SplineTables", "spline_tables", "taylor_at"]
-
 
 class SplineTables(NamedTuple):
     """All levels of a field, the finest first, in flat arrays.

@@ -24,8 +24,6 @@ from planner.spatial import FloatArray, IntArray
 from planner.synthesis.loops.rows import evaluate
 from planner.synthesis.loops.tables import ProblemTables, Rows, RunTables, Sources
 
-__all__ = ["STATUS", "minimise"]
-
 STATUS = ("out of iterations", "solved", "no step descends", "stalled")
 """Why a run ended, by number."""
 

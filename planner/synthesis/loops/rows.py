@@ -28,8 +28,6 @@ from planner.synthesis.resistance import TIE
 from planner.synthesis.terms.link_distance import LINKS, ROUNDING
 from planner.synthesis.terms.resistance import RESISTANCE_WEIGHT
 
-__all__ = ["evaluate"]
-
 LINKS_WEIGHT = LINKS.weight
 
 

@@ -25,8 +25,6 @@ from planner.synthesis.terms.clearance import FINGERS, OBJECT, OBSTACLE, OBSTACL
 from planner.synthesis.terms.link_distance import LINKS, LinkDistances
 from planner.synthesis.terms.resistance import N_DIRECTIONS, checked_directions
 
-__all__ = ["LoopResiduals"]
-
 SOURCES = OBJECT, TABLE, OBSTACLE, FINGERS, LINKS
 """The terms of ``Rows.least``, in its order."""
 

@@ -16,22 +16,6 @@ from planner.numerics.tape import Program
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.loops.field import SplineTables
 
-__all__ = [
-    "Capsules",
-    "Clearance",
-    "Contacts",
-    "Joints",
-    "Kept",
-    "ObjectRoom",
-    "Points",
-    "ProblemTables",
-    "Rows",
-    "RunTables",
-    "Sources",
-    "Surroundings",
-    "Written",
-]
-
 
 class Written(NamedTuple):
     """The terms that are written as expressions; rows that must hold come first.

@@ -25,15 +25,6 @@ from planner.spatial import FloatArray, IntArray
 from planner.synthesis.contact_wrenches import contact_torque
 from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
-__all__ = [
-    "driving",
-    "free_velocities",
-    "limits_rows",
-    "manipulability_rows",
-    "torque_rows",
-    "update_torque",
-]
-
 MANIPULABILITY_TARGET = 0.15
 """Target of manipulability, more than fingers reach, m/rad."""
 

@@ -32,16 +32,6 @@ from planner.synthesis.objectives.wrench import (
 )
 from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
-__all__ = [
-    "EPSILON",
-    "OBJECTIVES",
-    "GraspPoint",
-    "GraspSymbols",
-    "Objective",
-    "objective_parameters",
-    "objective_rows",
-]
-
 EPSILON = "epsilon"
 """The default; its rows are the term ``planner.synthesis.terms.resistance``."""
 

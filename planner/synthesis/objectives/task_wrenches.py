@@ -12,8 +12,6 @@ from planner.errors import TaskError, shown
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 
-__all__ = ["checked_wrenches", "gravity_any_direction", "resisted_wrenches", "tool_torque"]
-
 _GOLDEN = (1 + 5**0.5) / 2
 _ICOSAHEDRON: FloatArray = np.array(
     [

@@ -30,18 +30,6 @@ from planner.spatial import FloatArray
 from planner.synthesis.contact_wrenches import support
 from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
-__all__ = [
-    "NORMAL_ERROR",
-    "POSITION_ERROR",
-    "min_weight_rows",
-    "narrowed",
-    "robustness_rows",
-    "task_rows",
-    "update_min_weight",
-    "update_robustness",
-    "update_task",
-]
-
 CUTS = 12
 """Directions of wrench in which a round works on one objective. Those of the hull with 4 edges do
 as well as those with 8, which take 4 ms more a round."""

@@ -26,8 +26,6 @@ from planner.synthesis.problem import Start
 from planner.synthesis.seeds.opposition import Opposition, frame_of, opposition
 from planner.task import GraspTask
 
-__all__ = ["Seeder", "frozen_joints", "opposed_forces"]
-
 PINCH, OPEN = "pinch", "open"
 """Postures that every description gives: pads opposed, and wide open."""
 

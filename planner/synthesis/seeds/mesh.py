@@ -22,13 +22,6 @@ from planner.synthesis.seeds.opposed_pairs import opposed_pairs
 from planner.synthesis.seeds.opposition import Postures, measure_postures, opposition
 from planner.task import GraspTask
 
-__all__ = [
-    "MeshSeeder",
-    "TurningSeeder",
-    "seeder_for",
-    "turning_seeder_for",
-]
-
 POSTURES, NOISES = 128, (0.03, 0.1)
 """Postures of the starts, and least and largest standard deviation of their joints, in shares of
 their range."""

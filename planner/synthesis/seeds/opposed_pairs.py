@@ -19,8 +19,6 @@ import numpy as np
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
 
-__all__ = ["OpposedPairs", "opposed_pairs"]
-
 SAMPLES = 600
 """Surface points from which rays go through the body."""
 

@@ -15,8 +15,6 @@ from planner.spatial import FloatArray, cross
 from planner.synthesis.link_spheres import LinkSphere
 from planner.task import GraspTask
 
-__all__ = ["Opposition", "Postures", "frame_of", "measure_postures", "opposition"]
-
 ALIKE = 8
 """Postures of about the wanted gap among which one is drawn."""
 

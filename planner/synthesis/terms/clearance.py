@@ -43,19 +43,6 @@ from planner.synthesis.terms.source import ActiveRows
 from planner.synthesis.terms.term import Role, Row, Term
 from planner.synthesis.unknowns import mrp_rates
 
-__all__ = [
-    "FASTEST",
-    "FINGERS",
-    "OBJECT",
-    "OBSTACLE",
-    "OBSTACLE_DIM",
-    "PRESSED",
-    "TABLE",
-    "Clearances",
-    "box_clearance_of",
-    "clearance_of",
-]
-
 PRESSED = 0.001
 """Depth (m) of a touching pad's sphere in the smooth distance, at most: it touches at its contact,
 and in a corner must not stand in the other face. On edges and in fillets the smooth distance of a

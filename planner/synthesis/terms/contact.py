@@ -10,8 +10,6 @@ import numpy as np
 from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.term import Role, Rows, Term
 
-__all__ = ["CENTER", "EDGE", "FACING", "PER_METRE", "SURFACE", "TOUCH"]
-
 PER_METRE = 1e3
 """Weight of a length: a millimetre is one unit of residual."""
 

@@ -15,8 +15,6 @@ from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.contact import COST_WEIGHT
 from planner.synthesis.terms.term import Role, Rows, Term
 
-__all__ = ["BALANCE", "CONE", "FORCES", "LEVEL", "LEVER", "PRESS", "PRESS_MIN", "STOP"]
-
 PRESS_MIN = 0.25
 """Smallest normal force of a finger over the mean normal force (-)."""
 

@@ -16,8 +16,6 @@ from planner.hands.hand import Hand
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.unknowns import Unknowns
 
-__all__ = ["HandPoints", "Placement"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Placement:

@@ -11,8 +11,6 @@ from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.contact import COST_WEIGHT, PER_METRE
 from planner.synthesis.terms.term import Role, Rows, Term
 
-__all__ = ["ARM", "COUPLING", "POSTURE"]
-
 ARM_POSTURE = 1e-3
 """Cost (-) of an arm's joint that leaves its start, over that of a finger's joint that leaves the
 pinch posture, per share of their ranges. The start comes from inverse kinematics that begins at the

@@ -28,8 +28,6 @@ from planner.synthesis.terms.source import ActiveRows
 from planner.synthesis.terms.term import Role, Row, Term
 from planner.synthesis.unknowns import Unknowns, mrp_rates
 
-__all__ = ["LINKS", "LinkDistances", "TrueLinks", "find_link_distances"]
-
 LEAST_DISTANCE = 0.0015
 """Least distance (m) of true links without pads from object, table and obstacles."""
 

@@ -17,8 +17,6 @@ from planner.synthesis.terms.link_distance import LINKS
 from planner.synthesis.terms.resistance import RESISTANCE
 from planner.synthesis.terms.term import Term
 
-__all__ = ["STANDARD", "TERMS", "checked_terms", "register_term"]
-
 _STANDARD: tuple[Term, ...] = (
     TOUCH,
     SURFACE,

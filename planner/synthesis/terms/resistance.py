@@ -19,14 +19,6 @@ from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.source import ActiveRows
 from planner.synthesis.terms.term import Role, Row, Term
 
-__all__ = [
-    "N_DIRECTIONS",
-    "RESISTANCE",
-    "RESISTANCE_WEIGHT",
-    "Resistance",
-    "checked_directions",
-]
-
 N_DIRECTIONS = 64
 """Most directions of wrench in one round: with few of them a round makes other directions weak."""
 

@@ -13,8 +13,6 @@ from planner.spatial import FloatArray, IntArray
 from planner.synthesis.field_points import Field
 from planner.synthesis.terms.term import Row, Term
 
-__all__ = ["ActiveRows", "RowSource", "names_of"]
-
 
 class ActiveRows(NamedTuple):
     """Active rows of one term.

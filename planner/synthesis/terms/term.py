@@ -17,8 +17,6 @@ import casadi as ca
 from planner.failure import Failure
 from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
-__all__ = ["Role", "Row", "Rows", "Term", "WrittenTerm", "first_failure", "table_of"]
-
 
 class Role(Enum):
     """Role of a term in the problem; the value is how it is printed."""

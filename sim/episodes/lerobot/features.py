@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from sim.episodes.episode import Episode
 from sim.episodes.robot import Robot
 
-__all__ = ["INDEX_FEATURES", "VIDEO_KEY", "features_of", "frames_of", "video_feature"]
-
 VIDEO_KEY = "observation.images.front"
 """Key of the film."""
 

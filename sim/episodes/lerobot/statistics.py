@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from planner.spatial import FloatArray
 from sim.looking.painter import Pixels
 
-__all__ = ["Statistics", "of_all", "of_columns", "of_pictures"]
-
 Statistics: TypeAlias = dict[str, FloatArray]
 """Name of a statistic -> its values, one per number of the feature; "count" has one."""
 

@@ -29,8 +29,6 @@ from sim.episodes.lerobot.statistics import Statistics, of_all, of_columns, of_p
 from sim.episodes.robot import Robot
 from sim.episodes.sampling import frames_at
 
-__all__ = ["CODEBASE_VERSION", "LeRobotWriter"]
-
 CODEBASE_VERSION = "v3.0"
 """Version of the layout."""
 

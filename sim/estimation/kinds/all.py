@@ -7,8 +7,6 @@ from sim.estimation.errors import SensorErrors
 from sim.estimation.estimator import ObjectEstimator
 from sim.estimation.named import register_estimator
 
-__all__ = ["every_sense"]
-
 
 @register_estimator("all", "joints, pads and camera")
 def every_sense(task: GraspTask, errors: SensorErrors) -> ObjectEstimator:

@@ -11,8 +11,6 @@ from sim.estimation.errors import SensorErrors
 from sim.estimation.estimator import ObjectEstimator
 from sim.estimation.named import register_estimator
 
-__all__ = ["by_contact"]
-
 
 @register_estimator("contact", "joints, and which fingers touch; no camera once the hand closes")
 def by_contact(task: GraspTask, errors: SensorErrors) -> ObjectEstimator:

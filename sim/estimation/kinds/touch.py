@@ -7,8 +7,6 @@ from sim.estimation.errors import SensorErrors
 from sim.estimation.estimator import ObjectEstimator
 from sim.estimation.named import register_estimator
 
-__all__ = ["by_touch"]
-
 
 @register_estimator("touch", "joints and pads; no camera once the hand closes")
 def by_touch(task: GraspTask, errors: SensorErrors) -> ObjectEstimator:

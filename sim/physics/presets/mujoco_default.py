@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from sim.physics.options import PhysicsOptions, register_physics
 
-__all__ = ["PRESET"]
-
 PRESET = register_physics(
     PhysicsOptions(
         name="mujoco-default",

@@ -4,6 +4,4 @@ from __future__ import annotations
 
 from sim.reality.errors import Reality, register_reality
 
-__all__ = ["PRESET"]
-
 PRESET = register_reality(Reality())

@@ -12,8 +12,6 @@ import math
 
 from sim.reality.errors import Reality, register_reality
 
-__all__ = ["PRESET"]
-
 PRESET = register_reality(
     Reality(
         name="rough",

@@ -11,8 +11,6 @@ import numpy as np
 from sim.reset_states.formats.registry import StateFormat, register_state_format
 from sim.reset_states.states import StateSet
 
-__all__ = ["STATES_FILE"]
-
 STATES_FILE = "states.npz"
 """Name of the file in the folder of its object and size."""
 

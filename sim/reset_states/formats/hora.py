@@ -27,8 +27,6 @@ from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from sim.reset_states.formats.registry import StateFormat, register_state_format
 from sim.reset_states.states import StateSet
 
-__all__ = ["CACHE_NAME", "HORA_JOINTS", "THRESHOLD", "T_WORLD_BASE", "above_threshold"]
-
 _FINGERS = ("index", "thumb", "middle", "ring")
 
 HORA_JOINTS = tuple(f"{finger}_{k}" for finger in _FINGERS for k in range(4))

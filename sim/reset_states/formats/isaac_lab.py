@@ -21,8 +21,6 @@ from planner.files.whole import whole_file
 from sim.reset_states.formats.registry import StateFormat, register_state_format
 from sim.reset_states.states import StateSet
 
-__all__ = ["ISAAC_FILE"]
-
 ISAAC_FILE = "isaac_lab.npz"
 """Name of the file in the folder of its object and size."""
 

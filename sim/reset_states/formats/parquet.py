@@ -15,8 +15,6 @@ from planner.files.whole import whole_file
 from sim.reset_states.formats.registry import StateFormat, register_state_format
 from sim.reset_states.states import FORMAT, VERSION, StateSet
 
-__all__ = ["PARQUET_FILE"]
-
 PARQUET_FILE = "states.parquet"
 """Name of the file in the folder of its object and size."""
 

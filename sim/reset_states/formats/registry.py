@@ -15,8 +15,6 @@ from planner.errors import NotFoundError, TaskError
 from planner.spatial import FloatArray
 from sim.reset_states.states import StateSet
 
-__all__ = ["StateFormat", "register_state_format", "state_format", "state_formats"]
-
 _MODULES = ("arrays", "parquet", "hora", "playground", "isaac_lab")
 
 _PACKAGE = __name__.rpartition(".")[0]
