@@ -32,11 +32,10 @@ from sim.crosscheck import (
     crosscheck_tables,
     reader,
 )
-from sim.crosscheck.evidence import EVIDENCE
-from sim.crosscheck.evidence_masses import EVIDENCE_OF_MASSES
+from sim.crosscheck.causes import EVIDENCE
 from sim.crosscheck.mujoco_side import MujocoSide, layout_of
-from sim.crosscheck.sources import compiled
-from sim.crosscheck.states import random_states
+from sim.crosscheck.parts import random_states
+from sim.crosscheck.reader import compiled
 
 TUTORIAL = Path(__file__).parents[1] / "docs/tutorials/cross-check.md"
 FINGER = re.findall(r"```xml\n(.*?)```", TUTORIAL.read_text("utf-8"), re.DOTALL)[0]
@@ -703,7 +702,7 @@ def test_a_printed_report_names_causes_and_failures(folder: Path) -> None:
 
 def test_every_known_cause_has_its_evidence() -> None:
     named = {cause["evidence"] for cause in causes._known()}
-    assert named == {*EVIDENCE, *EVIDENCE_OF_MASSES}
+    assert named == set(EVIDENCE)
     assert {q for cause in causes._known() for q in cause["quantities"]} <= set(QUANTITIES)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from planner.bridge import pinocchio_from_mujoco
 from sim.crosscheck import READER, compare_models, crosscheck
-from sim.crosscheck.mujoco_facts import efforts
+from sim.crosscheck.mujoco_side import efforts
 
 WHEEL = """
 <mujoco><option gravity="0 0 -9.81"/><worldbody><body name="wheel">

@@ -29,7 +29,7 @@ from planner.spatial import contact_frames
 from planner.synthesis.options import SynthesisOptions
 from sim.controllers.impedance import ImpedanceGains
 from sim.controllers.pads import PadReading
-from sim.crosscheck.quantities import Tolerances
+from sim.crosscheck.parts import Tolerances
 from sim.episodes.formats import Asked
 from sim.estimation.errors import SensorErrors
 from sim.estimation.filter import Trust

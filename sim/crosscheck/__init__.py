@@ -20,9 +20,8 @@ On the command line: ``opposable crosscheck robot.xml [--against robot.urdf]``, 
 """
 
 from sim.crosscheck.check import BRIDGE, READER, compare_models, crosscheck
-from sim.crosscheck.quantities import QUANTITIES, Difference, Quantity, Tolerances
-from sim.crosscheck.report import Cell, Column, CrosscheckReport
-from sim.crosscheck.table import crosscheck_tables
+from sim.crosscheck.parts import QUANTITIES, Difference, Quantity, Tolerances
+from sim.crosscheck.report import Cell, Column, CrosscheckReport, crosscheck_tables
 
 __all__ = [
     "BRIDGE",

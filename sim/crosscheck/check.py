@@ -11,20 +11,21 @@ import pinocchio as pin
 
 from planner.bridge import pinocchio_from_mujoco
 from planner.errors import TaskError
-from sim.crosscheck.cause_context import Context
-from sim.crosscheck.causes import explain, explain_failure
+from sim.crosscheck.causes import Context, explain, explain_failure
 from sim.crosscheck.compare import compare_local, compare_observations, compare_parts
 from sim.crosscheck.equalities import EqualityCheck, compare_couplings, equality_names
-from sim.crosscheck.geometry import GeometryCheck
-from sim.crosscheck.matching import match
+from sim.crosscheck.geometry import GeometryCheck, compare_boxes, compare_geometries
 from sim.crosscheck.mujoco_side import MujocoSide, layout_of, left_out
-from sim.crosscheck.parts import Side
-from sim.crosscheck.quantities import Tally, Tolerances
-from sim.crosscheck.reader import ReaderResult, read_with_pinocchio
-from sim.crosscheck.reader_geometry import compare_boxes, compare_geometries
+from sim.crosscheck.parts import Side, Tally, Tolerances, as_drawn, random_states
+from sim.crosscheck.pinocchio_side import match
+from sim.crosscheck.reader import (
+    ReaderResult,
+    Source,
+    compiled,
+    read_with_pinocchio,
+    stated_velocities,
+)
 from sim.crosscheck.report import Column, CrosscheckReport, column_from
-from sim.crosscheck.sources import Source, compiled, stated_velocities
-from sim.crosscheck.states import as_drawn, random_states
 
 BRIDGE, READER = "bridge", "Pinocchio's reader"
 """Names of the columns of ``crosscheck``."""

@@ -20,8 +20,8 @@ from sim.crosscheck.parts import (
     Observation,
     Parts,
     State,
+    Tally,
 )
-from sim.crosscheck.quantities import Tally
 
 _HUGE = 1e15
 """Limit, in any unit, beyond which a number stands for "none" (largest float and the like)."""

@@ -23,8 +23,7 @@ from planner.bridge.pinocchio_model import body_name, site_name
 from planner.errors import ModelError
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz, skew
 from sim.crosscheck.mujoco_side import MujocoSide
-from sim.crosscheck.parts import Observation, State
-from sim.crosscheck.quantities import Tally
+from sim.crosscheck.parts import Observation, State, Tally
 
 _CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)

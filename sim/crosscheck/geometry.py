@@ -1,29 +1,35 @@
-"""coal against MuJoCo: distance and direction between geometries, at poses from each engine.
+"""Collision geometries: coal against MuJoCo, and those of two models against each other.
 
-MuJoCo places the geoms by its own kinematics and coal by those of the bridge. MuJoCo's iterations
-run to 1e-12 m here, since its default of 1e-6 m is as large as what is looked for. Apart, the two
-then agree to 2e-10 m for all pairs of planes, spheres, capsules, cylinders, boxes, ellipsoids and
-convex hulls. In overlap MuJoCo's own colliders of a box and a capsule, and of a cylinder and a
-sphere, measure a depth that is not the shortest way out: by up to 26 mm for shapes of some cm. Its
-iterative pairs agree in overlap to about 1e-6 m.
+``GeometryCheck`` compares distances and directions between geometries. MuJoCo places the geoms by
+its own kinematics and coal by those of the bridge. MuJoCo's iterations run to 1e-12 m here, since
+its default of 1e-6 m is as large as what is looked for. Apart, the two then agree to 2e-10 m for
+all pairs of planes, spheres, capsules, cylinders, boxes, ellipsoids and convex hulls. In overlap
+MuJoCo's own colliders of a box and a capsule, and of a cylinder and a sphere, measure a depth that
+is not the shortest way out: by up to 26 mm for shapes of some cm. Its iterative pairs agree in
+overlap to about 1e-6 m.
+
+Of Pinocchio's reader the boxes are compared. Of a second MuJoCo model it is body, kind, size and
+pose; a mesh, whose frame MuJoCo chooses, by the vertices of its hull.
 """
 
 from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, permutations
 from typing import Any
 
 import coal
 import mujoco
 import numpy as np
+from scipy.spatial import cKDTree
 
 from planner.bridge.geometry import coal_geometry
 from planner.bridge.pinocchio_model import body_name
-from planner.spatial import SE3, pose_from_wxyz
-from sim.crosscheck.parts import Observation, State
-from sim.crosscheck.quantities import Tally
+from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from sim.crosscheck.mujoco_side import MujocoSide
+from sim.crosscheck.parts import Observation, State, Tally
+from sim.crosscheck.reader import ReaderResult, bounding_box
 
 _KINDS = {
     int(mujoco.mjtGeom.mjGEOM_PLANE): "plane",
@@ -155,3 +161,172 @@ def _world(there: Observation, geom: _Geom) -> SE3:
 
 def _transform(pose: SE3) -> Any:
     return coal.Transform3s(pose.rotation, pose.translation)
+
+
+_BOUNDED = {
+    int(mujoco.mjtGeom.mjGEOM_SPHERE),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER),
+    int(mujoco.mjtGeom.mjGEOM_BOX),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID),
+    int(mujoco.mjtGeom.mjGEOM_MESH),
+}
+
+
+def geoms_of_bodies(model: Any) -> dict[str, list[int]]:
+    """Body -> numbers of its colliding geoms that have an end, in order."""
+    out: dict[str, list[int]] = {}
+    for g in range(model.ngeom):
+        colliding = model.geom_contype[g] or model.geom_conaffinity[g]
+        if colliding and int(model.geom_type[g]) in _BOUNDED:
+            out.setdefault(body_name(model, int(model.geom_bodyid[g])), []).append(g)
+    return out
+
+
+def compare_boxes(tally: Tally, model: Any, result: ReaderResult) -> None:
+    """Compare geometry by geometry: by name, and by order in the body for those without one."""
+    carried: dict[str, dict[str, FloatArray | None]] = {}
+    for name, box in result.boxes.items():
+        carried.setdefault(result.carriers[name], {})[name] = box
+    for body, geoms in geoms_of_bodies(model).items():
+        boxes = dict(carried.get(body, {}))
+        rest = [n for n in boxes if n not in {model.geom(g).name for g in geoms}]
+        for g in geoms:
+            name = geom_name(model, g)
+            key = model.geom(g).name if model.geom(g).name in boxes else None
+            if key is None and rest:
+                key = rest.pop(0)
+            tally.add("geometries present", name, float(key is None))
+            if key is None:
+                continue
+            box = boxes[key]
+            pose = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
+            mine = bounding_box(coal_geometry(model, g), pose)
+            if mine is None or box is None:
+                tally.add("geometry", name, np.inf)
+                continue
+            error = float(np.abs(mine - box).max())
+            tally.add("geometry", name, error, values=(mine[1] - mine[0], box[1] - box[0]))
+
+
+def compare_geometries(tally: Tally, here: MujocoSide, there: MujocoSide) -> None:
+    """Compare what collides of two models, body by body: presence, kind, size, pose.
+
+    In a body, geoms of one name belong together, then those that are alike, then by order. What
+    looks otherwise but is the same counts as equal: a box turned with its edges exchanged, an axis
+    that points the other way, a mesh of other triangles with the same hull.
+    """
+    mine, theirs = (_colliding(side) for side in (here, there))
+    for body in {**mine, **theirs}:
+        if body not in there.bodies:
+            continue  # the body is told as missing
+        for a, b in _paired(mine.get(body, []), theirs.get(body, [])):
+            _compare_pair(tally, body, a, b)
+
+
+class _Solid:
+    """A geom that collides, in its body's frame."""
+
+    def __init__(self, model: Any, g: int) -> None:
+        self.own_name = model.geom(g).name
+        self.name = geom_name(model, g)
+        self.kind = mujoco.mjtGeom(int(model.geom_type[g])).name.removeprefix("mjGEOM_").lower()
+        self.pose: SE3 = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
+        self.size = np.array(model.geom_size[g])
+        self.points = np.zeros((0, 3))
+        if self.kind == "mesh":
+            hull = coal_geometry(model, g)
+            vertices = np.array([hull.point(i) for i in range(hull.num_points)])
+            self.points = vertices @ self.pose.rotation.T + self.pose.translation
+            self.size = np.ptp(self.points, axis=0) / 2
+        elif self.kind == "plane":
+            self.size = np.zeros(3)  # MuJoCo's planes have no end, whatever size they are drawn in
+
+    def __str__(self) -> str:
+        """Kind, half extents or radius and half length (mm), and place (mm)."""
+        size, place = (
+            " ".join(f"{1e3 * v:.6g}" for v in values)
+            for values in (self.size[self.size > 0], self.pose.translation)
+        )
+        return f"{self.kind} {size} mm".replace("  ", " ") + f" at ({place})"
+
+    def errors(self, other: _Solid) -> dict[str, float]:
+        """Quantity -> error against another one of the same kind."""
+        if self.kind == "mesh":
+            ways = ((self.points, other.points), (other.points, self.points))
+            return {"geometry": max(float(cKDTree(a).query(b)[0].max()) for a, b in ways)}
+        apart = self.pose.translation - other.pose.translation
+        size, turn = self._size_and_turn(other)
+        out = {"geometry size": size, "geometry offset": float(np.abs(apart).max())}
+        return out if self.kind == "sphere" else {**out, "geometry turn": turn}
+
+    def _size_and_turn(self, other: _Solid) -> tuple[float, float]:
+        """Size and turn, with axes exchanged as they fit best, without the kind's symmetries."""
+        orders: list[tuple[int, ...]] = [(0, 1, 2)]
+        if self.kind in ("box", "ellipsoid"):
+            orders = list(permutations(range(3)))
+        axes = [2] if self.kind in ("capsule", "cylinder", "plane") else [0, 1, 2]
+        best = []
+        for order in orders:
+            size = float(np.abs(self.size - other.size[list(order)]).max())
+            angles = []
+            for k in axes:
+                u, v = self.pose.rotation[:, k], other.pose.rotation[:, order[k]]
+                along = u @ v if self.kind == "plane" else abs(u @ v)
+                angles.append(float(np.arctan2(np.linalg.norm(np.cross(u, v)), along)))
+            best.append((round(size, 12), max(angles)))
+        return min(best)
+
+
+def _colliding(side: MujocoSide) -> dict[str, list[_Solid]]:
+    """Body of the reference -> the solids of a model."""
+    names = {number: name for name, number in side.bodies.items()}
+    model = side.compiled
+    out: dict[str, list[_Solid]] = {}
+    for g in range(model.ngeom):
+        body = names.get(int(model.geom_bodyid[g]))
+        if body is not None and (model.geom_contype[g] or model.geom_conaffinity[g]):
+            out.setdefault(body, []).append(_Solid(model, g))
+    return out
+
+
+def _paired(mine: list[_Solid], theirs: list[_Solid]) -> list[tuple[_Solid | None, _Solid | None]]:
+    """Which solid is which; None where one side has no more."""
+    pairs: list[tuple[_Solid | None, _Solid | None]] = []
+    named = {b.own_name: b for b in theirs if b.own_name}
+    left, rest = [], list(theirs)
+    for a in mine:
+        if a.own_name in named:
+            pairs.append((a, named[a.own_name]))
+            rest.remove(named[a.own_name])
+        else:
+            left.append(a)
+    for alike in (True, False):
+        for a in list(left):
+            b = next((b for b in rest if not alike or _alike(a, b)), None)
+            if b is not None:
+                pairs.append((a, b))
+                left.remove(a)
+                rest.remove(b)
+    return [*pairs, *((a, None) for a in left), *((None, b) for b in rest)]
+
+
+def _alike(a: _Solid, b: _Solid) -> bool:
+    return a.kind == b.kind and max(a.errors(b).values()) < ALIKE
+
+
+ALIKE = 1e-6
+"""Error (m, rad) below which two solids of a body are taken for the same one."""
+
+
+def _compare_pair(tally: Tally, body: str, a: _Solid | None, b: _Solid | None) -> None:
+    name = a.name if a else f"{b.name} (not in the reference)" if b else ""
+    values = tuple(f"{solid} on {body}" if solid else "none" for solid in (a, b))
+    missing = a is None or b is None
+    tally.add("geometries present", name, float(missing), values=(values[0], values[1]))
+    if a is None or b is None:
+        return
+    same = a.kind == b.kind
+    tally.add("geometry kind", name, float(not same), values=(str(a), str(b)))
+    for quantity, error in (a.errors(b) if same else {}).items():
+        tally.add(quantity, name, error, values=(str(a), str(b)))
