@@ -56,7 +56,7 @@ _HOMES = {
     "ManipulationTimeline": "sim.manipulation",
     "ObjectImpedance": "sim.controllers",
     "Observation": "sim.controllers",
-    "PhysicsOptions": "sim.physics.options",
+    "PhysicsOptions": "sim.physics",
     "ProtocolReport": "sim.protocols",
     "Reality": "sim.reality",
     "Scene": "sim.scene",

@@ -39,8 +39,7 @@ from sim.gantry import GANTRY, Gantry, add_gantry, tuned_gantry
 from sim.looking.dress import HIDDEN_GROUP, dress_hand
 from sim.looking.scenery import OBJECT_MATERIAL, add_object_material, add_scenery
 from sim.looking.view import Subject
-from sim.physics.named import AnyPhysics, as_physics
-from sim.physics.options import CONTACT_SOLREF, PhysicsOptions
+from sim.physics import CONTACT_SOLREF, PRESETS, AnyPhysics, PhysicsOptions
 
 __all__ = [
     "HAND_PREFIX",
@@ -225,7 +224,7 @@ def build_scene(
     Raises:
         ModelError: MuJoCo refuses the scene.
     """
-    physics = as_physics(physics)
+    physics = PRESETS.given(physics)
     hand = task.hand
     spec = scene_spec(task, T_world_base, physics)
     if change is not None:

@@ -46,7 +46,7 @@ from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
 from sim.pads import read_pads
 from sim.physics import AnyPhysics
-from sim.reality import AnyReality, Reality, RealityOfTrial, as_reality
+from sim.reality import REALITIES, AnyReality, Reality, RealityOfTrial
 from sim.scene import Scene, build_scene
 from sim.tactile import read_touch
 from sim.timeline import Timeline
@@ -127,7 +127,7 @@ class Simulation:
         """
         self.plan = plan
         self.reality: RealityOfTrial | None = None
-        reality = as_reality(reality)
+        reality = REALITIES.given(reality)
         if not reality.ideal:
             if scene is not None:
                 raise TaskError("give a scene or a reality: a reality changes the scene it builds")

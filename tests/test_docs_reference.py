@@ -27,7 +27,7 @@ from planner import GraspTask, load_hand, parse_object, plan_grasp, read_plan
 from planner.errors import PlannerError
 from planner.files import read_contacts
 from sim.cli import main
-from sim.physics import physics_for
+from sim.physics import PRESETS
 from sim.verdict import REASONS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -105,7 +105,7 @@ def test_every_field_is_in_a_table() -> None:
 def test_examples_are_read_by_what_they_are_examples_of(tmp_path: Path) -> None:
     path = tmp_path / "physics.toml"
     path.write_text(examples.PHYSICS, encoding="utf-8")
-    assert physics_for(str(path)).timestep == 0.004
+    assert PRESETS.given(str(path)).timestep == 0.004
     path = tmp_path / "contacts.json"
     path.write_text(examples.CONTACTS, encoding="utf-8")
     contacts, _ = read_contacts(path)
@@ -146,7 +146,7 @@ def no_plan() -> object:
 
 
 def no_physics() -> object:
-    return physics_for("nothing")
+    return PRESETS.given("nothing")
 
 
 def no_attempts() -> object:
@@ -175,7 +175,7 @@ COMPOSED = {
     "planner.describe",  # what `check_hand` was told by others
     "planner.forces",  # "<reason>. <remedy>" of what `explain_infeasibility` finds
     "sim.cli",  # "<error>. <advice>" of a search that found nothing, as `advice_for_size` has it
-    "sim.preset_files",  # "<path>: <error>"
+    "sim.presets",  # "<path>: <error>"
     "sim.protocols",  # the reason of what was asked of it
 }
 """Rooms that raise a message made of others, which are listed themselves."""

@@ -22,8 +22,7 @@ from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 from sim.cli import main
 from sim.creep import contact_drag, impedance, least_creep, predicted_creep, remedies
-from sim.physics import PRESETS, PhysicsOptions, named_physics, physics_for, read_physics
-from sim.physics.options import CONES, INTEGRATORS
+from sim.physics import CONES, INTEGRATORS, PRESETS, PhysicsOptions, named_physics
 from sim.protocols.creep import measure_creep, sized_remedies
 from sim.protocols.run import physics_of
 from sim.scene import OBJECT, build_scene
@@ -144,7 +143,7 @@ def written(tmp_path: Path, name: str, text: str) -> Path:
 
 def test_a_file_changes_a_preset(tmp_path: Path) -> None:
     text = 'preset = "mujoco-default"\nimpratio = 100\ncone = "elliptic"\nsolref = [0.01, 1]\n'
-    found = physics_for(str(written(tmp_path, "mine.toml", text)))
+    found = PRESETS.given(str(written(tmp_path, "mine.toml", text)))
     wanted = replace(SOFT, name="mine.toml", impratio=100, cone="elliptic", solref=(0.01, 1.0))
     assert found == wanted
     assert found.label == "mine.toml"
@@ -152,7 +151,7 @@ def test_a_file_changes_a_preset(tmp_path: Path) -> None:
 
 def test_a_file_without_preset_changes_ours_and_may_have_a_name(tmp_path: Path) -> None:
     path = written(tmp_path, "a.json", json.dumps({"name": "rig", "noslip_iterations": 0}))
-    assert read_physics(path) == PhysicsOptions(name="rig", noslip_iterations=0)
+    assert PRESETS.read(path) == PhysicsOptions(name="rig", noslip_iterations=0)
 
 
 @pytest.mark.parametrize(
@@ -184,25 +183,25 @@ def test_a_file_without_preset_changes_ours_and_may_have_a_name(tmp_path: Path) 
 )
 def test_bad_fields_are_named_with_the_file(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(TaskError, match=f"bad.toml: .*{said}"):
-        physics_for(str(written(tmp_path, "bad.toml", text)))
+        PRESETS.given(str(written(tmp_path, "bad.toml", text)))
 
 
 def test_bad_files_are_told(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="cannot read the physics file"):
-        physics_for(str(tmp_path / "none.toml"))
+        PRESETS.given(str(tmp_path / "none.toml"))
     with pytest.raises(FileFormatError, match="no TOML or JSON by its ending"):
-        physics_for(str(written(tmp_path, "a.json", "impratio = 10")))
+        PRESETS.given(str(written(tmp_path, "a.json", "impratio = 10")))
     with pytest.raises(FileFormatError, match="no TOML or JSON by its ending"):
-        physics_for(str(written(tmp_path, "b.json", "[" * 100_000)))
+        PRESETS.given(str(written(tmp_path, "b.json", "[" * 100_000)))
     with pytest.raises(FileFormatError, match="holds no fields"):
-        physics_for(str(written(tmp_path, "c.json", "[1]")))
+        PRESETS.given(str(written(tmp_path, "c.json", "[1]")))
     with pytest.raises(NotFoundError, match="no physics is called 'bullet'"):
-        physics_for(str(written(tmp_path, "d.toml", 'preset = "bullet"')))
+        PRESETS.given(str(written(tmp_path, "d.toml", 'preset = "bullet"')))
 
 
 def test_an_unknown_name_says_what_there_is() -> None:
     with pytest.raises(NotFoundError, match="Did you mean 'mujoco-default'"):
-        physics_for("mujoco-defaults")
+        PRESETS.given("mujoco-defaults")
     with pytest.raises(NotFoundError, match="no physics is called"):
         named_physics("./mine")
 

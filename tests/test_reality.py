@@ -32,9 +32,8 @@ from sim.physics import PhysicsOptions
 from sim.protocols.reality import with_errors
 from sim.reality import REALITIES, Drawn, Reality, RealityOfTrial, named_reality, register_reality
 from sim.reality.drawn import stream
-from sim.reality.drive import RealDrive
 from sim.reality.senses import Drift, RealSenses
-from sim.reality.world import center_offset
+from sim.reality.trial import RealDrive, center_offset
 from sim.recording import Recording
 from sim.report_file import read_report, write_report
 from sim.scene import build_scene

@@ -14,18 +14,15 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.cli.common import reality_of
-from sim.preset_files import SUFFIXES, PresetFiles
+from sim.presets import SUFFIXES
 from sim.protocols import Settings, run_protocol
 from sim.reality import (
     REALITIES,
     Drawn,
     Reality,
-    as_reality,
     drawn_numbers,
     draws_in_words,
     named_reality,
-    read_reality,
-    reality_for,
     register_reality,
 )
 from sim.screen import reality_lines
@@ -47,13 +44,13 @@ def written(tmp_path: Path, name: str, text: str) -> Path:
 
 def test_a_file_changes_a_preset(tmp_path: Path) -> None:
     text = 'preset = "lab"\nencoder_offset = 0.05\ntouch = "effort"\nseed = 4\n'
-    found = reality_for(str(written(tmp_path, "mine.toml", text)))
+    found = REALITIES.given(str(written(tmp_path, "mine.toml", text)))
     lab = REALITIES["lab"]
     assert found == replace(lab, name="mine.toml", encoder_offset=0.05, touch="effort", seed=4)
 
 
 def test_a_preset_is_a_name_and_a_file_is_a_path(tmp_path: Path) -> None:
-    kept = PresetFiles(kind="reality", presets=REALITIES, usual="ideal")
+    kept = REALITIES
     assert kept.given("rough") is REALITIES["rough"]
     for suffix, text in zip(SUFFIXES, ('preset = "rough"', '{"preset": "rough"}'), strict=True):
         path = written(tmp_path, f"mine{suffix}", text)
@@ -64,7 +61,7 @@ def test_a_preset_is_a_name_and_a_file_is_a_path(tmp_path: Path) -> None:
 
 def test_a_file_without_preset_changes_ideal_and_may_have_a_name(tmp_path: Path) -> None:
     path = written(tmp_path, "a.json", '{"name": "rig", "command_delay": 0.01}')
-    assert read_reality(path) == Reality(name="rig", command_delay=0.01)
+    assert REALITIES.read(path) == Reality(name="rig", command_delay=0.01)
 
 
 @pytest.mark.parametrize(
@@ -81,27 +78,27 @@ def test_a_file_without_preset_changes_ideal_and_may_have_a_name(tmp_path: Path)
 )
 def test_bad_fields_are_named_with_the_file(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(TaskError, match=f"bad.toml: .*{said}"):
-        reality_for(str(written(tmp_path, "bad.toml", text)))
+        REALITIES.given(str(written(tmp_path, "bad.toml", text)))
 
 
 def test_bad_files_are_told(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="cannot read the reality file"):
-        reality_for(str(tmp_path / "none.toml"))
+        REALITIES.given(str(tmp_path / "none.toml"))
     with pytest.raises(FileFormatError, match="no TOML or JSON by its ending"):
-        reality_for(str(written(tmp_path, "a.json", "seed = 3")))
+        REALITIES.given(str(written(tmp_path, "a.json", "seed = 3")))
     with pytest.raises(NotFoundError, match=r"no reality is called .labs.\. Did you mean .lab."):
-        reality_for(str(written(tmp_path, "b.toml", 'preset = "labs"')))
+        REALITIES.given(str(written(tmp_path, "b.toml", 'preset = "labs"')))
     with pytest.raises(NotFoundError, match="no sense of touch is called 'skin'"):
-        reality_for(str(written(tmp_path, "c.toml", 'touch = "skin"')))
+        REALITIES.given(str(written(tmp_path, "c.toml", 'touch = "skin"')))
     with pytest.raises(NotFoundError, match="A TOML or JSON file of fields is taken too"):
-        reality_for("./mine")
+        REALITIES.given("./mine")
 
 
 def test_a_reality_is_taken_by_its_name(plan: GraspPlan) -> None:
     by_name = Simulation(plan, reality="lab").reality
     assert by_name is not None
     assert by_name.drawn.to_dict() == Drawn.of(REALITIES["lab"], plan.task.hand).to_dict()
-    assert as_reality(None) == Reality()
+    assert REALITIES.given(None) == Reality()
     with pytest.raises(NotFoundError, match="no reality is called 'labs'"):
         simulate(plan, reality="labs")
     for wrong in ({"preset": "lab"}, 3, Reality):

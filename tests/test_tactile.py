@@ -41,10 +41,9 @@ from sim.tactile import (
     make_sense,
     register_touch,
 )
-from sim.tactile.gains import GainTracker
-from sim.tactile.ideal import ExactSense
-from sim.tactile.patches import fit_patches
-from sim.tactile.pressure import CONTACT_MODULUS, contact_deviation, spread
+from sim.tactile.exact import CONTACT_MODULUS, contact_deviation, spread
+from sim.tactile.senses import ExactSense
+from sim.tactile.slip import GainTracker, fit_patches
 
 RADIUS = 0.012
 

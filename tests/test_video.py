@@ -27,7 +27,7 @@ from sim.looking.painter import Quality
 from sim.looking.picture import PICTURE, draw_tape
 from sim.looking.tape import Tape
 from sim.looking.view import FIELD_OF_VIEW_DEG, MARGIN, Subject, View, choose_views, sees
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 from sim.report import TrialReport
 from sim.scene import build_scene
 from sim.simulation import Simulation, filmed

@@ -247,9 +247,9 @@ def physics_of(text: str, sim_mu: float | None = None) -> Any:
         FileFormatError: A file that cannot be read.
         TaskError: A field that there is not, or a value out of range.
     """
-    from sim.physics import physics_for
+    from sim.physics import PRESETS
 
-    found = physics_for(text)
+    found = PRESETS.given(text)
     return found if sim_mu is None else replace(found, mu=sim_mu)
 
 
@@ -328,9 +328,9 @@ def reality_of(
         TaskError: A field that there is not, a value out of range, or a seed of nothing.
     """
     from planner.errors import TaskError
-    from sim.reality import reality_for
+    from sim.reality import REALITIES
 
-    found = reality_for(text)
+    found = REALITIES.given(text)
     found = found if pads is None else replace(found, touch=pads)
     if seed is None:
         return found

@@ -14,7 +14,7 @@ from planner.plan import GraspPlan
 from sim.protocols.cases import Conditions
 from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
-from sim.reality import Drawn, Reality, drawn_numbers, lab
+from sim.reality import LAB, Drawn, Reality, drawn_numbers
 from sim.tactile import EXACT
 from sim.timeline import Timeline
 from sim.trial import Trial
@@ -74,7 +74,7 @@ def with_errors(reality: Reality) -> Reality:
     Pads are no error: a sense of touch that was chosen is kept.
     """
     if replace(reality, touch=EXACT).ideal:
-        return replace(lab.PRESET, touch=reality.touch, seed=reality.seed)
+        return replace(LAB, touch=reality.touch, seed=reality.seed)
     return reality
 
 

@@ -26,7 +26,7 @@ from planner.plan import GraspPlan
 from planner.task import GraspTask
 from sim.controllers import AnyController, controller_maker, controller_name
 from sim.estimation import NONE, AnyEstimator, estimator_name
-from sim.physics import AnyPhysics, PhysicsOptions, as_physics
+from sim.physics import PRESETS, AnyPhysics, PhysicsOptions
 from sim.protocols.cases import Case, Conditions
 from sim.protocols.dexgraspbench import dexgraspbench_cases, unsuitable_for_dexgraspbench
 from sim.protocols.dexgraspbench_scene import benchmark_contacts, benchmark_physics
@@ -39,7 +39,7 @@ from sim.protocols.report import ProtocolReport
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
 from sim.protocols.shake import on_an_arm, shake_cases
-from sim.reality import AnyReality, Drawn, as_reality, drawn_numbers, draws_in_words
+from sim.reality import REALITIES, AnyReality, Drawn, drawn_numbers, draws_in_words
 from sim.runner import Runner, made_with
 from sim.samples import CHANNELS, Samples
 from sim.scene import build_scene
@@ -189,7 +189,7 @@ def run_protocol(
     if workers == 0:
         raise TaskError("workers is 0; give the number of processes, or -1 for one per core")
     settings, plan = settings or Settings(), given_plan(plan)
-    physics = benchmark_physics() if protocol == "dexgraspbench" else as_physics(physics)
+    physics = benchmark_physics() if protocol == "dexgraspbench" else PRESETS.given(physics)
     (names,) = trials_of([protocol], only, settings, seed).values()
     cases = [case for case in cases_of(protocol, settings, seed) if case.name in names]
     make = controller_maker(controller)
@@ -199,7 +199,7 @@ def run_protocol(
         raise TaskError(reason)
     label = "replay" if protocol in REPLAYED else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
-    reality = as_reality(reality)
+    reality = REALITIES.given(reality)
     if protocol == "reality":
         reality = with_errors(reality)  # the report then names what was drawn from
     conditions = Conditions(physics=physics, controller=make, reality=reality, estimator=estimator)

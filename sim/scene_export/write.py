@@ -24,7 +24,7 @@ from planner.errors import FileFormatError
 from planner.exchange.formats import GraspFormat, Writing, register_format
 from planner.files import write_json
 from planner.plan import GraspPlan
-from sim.physics import AnyPhysics, as_physics
+from sim.physics import PRESETS, AnyPhysics
 from sim.scene import OBJECT, Scene
 from sim.scene_export.keyframes import key_frames
 from sim.scene_export.mjcf import MESHES, mesh_files, plain_scene, scene_mjcf
@@ -62,7 +62,7 @@ def export_scene(
     """
     target = Path(folder)
     keys = key_frames(plan)
-    scene, spec = plain_scene(plan, as_physics(physics))
+    scene, spec = plain_scene(plan, PRESETS.given(physics))
     meshes = mesh_files(scene.model)
     hand, about = plan.task.hand, "hand.urdf is rooted at the hand's base"
     texts = {mesh.file: mesh.text for mesh in (*meshes, *ellipsoid_files(scene.model))}

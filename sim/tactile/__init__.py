@@ -1,9 +1,8 @@
 """Tactile pads: arrays of taxels, what follows from their images, and cheaper senses of touch."""
 
-from sim.tactile.array import TaxelArray
 from sim.tactile.binary import BinarySense
 from sim.tactile.effort import EffortSense
-from sim.tactile.estimate import ContactEstimate, ContactEstimator
+from sim.tactile.estimate import ContactEstimate, ContactEstimator, FrictionWatch
 from sim.tactile.exact import (
     PadContact,
     contact_image,
@@ -12,12 +11,11 @@ from sim.tactile.exact import (
     pad_contacts,
     read_touch,
 )
-from sim.tactile.friction import FrictionWatch
-from sim.tactile.ideal import ExactSense
-from sim.tactile.layout import TaxelLayout, default_array
+from sim.tactile.layout import TaxelArray, TaxelLayout, Texture, default_array
 from sim.tactile.senses import (
     EXACT,
     TOUCH_SENSES,
+    ExactSense,
     TouchContext,
     TouchSense,
     check_touch,
@@ -26,7 +24,6 @@ from sim.tactile.senses import (
 )
 from sim.tactile.slip import SlipWatch
 from sim.tactile.taxels import TaxelSense
-from sim.tactile.texture import Texture
 
 __all__ = [
     "EXACT",

@@ -9,24 +9,20 @@ with F the forces of the actuators, g the torque of the finger's weight, b, c an
 friction and inertia of its joints as the model has them, a their low-passed acceleration. N spans
 the motions that couplings, stops and joints at their limits leave: what these carry no motor feels.
 The friction of a joint that moves is known; that of a joint at rest is as large as it can be: what
-it explains is no touch. The normal is the planned one (``PlannedNormals``), and the contact where
+it explains is no touch. The normal is the planned one (``PlannedPads``), and the contact where
 it leaves the pad.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
 
 from planner.spatial import FloatArray, skew
-from sim.controllers import Observation, TouchReading
+from sim.controllers import Observation
 from sim.controllers.loads import HandLoads
 from sim.controllers.motors import joint_drag
-from sim.tactile.bodies import PadBodies, PlannedNormals, pad_reading
-from sim.tactile.exact import layouts_of
-from sim.tactile.senses import TouchContext, register_touch
+from sim.tactile.senses import PlannedPads, TouchContext, register_touch
 
 LEAST_FORCE, LOST_FORCE = 0.12, 0.04
 """Force (N) along the normal from which on a finger touches, and below which it touches no more. A
@@ -55,18 +51,14 @@ class EffortSense:
         plan = context.plan
         self._scene, self._data, self._task = context.scene, context.data, plan.task
         hand = plan.task.hand
-        layouts = layouts_of(context.scene, plan.task.finger_names)
-        self._bodies = PadBodies.of(context.scene, context.data, layouts)
-        self._planned = PlannedNormals(plan)
-        self._centers = np.array([one.center for one in layouts])
-        self._radii = np.array([[one.radius] for one in layouts])
+        self._pads = PlannedPads(context)
         self._loads = HandLoads(hand, plan.task.fingers)
         self._pin = hand.pin_model.createData()
         self._drag, modelled = joint_drag(hand)
         self._stiction = modelled + context.dry_friction
         self._rows = np.array([c.row for c in hand.couplings]).reshape(-1, hand.nq)
-        self._force = np.zeros((len(layouts), 3))
-        self._touching = np.zeros(len(layouts), dtype=bool)
+        self._force = np.zeros((len(plan.task.fingers), 3))
+        self._touching = np.zeros(len(plan.task.fingers), dtype=bool)
         self._v, self._rate, self._time = np.zeros(hand.nq), np.zeros(hand.nq), -1.0
 
     def read(self, truth: Observation) -> Observation:
@@ -79,26 +71,10 @@ class EffortSense:
         self._v, self._time = truth.v, truth.time
         force = self._forces(truth)
         self._force = force if first else self._force + share * (force - self._force)
-        turns = self._bodies.turns()
-        middle = (turns @ self._centers[:, :, None])[:, :, 0] + self._bodies.places()
-        normal = self._planned.at(middle, truth.T_world_base)
+        normal, position = self._pads.expected(truth.T_world_base)
         along = (self._force * normal).sum(axis=1)
         self._touching = along >= np.where(self._touching, LOST_FORCE, LEAST_FORCE)
-        touching = self._touching
-        position = middle + self._radii * normal
-        reading = pad_reading(
-            touching=touching,
-            force=self._force,
-            normal=normal,
-            position=position,
-            sliding=self._bodies.sliding(position, normal, touching, np.ones(len(touching))),
-        )
-        return replace(
-            truth,
-            normal_forces=reading.normal_force,
-            read_pads=lambda: reading,
-            read_touch=TouchReading.nothing,
-        )
+        return self._pads.observation(truth, self._touching, self._force, normal, position)
 
     def _forces(self, truth: Observation) -> FloatArray:
         """Forces (n, 3) on what touches that explain the torques now, N, world."""

@@ -4,11 +4,27 @@ A pad is a sphere. Its array is a square grid in the chart of the sphere that ke
 the middle (azimuthal equidistant): the taxel at (u, v) lies in the direction of (u, v) from the
 middle, at the arc length sqrt(u^2 + v^2). v runs along the bone, u around it. Whoever reads or
 estimates images takes places and axes from here.
+
+``TaxelArray``: an array with noise, threshold, dead taxels, rate and latency.
+
+Turns perfect images into those that arrive. Called by the sense ``taxels`` once a time step.
+
+``Texture``: how a rough surface that slides over a pad makes its taxels shiver.
+
+Sliding is felt through the unevenness of what slides: asperities load now this spot of the skin and
+now that one (R. D. Howe and M. R. Cutkosky, Sensing skin acceleration for slip and texture
+perception, ICRA 1989; M. R. Tremblay and M. R. Cutkosky, Estimating friction using incipient slip
+sensing during a manipulation task, ICRA 1993). MuJoCo's contacts are smooth, so this is a model of
+its own: the force on each taxel is larger or smaller by a share with standard deviation ``SHARE``,
+which forgets its value over a slid distance ``LENGTH`` and stays as it is while the pad sticks or
+rolls. The force of the whole contact stays what it is. A polished object has none of it
+(``share`` 0): then only joints tell that a pad slips.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -147,3 +163,92 @@ class TaxelLayout:
     def point(self, place: FloatArray) -> FloatArray:
         """Point (3,) of the pad's surface at a place (2,) of the chart, m, the body's frame."""
         return np.asarray(self.center + self.radius * self.frame_at(place)[:, 0])
+
+
+TIME_TOL = 1e-9
+"""Times that differ by less (s) are the same: rounding of sums of time steps."""
+
+
+class TaxelArray:
+    """One array over time.
+
+    Attributes:
+        layout: Its geometry and errors.
+    """
+
+    def __init__(self, layout: TaxelLayout, rng: np.random.Generator) -> None:
+        """Nothing has been read.
+
+        Args:
+            layout: Its geometry and errors.
+            rng: Of the noise.
+        """
+        self.layout = layout
+        self._rng = rng
+        self._alive = np.ones((*layout.shape, 1))
+        for row, column in layout.array.dead:
+            self._alive[row, column] = 0.0
+        self._under_way: deque[tuple[float, FloatArray]] = deque()
+        self._newest: tuple[float, FloatArray] = (0.0, np.zeros((*layout.shape, 3)))
+        self._next = -math.inf
+
+    def read(self, time: float, exact: FloatArray) -> tuple[float, FloatArray]:
+        """When the newest image that has arrived was taken (s), and the image.
+
+        Args:
+            time: Now, s; never earlier than at the last call.
+            exact: What perfect taxels would read now, (rows, columns, 3), N.
+        """
+        array = self.layout.array
+        if time >= self._next - TIME_TOL:
+            if array.rate > 0:
+                self._next = (math.floor(time * array.rate + TIME_TOL) + 1) / array.rate
+            self._under_way.append((time, self.measured(exact)))
+        while self._under_way and self._under_way[0][0] <= time - array.latency + TIME_TOL:
+            self._newest = self._under_way.popleft()
+        return self._newest
+
+    def measured(self, exact: FloatArray) -> FloatArray:
+        """An image (rows, columns, 3) with noise, without what is below the threshold or dead."""
+        array, image = self.layout.array, exact
+        if array.noise > 0:
+            deviation = array.noise * np.maximum(np.abs(exact[..., :1]), array.threshold)
+            image = exact + deviation * self._rng.standard_normal(exact.shape)
+        felt = np.abs(image[..., :1]) >= array.threshold
+        return np.asarray(image * (felt * self._alive))
+
+
+SHARE = 0.1
+"""Standard deviation (-) of the force on a taxel over the texture: twice the noise of a taxel."""
+
+LENGTH = 1e-4
+"""Slid distance (m) over which the texture under a taxel becomes another: paper, cloth, wood."""
+
+
+class Texture:
+    """The texture under one array.
+
+    Attributes:
+        gains: (rows, columns), by which the force on each taxel differs (-).
+    """
+
+    def __init__(self, shape: tuple[int, int], rng: np.random.Generator, share: float) -> None:
+        """Draw what lies under the taxels.
+
+        Args:
+            shape: Rows and columns.
+            rng: Its random numbers.
+            share: Standard deviation of the gains (-); 0 for a polished object.
+        """
+        self._rng, self._share = rng, share
+        self._state = rng.standard_normal(shape)
+        self.gains: FloatArray = 1.0 + share * self._state
+
+    def slide(self, distance: float) -> None:
+        """Slide the object over the pad by a distance (m)."""
+        if distance <= 0.0 or self._share == 0.0:
+            return
+        kept = math.exp(-distance / LENGTH)
+        fresh = self._rng.standard_normal(self._state.shape)
+        self._state = kept * self._state + math.sqrt(1.0 - kept * kept) * fresh
+        self.gains = np.maximum(1.0 + self._share * self._state, 0.0)

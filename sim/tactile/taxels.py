@@ -17,14 +17,11 @@ import numpy as np
 
 from planner.spatial import FloatArray
 from sim.controllers import Observation, PadReading, TouchReading
-from sim.tactile.array import TaxelArray
-from sim.tactile.bodies import PadBodies, pad_reading
-from sim.tactile.estimate import ContactEstimate, ContactEstimator
+from sim.tactile.estimate import ContactEstimate, ContactEstimator, FrictionWatch
 from sim.tactile.exact import exact_images, layouts_of
-from sim.tactile.friction import FrictionWatch
-from sim.tactile.senses import TouchContext, register_touch
+from sim.tactile.layout import SHARE, TaxelArray, Texture
+from sim.tactile.senses import PadBodies, TouchContext, pad_reading, register_touch
 from sim.tactile.slip import SlipWatch
-from sim.tactile.texture import SHARE, Texture
 
 
 class TaxelSense:

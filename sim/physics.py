@@ -1,9 +1,15 @@
 """How MuJoCo computes: solver, integrator, cone, friction and contact stiffness, with reasons.
 
-Named sets of these numbers are in ``sim.physics.presets``; a file holds one too::
+Sets of these numbers have names, those below and others that are registered; a file holds one too,
+TOML or JSON with fields of ``PhysicsOptions`` under their names (``sim.presets``)::
 
-    named_physics("mujoco-default")
-    physics_for("my_scene.toml")
+    simulate(plan, physics="mujoco-default")
+    simulate(plan, physics="my_scene.toml")
+
+    # my_scene.toml
+    preset = "mujoco-default"
+    impratio = 100
+    cone = "elliptic"
 
 What the numbers do to a held object is derived in ``sim.creep``.
 """
@@ -13,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import mujoco
 
@@ -22,6 +28,15 @@ from planner.contacts import MOST_FRICTION
 from planner.errors import TaskError, shown
 from planner.plain import finite
 from planner.spatial import FloatArray
+from sim.presets import Presets
+
+__all__ = [
+    "PRESETS",
+    "AnyPhysics",
+    "PhysicsOptions",
+    "named_physics",
+    "register_physics",
+]
 
 OURS = "ours"
 """Name of the defaults."""
@@ -219,21 +234,6 @@ class PhysicsOptions:
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
-PRESETS: dict[str, PhysicsOptions] = {}
-"""Presets by name; ``register_physics`` fills it."""
-
-
-def register_physics(options: PhysicsOptions) -> PhysicsOptions:
-    """Make a set of options known by its name, and return it.
-
-    Raises:
-        TaskError: Another preset has that name.
-    """
-    if options != PRESETS.setdefault(options.name, options):
-        raise TaskError(f"there are physics named {options.name!r} already; give another name")
-    return options
-
-
 def _number(name: str, value: Any, least: float, most: float, unit: str = "") -> None:
     checked_number(name, value, least=least, most=most, unit=unit, error=TaskError)
 
@@ -250,4 +250,93 @@ def _listed(values: tuple[float, ...]) -> str:
     return " ".join(f"{v:g}" for v in values)
 
 
-register_physics(PhysicsOptions())
+PRESETS = Presets("physics", PhysicsOptions())
+"""Presets by name."""
+
+AnyPhysics: TypeAlias = PhysicsOptions | str
+"""Physics, or what ``--physics`` takes: a preset's name or the path of a file."""
+
+named_physics = PRESETS.named
+register_physics = PRESETS.register
+
+MUJOCO_DEFAULT = PRESETS.register(
+    PhysicsOptions(
+        name="mujoco-default",
+        timestep=0.002,
+        # MuJoCo's default is Euler, which takes servo damping explicitly: hands with light fingers
+        # and strong dampers diverge (10 of 11 default grasps of the Shadow-type hand), whatever the
+        # contacts do; a scene with such servos must ask for this one
+        integrator="implicitfast",
+        cone="pyramidal",
+        condim=3,
+        mu=1.0,
+        mu_torsion=0.005,  # without effect in 3 dimensions
+        mu_rolling=0.0001,
+        impratio=1.0,
+        noslip_iterations=0,
+        iterations=100,
+        solref=(0.02, 1.0),
+        solimp=(0.9, 0.95, 0.001, 0.5, 2.0),
+    )
+)
+"""What MuJoCo computes where a scene says nothing.
+
+Source: the XML reference of MuJoCo, elements ``option`` and ``geom``; the numbers are read from a
+fresh ``mujoco.MjSpec`` by a test.
+"""
+
+MENAGERIE = PRESETS.register(
+    PhysicsOptions(
+        name="menagerie",
+        timestep=0.002,  # MuJoCo's default
+        integrator="implicitfast",  # the LEAP hand asks for it; Euler: see mujoco_default
+        cone="elliptic",
+        condim=6,
+        # of the two scenes the smaller: 0.5 0.01 0.003 beside Shadow, 0.7 0.002 0.002 beside
+        # Allegro
+        mu=0.5,
+        mu_torsion=0.002,
+        mu_rolling=0.002,
+        impratio=10.0,
+        noslip_iterations=0,  # MuJoCo's default
+        iterations=100,  # MuJoCo's default
+        solref=(0.02, 1.0),
+        solimp=(0.9, 0.95, 0.001, 0.5, 2.0),
+    )
+)
+"""An object in the scene files that MuJoCo Menagerie ships beside its hands.
+
+Source: https://github.com/google-deepmind/mujoco_menagerie, folders ``shadow_hand`` and
+``wonik_allegro``, files ``scene_right.xml`` and ``right_hand.xml``.
+
+The hands ask for elliptic cones and impratio 10, and their fingers for solref 0.005 and solimp 0.5
+0.99 0.0001. The object of the scene has a higher priority than the fingers and says nothing of
+solref and solimp: so MuJoCo's soft defaults decide, and what the fingers ask for has no effect.
+"""
+
+DEXGRASPBENCH = PRESETS.register(
+    PhysicsOptions(
+        name="dexgraspbench",
+        timestep=0.004,
+        integrator="implicitfast",
+        cone="elliptic",
+        condim=4,
+        mu=0.6,
+        mu_torsion=0.02,
+        mu_rolling=0.0001,  # MuJoCo's default; without effect in 4 dimensions
+        impratio=10.0,
+        noslip_iterations=2,
+        iterations=100,  # MuJoCo's default
+        solref=(0.0125, 1.0),
+        solimp=(0.7, 0.97, 0.00055, 0.5, 2.0),
+    )
+)
+"""How DexGraspBench computes.
+
+Source: https://github.com/JYChen18/DexGraspBench at commit 1e7a5a6, ``src/util/hand_util.py`` and
+``config/task/eval.yaml``.
+
+The benchmark gives solref 0.005 1 and solimp 0.5 0.99 0.0001 to the geoms of the hand. The object
+has the same priority and MuJoCo's defaults, 0.02 1 and 0.9 0.95 0.001: MuJoCo takes the mean of the
+two.
+"""

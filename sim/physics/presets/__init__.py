@@ -1,1 +1,0 @@
-"""Sets of physics that ship, a file each; each registers itself by its name."""

@@ -1,1 +1,0 @@
-"""Realities that ship, a file each; each registers itself by its name."""
