@@ -16,6 +16,7 @@ from planner.showing import register_notebook, register_page
 from planner.system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from sim.carrier import Timeline
     from sim.contacts import contacts_from_mujoco
     from sim.controllers import Controller, GraspController, ObjectImpedance, Observation
     from sim.manipulation import ManipulationReport, ManipulationTimeline, manipulate
@@ -25,8 +26,7 @@ if TYPE_CHECKING:
     from sim.report import TrialReport
     from sim.scene import Scene
     from sim.simulation import Simulation
-    from sim.timeline import Timeline
-    from sim.trial import Trial, simulate
+    from sim.trial import Trial, TrialOptions, simulate
 
 __all__ = [
     "Controller",
@@ -42,6 +42,7 @@ __all__ = [
     "Simulation",
     "Timeline",
     "Trial",
+    "TrialOptions",
     "TrialReport",
     "contacts_from_mujoco",
     "manipulate",
@@ -61,8 +62,9 @@ _HOMES = {
     "Reality": "sim.reality",
     "Scene": "sim.scene",
     "Simulation": "sim.simulation",
-    "Timeline": "sim.timeline",
+    "Timeline": "sim.carrier",
     "Trial": "sim.trial",
+    "TrialOptions": "sim.trial",
     "TrialReport": "sim.report",
     "contacts_from_mujoco": "sim.contacts",
     "manipulate": "sim.manipulation",

@@ -18,10 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.bridge.inertias import LEAST_INERTIA, LEAST_MASS
-from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, IntArray
-from sim.controllers.base import Phase
-from sim.timeline import Timeline
 
 __all__ = [
     "GANTRY",
@@ -30,7 +27,6 @@ __all__ = [
     "GANTRY_INERTIA",
     "GANTRY_MASS",
     "Gantry",
-    "GantryCarrier",
     "add_gantry",
     "tuned_gantry",
 ]
@@ -108,36 +104,6 @@ class Gantry:
         kp, kd = self.gains
         forward = kd * velocity + data.qfrc_bias.take(self.dof)
         return np.asarray(target + forward / kp)
-
-
-class GantryCarrier:
-    """Moves the hand by the gantry: a ``sim.carrier.Carrier``."""
-
-    def __init__(self, plan: GraspPlan, gantry: Gantry, timeline: Timeline) -> None:
-        """Note where the approach begins."""
-        self._gantry, self._timeline = gantry, timeline
-        self._start = gantry.coordinates(plan.T_world_base_start)
-        self._lifted = np.array([0.0, 0.0, timeline.lift_height, 0.0, 0.0, 0.0])
-        self._low, self._still = np.zeros((2, 6))
-
-    def drive(self, data: Any, phase: Phase, share: float) -> None:
-        """Set the gantry's commands."""
-        target, velocity = self.motion(phase, share)
-        data.ctrl[self._gantry.ctrl] = self._gantry.command(data, target, velocity)
-
-    def motion(self, phase: Phase, share: float) -> tuple[FloatArray, FloatArray]:
-        """Gantry joints (6,) and their rates at a share in [0, 1] of a phase; at rest at its ends.
-
-        Those of the grasp are zero.
-        """
-        timeline = self._timeline
-        if phase == "approach":
-            s, rate = timeline.profile(share)
-            return (1.0 - s) * self._start, -rate / timeline.approach * self._start
-        if phase == "lift":
-            s, rate = timeline.profile(share)
-            return s * self._lifted, rate / timeline.lift * self._lifted
-        return (self._lifted if phase == "hold" else self._low), self._still
 
 
 def add_gantry(spec: Any, body: Any, hand_model: Any) -> None:

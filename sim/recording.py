@@ -1,19 +1,24 @@
-"""``Recording``: states of a hand and an object over time, as numbers that need no simulator.
+"""What is recorded over time: ``Samples``, which are judged, and a ``Recording`` of the states.
 
-Whoever reads a report can show the motion, or compute it again with any engine: joints by name,
-poses of base and object, contacts and commands. Its form in files is ``RecordingData``.
+Both are tables of named channels. A channel is one field and one column that ``sim.recorder``
+makes: its name in files, which says the unit, its type or decimals, and its columns stand with it;
+arrays, JSON and the schema of the file follow from that. Whoever reads a report can show the motion
+of a recording, or compute it again with any engine: joints by name, poses of base and object,
+contacts and commands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import islice
-from typing import Any
+from types import GenericAlias, MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import create_model
 
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError
@@ -21,10 +26,162 @@ from planner.plain import LARGEST_FLOAT, finite
 from planner.quality import closure_of_wrenches
 from planner.quality.cones import contact_wrenches
 from planner.schema import StrictData
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, IntArray
 from planner.tolerances import CLOSURE_EDGES
+from sim.controllers.base import Phase
 
-__all__ = ["PALM", "Recording", "RecordingData"]
+__all__ = ["CHANNELS", "PALM", "Channel", "Recording", "RecordingData", "SampleData", "Samples"]
+
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+LATER = ("closed", "closed_unmerged", "epsilon")
+"""Fields that may be computed when one of them is first asked for: 1 to 3 ms per sample."""
+
+_JSON: dict[type, Any] = {float: float | None, int: int, bool: bool, str: str, tuple: list[str]}
+"""Type of a channel -> type of one of its values in a file."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What belongs to a field of ``Samples``.
+
+    Attributes:
+        key: Its name in files, which says the unit.
+        kind: float (NaN where unknown), int and bool are arrays; str and tuple stay as they are.
+        per_finger: Whether it has a column for every finger that takes part.
+    """
+
+    key: str
+    kind: type = float
+    per_finger: bool = False
+
+    def values(self, column: Any, n_fingers: int) -> Any:
+        """A column of values as the field has it."""
+        if self.kind in (str, tuple):
+            return tuple(column)
+        shape = (-1, n_fingers) if self.per_finger else (-1,)
+        return np.array(column, dtype=self.kind).reshape(shape)
+
+    @property
+    def in_file(self) -> Any:
+        """Its type in a file."""
+        value = GenericAlias(list, _JSON[self.kind])
+        return GenericAlias(list, value) if self.per_finger else value
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Samples:
+    """What was recorded over time, m samples, n fingers that take part.
+
+    Attributes:
+        time: (m,), s.
+        phase: m phases.
+        contacts: (m, n), number of contacts that MuJoCo reports per finger.
+        palm_contacts: (m,), contacts of the object with the rest of the hand.
+        normal_force: (m, n), N.
+        friction_utilisation: (m, n), share of the friction cone in use, merged per finger (-); NaN
+            without contact.
+        closed: (m,), force closure of the contacts merged per finger.
+        closed_unmerged: (m,), force closure of all contacts as they are.
+        epsilon: (m,), L1 epsilon of the merged contacts (-).
+        slip_mm: (m,), movement of the object relative to the palm since the end of the squeeze;
+            NaN before.
+        slip_deg: (m,), rotation likewise.
+        moved_mm: (m,), movement of the object in the world since the start.
+        turned_deg: (m,), rotation likewise.
+        lift_mm: (m,), rise of the object's centre of mass.
+        collision_N: (m,), largest normal force of hand on table, obstacle or itself.
+        collision: m names of the pair with that force, "" without.
+        saturated: m tuples with the names of actuators at their limit.
+    """
+
+    time: Annotated[FloatArray, Channel("time_s")]
+    phase: Annotated[tuple[Phase, ...], Channel("phase", str)]
+    contacts: Annotated[IntArray, Channel("contacts_per_finger", int, per_finger=True)]
+    palm_contacts: Annotated[IntArray, Channel("palm_contacts", int)]
+    normal_force: Annotated[FloatArray, Channel("normal_force_N", per_finger=True)]
+    friction_utilisation: Annotated[FloatArray, Channel("friction_utilisation", per_finger=True)]
+    closed: Annotated[BoolArray, Channel("closed", bool)]
+    closed_unmerged: Annotated[BoolArray, Channel("closed_unmerged", bool)]
+    epsilon: Annotated[FloatArray, Channel("epsilon")]
+    slip_mm: Annotated[FloatArray, Channel("object_in_palm_moved_mm")]
+    slip_deg: Annotated[FloatArray, Channel("object_in_palm_turned_deg")]
+    moved_mm: Annotated[FloatArray, Channel("object_moved_mm")]
+    turned_deg: Annotated[FloatArray, Channel("object_turned_deg")]
+    lift_mm: Annotated[FloatArray, Channel("lift_mm")]
+    collision_N: Annotated[FloatArray, Channel("collision_N")]
+    collision: Annotated[tuple[str, ...], Channel("collision", str)]
+    saturated: Annotated[tuple[tuple[str, ...], ...], Channel("actuators_at_limit", tuple)]
+
+    @classmethod
+    def of(
+        cls,
+        columns: Mapping[str, Any],
+        n_fingers: int,
+        *,
+        later: Callable[[], Mapping[str, Any]] | None = None,
+    ) -> Samples:
+        """Samples out of columns by the names of the fields.
+
+        Args:
+            columns: A value per sample for every field, or all but those that come later.
+            n_fingers: Fingers that take part.
+            later: Gives the columns ``LATER``, called when one of them is asked for.
+        """
+        made = object.__new__(cls)
+        for name, column in columns.items():
+            made.__dict__[name] = CHANNELS[name].values(column, n_fingers)
+        if later is not None:
+            made.__dict__["_later"] = later
+        return made
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Called for what is not there yet: the columns that come later."""
+            later = self.__dict__.get("_later")
+            if name not in LATER or later is None:
+                raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
+            for key, column in later().items():
+                self.__dict__[key] = CHANNELS[key].values(column, 0)
+            del self.__dict__["_later"]
+            return self.__dict__[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """How it is sent to another process: whole."""
+        return {name: getattr(self, name) for name in CHANNELS}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Lists by the channels' names in files; what is not a finite number becomes None."""
+        return {c.key: finite(getattr(self, name)) for name, c in CHANNELS.items()}
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.phase)
+
+    def during(self, *phases: Phase) -> IntArray:
+        """Numbers of the samples that belong to some phases."""
+        return np.flatnonzero(np.isin(np.array(self.phase, dtype=str), phases))
+
+
+CHANNELS: Mapping[str, Channel] = MappingProxyType(
+    {
+        name: next(part for part in get_args(hint) if isinstance(part, Channel))
+        for name, hint in get_type_hints(Samples, include_extras=True).items()
+    }
+)
+"""Name of the field -> its channel, in order."""
+
+if TYPE_CHECKING:
+    SampleData = StrictData
+else:
+    SampleData = create_model(
+        "SampleData",
+        __base__=StrictData,
+        __doc__="Recorded over time; lists per finger follow ``fingers``.",
+        **{channel.key: (channel.in_file, ...) for channel in CHANNELS.values()},
+    )
+
 
 PALM = "palm"
 """Column of the contacts with what belongs to no finger."""
@@ -115,21 +272,12 @@ class Recording:
             FileFormatError: They do not.
         """
         m, k = len(self.time), len(self.contact_names)
-        nq, nu = len(self.joint_names), len(self.actuator_names)
-        wanted = {
-            "control_range": (nu, 2),
-            "time": (m,),
-            "q": (m, nq),
-            "T_world_base": (m, 7),
-            "T_world_object": (m, 7),
-            "points": (m, k, 3),
-            "normals": (m, k, 3),
-            "forces": (m, k, 3),
-            "friction": (m, k, 2),
-            "commands": (m, nu),
-        }
-        if self.read_q is not None or self.read_T_world_object is not None:
-            wanted |= {"read_q": (m, nq), "read_T_world_object": (m, 7)}
+        sizes = {"nq": len(self.joint_names), "nu": len(self.actuator_names), "k": k}
+        nq, nu = sizes["nq"], sizes["nu"]
+        wanted = {"control_range": (nu, 2), "friction": (m, k, 2)}
+        wanted |= {name: (m, *state.shape(sizes)) for name, state in STATES.items()}
+        if self.read_q is None and self.read_T_world_object is None:
+            del wanted["read_q"], wanted["read_T_world_object"]
         for name, shape in wanted.items():
             found = np.shape(getattr(self, name))
             if found != shape:
@@ -195,20 +343,11 @@ class Recording:
             "actuator_names": list(self.actuator_names),
             "actuator_control_range": finite(self.control_range),
             "contact_names": list(self.contact_names),
-            "time_s": _rounded(self.time, LENGTH),
             "phase": list(self.phase),
-            "q_rad": _rounded(self.q, ANGLE),
-            "T_world_base_m": _rounded(self.T_world_base, LENGTH),
-            "T_world_object_m": _rounded(self.T_world_object, LENGTH),
-            "contact_position_world_m": _rounded(self.points, LENGTH),
-            "contact_normal_into_object_world": _rounded(self.normals, LENGTH),
-            "contact_force_on_object_world_N": _rounded(self.forces, FORCE),
             "contact_mu": _rounded(self.friction[..., 0], SHARE),
             "contact_mu_torsion_m": _rounded(self.friction[..., 1], LENGTH),
-            "commands": _rounded(self.commands, ANGLE),
             "normalised_min_weight": _rounded(self.min_weight, SHARE),
-            "read_q_rad": _rounded_or_none(self.read_q, ANGLE),
-            "read_T_world_object_m": _rounded_or_none(self.read_T_world_object, LENGTH),
+            **{s.key: _rounded(getattr(self, n), s.decimals) for n, s in STATES.items()},
         }
 
     @classmethod
@@ -219,29 +358,24 @@ class Recording:
             FileFormatError: Rows differ in length.
         """
         m, k = len(data.time_s), len(data.contact_names)
-        nq, nu = len(data.joint_names), len(data.actuator_names)
-        unlimited = _array(data.actuator_control_range, (nu, 2))
+        sizes = {"nq": len(data.joint_names), "nu": len(data.actuator_names), "k": k}
+        unlimited = _array(data.actuator_control_range, (sizes["nu"], 2))
         unlimited[:, 0] = np.nan_to_num(unlimited[:, 0], nan=-np.inf, neginf=-np.inf)
         unlimited[:, 1] = np.nan_to_num(unlimited[:, 1], nan=np.inf, posinf=np.inf)
+        over_time: dict[str, Any] = {}
+        for name, state in STATES.items():
+            rows = getattr(data, state.key)
+            over_time[name] = None if rows is None else _array(rows, (m, *state.shape(sizes)))
         made = cls(
             joint_names=tuple(data.joint_names),
             actuator_names=tuple(data.actuator_names),
             control_range=unlimited,
             contact_names=tuple(data.contact_names),
-            time=np.array(data.time_s, dtype=np.float64),
             phase=tuple(data.phase),
-            q=_array(data.q_rad, (m, nq)),
-            T_world_base=_array(data.T_world_base_m, (m, 7)),
-            T_world_object=_array(data.T_world_object_m, (m, 7)),
-            points=_array(data.contact_position_world_m, (m, k, 3)),
-            normals=_array(data.contact_normal_into_object_world, (m, k, 3)),
-            forces=_array(data.contact_force_on_object_world_N, (m, k, 3)),
             friction=np.stack(
                 [_array(v, (m, k)) for v in (data.contact_mu, data.contact_mu_torsion_m)], axis=-1
             ),
-            commands=_array(data.commands, (m, nu)),
-            read_q=_array_or_none(data.read_q_rad, (m, nq)),
-            read_T_world_object=_array_or_none(data.read_T_world_object_m, (m, 7)),
+            **over_time,
         )
         weight = _array(data.normalised_min_weight, (m,))
         # what the file says, not computed again from rounded contacts
@@ -265,7 +399,7 @@ class Recording:
         whole = {
             f.name: np.concatenate([getattr(one, f.name) for one in both])
             for f in fields(self)
-            if f.name in _OVER_TIME
+            if f.name == "friction" or (f.name in STATES and f.default is not None)
         }
         for name in ("read_q", "read_T_world_object"):
             parts = [getattr(one, name) for one in both]
@@ -303,22 +437,46 @@ class Recording:
         return made
 
 
-_OVER_TIME = {
-    "time",
-    "q",
-    "T_world_base",
-    "T_world_object",
-    "points",
-    "normals",
-    "forces",
-    "friction",
-    "commands",
-}
-"""Fields that are arrays with a row per sample."""
+@dataclass(frozen=True)
+class State:
+    """What belongs to a field of ``Recording`` that is an array with a row per sample.
+
+    Attributes:
+        key: Its name in files, which says the unit.
+        decimals: Of its numbers in files.
+        columns: Sizes of a row; "nq", "nu" and "k" are those of joints, actuators and contacts.
+    """
+
+    key: str
+    decimals: int
+    columns: tuple[int | str, ...] = ()
+
+    def shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
+        """Sizes of a row of one recording."""
+        return tuple(size if isinstance(size, int) else sizes[size] for size in self.columns)
 
 
-def _rounded(values: FloatArray, decimals: int) -> Any:
-    """Lists of rounded numbers, None for what is not finite; no negative zero."""
+STATES: Mapping[str, State] = MappingProxyType(
+    {
+        "time": State("time_s", LENGTH),
+        "q": State("q_rad", ANGLE, ("nq",)),
+        "T_world_base": State("T_world_base_m", LENGTH, (7,)),
+        "T_world_object": State("T_world_object_m", LENGTH, (7,)),
+        "points": State("contact_position_world_m", LENGTH, ("k", 3)),
+        "normals": State("contact_normal_into_object_world", LENGTH, ("k", 3)),
+        "forces": State("contact_force_on_object_world_N", FORCE, ("k", 3)),
+        "commands": State("commands", ANGLE, ("nu",)),
+        "read_q": State("read_q_rad", ANGLE, ("nq",)),
+        "read_T_world_object": State("read_T_world_object_m", LENGTH, (7,)),
+    }
+)
+"""Name of the field -> what belongs to it; friction has two names in files, one per number."""
+
+
+def _rounded(values: FloatArray | None, decimals: int) -> Any:
+    """Lists of rounded numbers, None for what is not finite or not there; no negative zero."""
+    if values is None:
+        return None
     rounded = np.round(values, decimals) + 0.0
     known = np.isfinite(rounded)
     rounded = np.clip(rounded, -LARGEST_FLOAT, LARGEST_FLOAT)  # as ``finite``
@@ -327,16 +485,6 @@ def _rounded(values: FloatArray, decimals: int) -> Any:
     out = rounded.astype(object)
     out[~known] = None
     return out.tolist()
-
-
-def _rounded_or_none(values: FloatArray | None, decimals: int) -> Any:
-    """The same, None for none at all."""
-    return None if values is None else _rounded(values, decimals)
-
-
-def _array_or_none(rows: Any, shape: tuple[int, ...]) -> FloatArray | None:
-    """``_array``, None for none at all."""
-    return None if rows is None else _array(rows, shape)
 
 
 def _array(rows: ArrayLike | Any, shape: tuple[int, ...]) -> FloatArray:

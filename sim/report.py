@@ -22,9 +22,8 @@ from planner.showing import Shown, in_notebook
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers.events import Event
-from sim.recording import Recording, RecordingData
+from sim.recording import Recording, RecordingData, SampleData, Samples
 from sim.report_file import ComparisonData, EventData, ReportFile
-from sim.samples import SampleData, Samples
 from sim.screen import OnScreen, reality_lines, table
 from sim.verdict import Reason, Thresholds, Verdict, largest
 

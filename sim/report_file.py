@@ -16,8 +16,7 @@ from planner.files.whole import whole_file
 from planner.pages.page import read_page_data
 from planner.schema import StrictData
 from sim.controllers.events import EventKind
-from sim.recording import RecordingData
-from sim.samples import SampleData
+from sim.recording import RecordingData, SampleData
 from sim.verdict import Reason
 
 __all__ = [

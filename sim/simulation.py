@@ -27,8 +27,9 @@ import numpy as np
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.carrier import Carrier, carrier_of
+from sim.carrier import Carrier, Timeline, carrier_of
 from sim.contacts import hand_contacts, normal_forces
+from sim.contacts.pads import read_pads
 from sim.controllers import (
     PHASES,
     AnyController,
@@ -44,12 +45,10 @@ from sim.estimation import AnyEstimator, Estimator, estimator_for, estimator_nam
 from sim.looking.picture import draw_tape
 from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
-from sim.pads import read_pads
 from sim.physics import AnyPhysics
 from sim.reality import REALITIES, AnyReality, Reality, RealityOfTrial
 from sim.scene import Scene, build_scene
 from sim.tactile import read_touch
-from sim.timeline import Timeline
 
 __all__ = ["Simulation", "filmed"]
 

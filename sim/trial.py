@@ -20,8 +20,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from planner.arrays import checked_number
 from planner.errors import TaskError
 from planner.files import given_plan
 from planner.plan import GraspPlan
+from sim.carrier import Timeline
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
 from sim.controllers import PHASES, AnyController, Phase
 from sim.controllers.retouch import AGAIN_TIME, closed
@@ -41,14 +43,60 @@ from sim.reality import AnyReality
 from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
 from sim.simulation import Simulation
-from sim.timeline import Timeline
 from sim.verdict import Fault, Thresholds, Verdict, judge
 
-__all__ = ["Timeline", "Trial", "felt_by", "run_grasp_phase", "simulate"]
+__all__ = ["Timeline", "Trial", "TrialOptions", "felt_by", "run_grasp_phase", "simulate"]
 
 
 LONGEST_PERIOD = 0.1
 """Longest time (s) between samples: a slip that matters lasts longer."""
+
+
+class TrialKeywords(TypedDict, total=False):
+    """Fields of ``TrialOptions`` as keywords, for ``Trial`` and ``simulate``."""
+
+    physics: AnyPhysics | None
+    controller: AnyController | None
+    timeline: Timeline | None
+    thresholds: Thresholds | None
+    record_every: float
+    reality: AnyReality | None
+    estimator: AnyEstimator | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrialOptions:
+    """Under which conditions a plan is executed.
+
+    Attributes:
+        physics: How MuJoCo computes, or the name of a preset; defaults if None.
+        controller: What drives the hand: a name ("feedforward", "impedance"), a controller, or a
+            class or function that makes one from the plan; "feedforward" if None.
+        timeline: Durations; defaults if None.
+        thresholds: Where success ends; defaults if None.
+        record_every: Time between samples, s.
+        reality: Errors of sensors, drives and object that the plan does not know; none if None.
+        estimator: What tells the controller where the object is; see ``Simulation``.
+    """
+
+    physics: AnyPhysics | None = None
+    controller: AnyController | None = None
+    timeline: Timeline | None = None
+    thresholds: Thresholds | None = None
+    record_every: float = 0.02
+    reality: AnyReality | None = None
+    estimator: AnyEstimator | None = None
+
+    def __post_init__(self) -> None:
+        """Check the time between samples.
+
+        Raises:
+            TaskError: It is out of range.
+        """
+        checked_number(
+            "record_every, which is what the verdict sees,", self.record_every, above=0.0,
+            most=LONGEST_PERIOD, unit="s", error=TaskError,
+        )  # fmt: skip
 
 
 class Trial:
@@ -65,27 +113,15 @@ class Trial:
     def __init__(
         self,
         plan: GraspPlan | Path | str,
-        *,
-        physics: AnyPhysics | None = None,
-        controller: AnyController | None = None,
-        timeline: Timeline | None = None,
-        thresholds: Thresholds | None = None,
-        record_every: float = 0.02,
-        reality: AnyReality | None = None,
-        estimator: AnyEstimator | None = None,
+        options: TrialOptions | None = None,
+        **changes: Unpack[TrialKeywords],
     ) -> None:
         """Build the scene and put hand and object at their start.
 
         Args:
             plan: What to execute, or the path of its file.
-            physics: How MuJoCo computes, or the name of a preset; defaults if None.
-            controller: What drives the hand: a name ("feedforward", "impedance"), a controller, or
-                a class or function that makes one from the plan; "feedforward" if None.
-            timeline: Durations; defaults if None.
-            thresholds: Where success ends; defaults if None.
-            record_every: Time between samples, s.
-            reality: Errors of sensors, drives and object that the plan does not know; none if None.
-            estimator: What tells the controller where the object is; see ``Simulation``.
+            options: Under which conditions; defaults if None.
+            changes: Fields of ``TrialOptions`` by name that are to be others.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
@@ -93,22 +129,19 @@ class Trial:
             TaskError: ``record_every`` is out of range, the controller is none, or the arm cannot
                 follow the timeline.
         """
-        checked_number(
-            "record_every, which is what the verdict sees,", record_every, above=0.0,
-            most=LONGEST_PERIOD, unit="s", error=TaskError,
-        )  # fmt: skip
+        asked = replace(options or TrialOptions(), **changes)
         self.plan = plan = given_plan(plan)
-        self.timeline = timeline or Timeline()
-        self.thresholds = thresholds or Thresholds()
+        self.timeline = asked.timeline or Timeline()
+        self.thresholds = asked.thresholds or Thresholds()
         self.simulation = Simulation(
             plan,
-            physics=physics,
-            controller=controller,
+            physics=asked.physics,
+            controller=asked.controller,
             timeline=self.timeline,
-            reality=reality,
-            estimator=estimator,
+            reality=asked.reality,
+            estimator=asked.estimator,
         )
-        self.recorder = Recorder(self.simulation, record_every)
+        self.recorder = Recorder(self.simulation, asked.record_every)
         self._not_lifted = False
 
     def run(
@@ -294,32 +327,33 @@ def felt_by(simulation: Simulation) -> tuple[str, ...]:
 
 def simulate(
     plan: GraspPlan | Path | str,
+    options: TrialOptions | None = None,
     *,
-    physics: AnyPhysics | None = None,
-    controller: AnyController | None = None,
-    timeline: Timeline | None = None,
-    thresholds: Thresholds | None = None,
-    record_every: float = 0.02,
-    reality: AnyReality | None = None,
-    estimator: AnyEstimator | None = None,
     progress: Callable[[float], None] | None = None,
     on_step: Callable[[Simulation], None] | None = None,
     view: bool = False,
     picture: Path | str | None = None,
     video: Path | str | None = None,
     arrows: bool = False,
+    **changes: Unpack[TrialKeywords],
 ) -> TrialReport:
-    """Execute a plan and judge it; see ``Trial`` and ``Trial.run`` for the arguments."""
-    trial = Trial(
-        plan,
-        physics=physics,
-        controller=controller,
-        timeline=timeline,
-        thresholds=thresholds,
-        record_every=record_every,
-        reality=reality,
-        estimator=estimator,
-    )
-    return trial.run(
+    """Execute a plan and judge it: ``Trial`` and ``Trial.run`` in one call.
+
+    Args:
+        plan: What to execute, or the path of its file.
+        options: Under which conditions; defaults if None.
+        progress: See ``Trial.run``, as for the next five.
+        on_step: Called with the simulation after every time step; may stop it.
+        view: Show it in MuJoCo's viewer.
+        picture: File of a picture.
+        video: File of a film.
+        arrows: Draw the measured contact forces into both.
+        changes: Fields of ``TrialOptions`` by name: ``controller="impedance"``, ``physics``,
+            ``timeline``, ``thresholds``, ``record_every``, ``reality``, ``estimator``.
+
+    Raises:
+        PlannerError: See ``Trial`` and ``Trial.run``.
+    """
+    return Trial(plan, options, **changes).run(
         progress=progress, on_step=on_step, view=view, picture=picture, video=video, arrows=arrows
     )

@@ -19,7 +19,7 @@ import numpy as np
 
 from planner.arrays import check_fields
 from planner.spatial import FloatArray
-from sim.samples import Samples
+from sim.recording import Samples
 
 __all__ = [
     "COLLISION_N",

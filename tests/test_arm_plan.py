@@ -29,11 +29,10 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, interpolate_path, rotation_angle
 from planner.task import GraspTask, Obstacle
-from sim.carrier import ArmCarrier
+from sim.carrier import ArmCarrier, Timeline
 from sim.manipulation import manipulate
 from sim.scene import build_scene
 from sim.simulation import Simulation
-from sim.timeline import Timeline
 from sim.trial import Trial
 
 

@@ -38,9 +38,9 @@ from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.verification.grasp import with_grip
 from sim.contacts import hand_contacts
+from sim.contacts.pads import read_pads
 from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading
 from sim.controllers.monitors import SLIP_SPEED
-from sim.pads import read_pads
 from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.protocols.disturbance import DROPPED, DisturbanceTrial
 from sim.protocols.forces import PushCase

@@ -17,6 +17,7 @@ from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
+from sim.contacts.pads import read_pads
 from sim.controllers import (
     Controller,
     GraspController,
@@ -24,7 +25,6 @@ from sim.controllers import (
     ObjectImpedance,
     Observation,
 )
-from sim.pads import read_pads
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.reality import Reality
 from sim.report import TrialReport

@@ -21,6 +21,7 @@ from planner.hands.hand import Hand
 from planner.motion.manipulation import plan_manipulation
 from planner.search import plan_grasp
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.episodes import (
     Asked,
     Episode,
@@ -42,7 +43,6 @@ from sim.recording import PALM, Recording
 from sim.report import TrialReport
 from sim.report_file import ReportFile
 from sim.simulation import Simulation
-from sim.timeline import Timeline
 from sim.trial import simulate
 
 pa = pytest.importorskip("pyarrow")

@@ -13,11 +13,11 @@ from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.controllers import Event, Observation
 from sim.estimation import EstimateLog, ObjectEstimator, SensorErrors, register_estimator
 from sim.reality import REALITIES, Reality
 from sim.simulation import Simulation
-from sim.timeline import Timeline
 from sim.trial import simulate
 
 SHORT = Timeline.quick(hold=0.3)

@@ -12,12 +12,12 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.controllers import GraspController, Observation
 from sim.controllers.friction import FAST, LEAST_TIME, FoundFriction
 from sim.controllers.motors import joint_drag
 from sim.controllers.torques import LEVER, HoldingTorques
 from sim.reality import Reality
-from sim.timeline import Timeline
 from sim.trial import simulate
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

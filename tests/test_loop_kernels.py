@@ -25,7 +25,7 @@ from planner.forces.loop_kernels import (
 )
 from planner.hands.hand import Hand
 from planner.spatial import contact_frames
-from sim.contacts.pad_sums import pad_means
+from sim.contacts.pads import pad_means
 from sim.controllers.holding_loops import tips_moved, torques_for
 from sim.controllers.monitors import follow_sliding
 

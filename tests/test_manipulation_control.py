@@ -17,6 +17,7 @@ from planner.errors import NotFoundError, TaskError
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
+from sim.contacts.pads import read_pads
 from sim.controllers import ImpedanceGains, ObjectImpedance, Observation
 from sim.controllers.belief import PoseBelief
 from sim.controllers.impedance import ImpedanceLaw
@@ -24,7 +25,6 @@ from sim.manipulation import InHandController, ManipulationObservation, manipula
 from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.in_hand import AnyTurningController
 from sim.manipulation.reading import Reading
-from sim.pads import read_pads
 from sim.reality import REALITIES
 from sim.simulation import Simulation
 

@@ -27,6 +27,7 @@ from planner.quality import analyse, force_closure
 from planner.shapes import SHAPES, Box, Mesh
 from planner.spatial import contact_frames
 from planner.synthesis.options import SynthesisOptions
+from sim.carrier import Timeline
 from sim.controllers.impedance import ImpedanceGains
 from sim.controllers.pads import PadReading
 from sim.crosscheck.parts import Tolerances
@@ -45,7 +46,6 @@ from sim.real_hand import CommandLimits, LossyLink, Safety
 from sim.real_hand.limits import CommandLimiter
 from sim.reality import Reality
 from sim.reset_states.asked import Draws, StatesAsked
-from sim.timeline import Timeline
 from sim.verdict import DropCriteria, Thresholds
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -9,12 +9,12 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.controllers.believed import BelievedJoints
 from sim.controllers.calibration import Calibration
 from sim.controllers.lightly import LightTouch
 from sim.reality import REALITIES
 from sim.report import TrialReport
-from sim.timeline import Timeline
 from sim.trial import simulate
 
 QUICK = Timeline(hold=0.5)

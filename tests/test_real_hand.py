@@ -20,6 +20,7 @@ from planner.search import plan_grasp
 from planner.shapes import Sphere
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.controllers import (
     Controller,
     GraspController,
@@ -46,7 +47,6 @@ from sim.real_hand import (
     run_controller,
 )
 from sim.report import TrialReport
-from sim.timeline import Timeline
 from sim.trial import Trial
 
 QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4, hold=0.2)

@@ -24,6 +24,7 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.contacts import hand_contacts
 from sim.controllers import GraspController, Observation, PadReading, Phase
 from sim.manipulation.regrasping import margin_without
@@ -38,7 +39,6 @@ from sim.recording import Recording
 from sim.report_file import read_report, write_report
 from sim.scene import build_scene
 from sim.simulation import Simulation
-from sim.timeline import Timeline
 from sim.trial import Trial, simulate
 
 DT = 0.002

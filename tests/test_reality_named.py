@@ -13,6 +13,7 @@ from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.cli.common import reality_of
 from sim.presets import SUFFIXES
 from sim.protocols import Settings, run_protocol
@@ -27,7 +28,6 @@ from sim.reality import (
 )
 from sim.screen import reality_lines
 from sim.simulation import Simulation
-from sim.timeline import Timeline
 from sim.trial import simulate
 
 

@@ -24,14 +24,14 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.system.interrupts import interrupts_wait
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.contacts import ContactHistory, hand_contacts, merge_per_finger
 from sim.physics import PhysicsOptions
+from sim.recorder import StateRecorder
 from sim.recording import PALM, Recording, RecordingData
 from sim.report import TrialReport
 from sim.report_file import ReportFile, read_report, write_report
 from sim.simulation import Simulation
-from sim.states import StateRecorder
-from sim.timeline import Timeline
 from sim.trial import Trial, simulate
 
 QUICK = Timeline(approach=0.2, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.3, hold=0.2)

@@ -27,6 +27,7 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.manipulation import ManipulationReport, manipulate, read_manipulation_report
 from sim.manipulation.page import manipulation_page
 from sim.manipulation.page_parts import parts_of
@@ -35,7 +36,6 @@ from sim.physics import PhysicsOptions
 from sim.recording import Recording
 from sim.report import TrialReport
 from sim.report_file import read_report, write_report
-from sim.timeline import Timeline
 from sim.trial import simulate
 
 QUICK = Timeline(approach=0.2, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.3, hold=0.2)

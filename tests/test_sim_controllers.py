@@ -17,8 +17,8 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.controllers import PHASES, GraspController, Observation, Phase
-from sim.timeline import Timeline
 from sim.trial import simulate
 
 

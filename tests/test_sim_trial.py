@@ -20,6 +20,7 @@ from planner.quality import analyse
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from planner.task import GraspTask, Obstacle
+from sim.carrier import Timeline
 from sim.contacts import hand_contacts
 from sim.controllers import Observation
 from sim.physics import PhysicsOptions, named_physics
@@ -27,7 +28,6 @@ from sim.protocols import Settings, run_protocol
 from sim.report import TrialReport
 from sim.report_file import ReportFile
 from sim.simulation import Simulation
-from sim.timeline import Timeline
 from sim.trial import Trial, simulate
 from sim.verdict import Thresholds
 

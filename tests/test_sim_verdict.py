@@ -9,7 +9,7 @@ import pytest
 
 from planner.errors import TaskError
 from sim.controllers.base import PHASES, Phase
-from sim.samples import Samples
+from sim.recording import Samples
 from sim.verdict import REASONS, Thresholds, Verdict, judge
 
 FINGERS = ("thumb", "index", "middle")

@@ -14,6 +14,7 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import FloatArray, pose_change, pose_to_wxyz
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.contacts import hand_contacts
 from sim.controllers import (
     CONTROLLERS,
@@ -28,7 +29,6 @@ from sim.protocols import run_protocol
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.recorder import Recorder
 from sim.simulation import Simulation
-from sim.timeline import Timeline
 from sim.trial import simulate
 
 QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4, hold=0.2)

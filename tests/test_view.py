@@ -34,9 +34,9 @@ from planner.search import plan_grasp
 from planner.shapes import Mesh
 from planner.system.models import models_dir
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.cli import app
 from sim.report_file import write_report
-from sim.timeline import Timeline
 from sim.trial import simulate
 from sim.viewing import (
     Answer,

@@ -17,9 +17,15 @@ Forces belong to the positions of the same step: after ``mj_step`` both are thos
 from __future__ import annotations
 
 from sim.contacts.history import ContactHistory, contacts_from_mujoco, hand_contacts
-from sim.contacts.reading import NO_FORCE, contact_loads, normal_forces, object_contacts
+from sim.contacts.reading import (
+    NO_FORCE,
+    Touch,
+    contact_loads,
+    normal_forces,
+    object_contacts,
+    other_touches,
+)
 from sim.contacts.rows import ContactRows, as_believed, merge_per_finger
-from sim.contacts.touches import Touch, other_touches
 
 __all__ = [
     "NO_FORCE",

@@ -15,9 +15,8 @@ import numpy as np
 
 from planner.contacts import ContactSet
 from planner.spatial import FloatArray, IntArray
-from sim.contacts.reading import NO_FORCE, contact_forces
+from sim.contacts.reading import NO_FORCE, collisions, contact_forces
 from sim.contacts.rows import ContactRows
-from sim.contacts.touches import collisions
 from sim.scene import Scene
 
 

@@ -22,7 +22,7 @@ from planner.motion.manipulation.idle_fingers import out_of_the_way
 from planner.motion.path import tilts
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
-from sim.carrier import ArmCarrier
+from sim.carrier import ArmCarrier, Timeline
 from sim.controllers import ClosesAgain, Event, HasOwnAim, Observation, Phase
 from sim.controllers.follow import MotionReference
 from sim.controllers.motors import MotorServo
@@ -31,7 +31,6 @@ from sim.manipulation.in_hand import InHandController
 from sim.manipulation.swing import FingerSwing
 from sim.scene import Scene
 from sim.simulation import Simulation
-from sim.timeline import Timeline
 
 BEYOND, TILTED_BEYOND = np.deg2rad(0.5), np.deg2rad(1.0)
 """Turn (rad) beyond the asked one, a margin against elastic return; and about an axis that is not

@@ -13,11 +13,11 @@ from planner.quality import closure_and_epsilon
 from planner.spatial import SE3, FloatArray, IntArray, signed_twist
 from planner.system.interrupts import interrupts_wait
 from sim.contacts import ContactHistory
+from sim.contacts.pads import read_pads
 from sim.manipulation.timeline import ManipulationPhase
-from sim.pads import read_pads
+from sim.recorder import StateRecorder
 from sim.recording import PALM, Recording
 from sim.simulation import Simulation
-from sim.states import StateRecorder
 
 
 def channel(

@@ -26,12 +26,12 @@ from planner.exchange.dexgraspbench.squeeze import MASS, PUSH, without_servos
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_change
+from sim.carrier import Timeline
 from sim.controllers import Observation
 from sim.protocols.cases import AXES, Conditions, axis_of
 from sim.protocols.dexgraspbench_scene import benchmark_scene
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.outcome import Outcome
-from sim.timeline import Timeline
 from sim.verdict import DropCriteria, Fault, lost
 
 STAGES, CHECK_S, CHECKS = 10, 0.2, 10

@@ -20,18 +20,16 @@ import numpy as np
 
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from sim.carrier import Carrier
+from sim.carrier import Carrier, Timeline
 from sim.controllers import AnyController, Phase
 from sim.controllers.monitors import SLIP_SPEED
 from sim.estimation import AnyEstimator
 from sim.physics import PhysicsOptions
 from sim.reality import AnyReality
 from sim.recorder import Recorder
-from sim.recording import Recording
-from sim.samples import Samples
+from sim.recording import Recording, Samples
 from sim.scene import Scene
 from sim.simulation import Simulation
-from sim.timeline import Timeline
 from sim.trial import felt_by, run_grasp_phase
 from sim.verdict import DropCriteria, Fault, Reason, lost, put_down_to_actuators
 

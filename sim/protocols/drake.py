@@ -27,7 +27,7 @@ from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import ContactRows
 from sim.protocols.cases import AXES, Conditions, axis_of
 from sim.protocols.outcome import Outcome
-from sim.samples import Samples
+from sim.recording import Samples
 from sim.scene import HAND_PREFIX
 from sim.scene_export import export_scene
 from sim.second_engine import INSTALL, TIME_STEP, Held, hold_in_drake

@@ -1,6 +1,6 @@
 """``Outcome``: what became of one trial of a protocol, with what was recorded on the way.
 
-The samples are those of any other trial (``sim.samples.Samples``): force closure of the contacts
+The samples are those of any other trial (``sim.recording.Samples``): force closure of the contacts
 that happened is decided by the code that judged the plan.
 """
 
@@ -17,8 +17,7 @@ from planner.certify import NEAR, Neighbourhood
 from planner.plain import finite
 from planner.spatial import FloatArray
 from sim.controllers import Event
-from sim.recording import Recording
-from sim.samples import Samples
+from sim.recording import Recording, Samples
 from sim.verdict import Fault, Reason
 
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planner.plan import GraspPlan
+from sim.carrier import Timeline
 from sim.protocols.cases import Conditions
 from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
 from sim.reality import LAB, Drawn, Reality, drawn_numbers
 from sim.tactile import EXACT
-from sim.timeline import Timeline
 from sim.trial import Trial
 
 RECORD_EVERY = 0.05

@@ -15,10 +15,10 @@ import pinocchio as pin
 
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
+from sim.carrier import Timeline
 from sim.protocols.cases import Conditions
 from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
-from sim.timeline import Timeline
 from sim.trial import Trial
 
 RECORD_EVERY = 0.05

@@ -40,8 +40,8 @@ from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
 from sim.protocols.shake import on_an_arm, shake_cases
 from sim.reality import REALITIES, AnyReality, Drawn, drawn_numbers, draws_in_words
+from sim.recording import CHANNELS, Samples
 from sim.runner import Runner, made_with
-from sim.samples import CHANNELS, Samples
 from sim.scene import build_scene
 from sim.second_engine import drake_missing
 from sim.simulation import filmed

@@ -15,6 +15,7 @@ from pathlib import Path
 from planner.errors import FileFormatError
 from planner.plan import GraspPlan
 from planner.system.interrupts import interrupts_wait
+from sim.carrier import Timeline
 from sim.controllers.base import PHASES, Controller
 from sim.controllers.schedule import TOUCH_FORCE
 from sim.real_hand.clock import Clock
@@ -24,7 +25,6 @@ from sim.real_hand.loop import Carry, ControlLoop
 from sim.real_hand.report import LoopReport
 from sim.real_hand.safety import Safety
 from sim.real_hand.senses import HandObservation, Observer
-from sim.timeline import Timeline
 
 
 def run_controller(

@@ -27,8 +27,8 @@ from planner.errors import NotFoundError, TaskError
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, cross, skew
+from sim.contacts.pads import body_twist
 from sim.controllers import Observation, PadReading, TouchReading
-from sim.pads import body_twist
 from sim.scene import HAND_PREFIX, Scene
 from sim.tactile.exact import layouts_of
 from sim.tactile.layout import TaxelLayout
