@@ -124,8 +124,6 @@ def test_symmetrical_faces_come_in_one_order_whatever_finds_them() -> None:
 def test_wrenches_are_those_of_the_contacts_edges(seed: int) -> None:
     points, inward, mu = contacts(seed)
     found = pyramid_wrenches(points, inward, mu, LENGTH, SIDES)
-    plain = pyramid_wrenches.plain(points, inward, mu, LENGTH, SIDES)  # type: ignore[attr-defined]
-    np.testing.assert_allclose(found, plain, atol=1e-14)
     known = ContactSet.from_arrays(points, inward, mu=mu)
     if mu:
         columns = primitive_wrenches(known, EDGES, length=LENGTH)

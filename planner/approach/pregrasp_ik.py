@@ -23,7 +23,6 @@ from planner.collision.world import CollisionWorld, NearPairs
 from planner.hands.hand import Hand
 from planner.kinematics.point_motion import point_jacobians
 from planner.numerics.ik_step import Barrier, Task, constrained_ik_step
-from planner.numerics.kernels import kernel
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["OPENED_SHARE", "PregraspIk", "undetermined_joints"]
@@ -238,25 +237,6 @@ class PregraspIk:
         return step
 
 
-def _opening_plain(
-    jacobian: FloatArray,
-    moved_by: NDArray[np.bool_],
-    joint_ids: IntArray,
-    centers: FloatArray,
-    begin: FloatArray,
-    inward: FloatArray,
-    distance: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """``_opening`` in NumPy."""
-    n = len(centers)
-    rows = point_jacobians.plain(jacobian, moved_by, joint_ids, centers)[:, :3] / distance  # type: ignore[attr-defined]
-    moved = (centers - begin) / distance
-    rates = -np.einsum("ni,nij->nj", inward, rows)
-    shares = -np.einsum("ij,ij->i", moved, inward)
-    return rows.reshape(3 * n, -1), (moved + inward).ravel(), rates, shares
-
-
-@kernel(_opening_plain)
 def _opening(
     jacobian: FloatArray,
     moved_by: NDArray[np.bool_],
@@ -280,21 +260,9 @@ def _opening(
     Returns:
         Rates (3 n, nq) of the misses, misses (3 n,), rates (n, nq) of the shares, shares (n,).
     """
-    n, nq = len(centers), jacobian.shape[1]
-    rows, misses = np.zeros((3 * n, nq)), np.empty(3 * n)
-    rates, shares = np.zeros((n, nq)), np.zeros(n)
-    for i in range(n):
-        for a in range(3):
-            moved = (centers[i, a] - begin[i, a]) / distance
-            misses[3 * i + a] = moved + inward[i, a]
-            shares[i] -= moved * inward[i, a]
-        x, y, z = centers[i, 0], centers[i, 1], centers[i, 2]
-        for j in range(nq):
-            if moved_by[joint_ids[i], j]:
-                u, v, w = jacobian[3, j], jacobian[4, j], jacobian[5, j]
-                rows[3 * i, j] = (jacobian[0, j] + v * z - w * y) / distance
-                rows[3 * i + 1, j] = (jacobian[1, j] + w * x - u * z) / distance
-                rows[3 * i + 2, j] = (jacobian[2, j] + u * y - v * x) / distance
-                for a in range(3):
-                    rates[i, j] -= inward[i, a] * rows[3 * i + a, j]
-    return rows, misses, rates, shares
+    n = len(centers)
+    rows = point_jacobians(jacobian, moved_by, joint_ids, centers)[:, :3] / distance
+    moved = (centers - begin) / distance
+    rates = -np.einsum("ni,nij->nj", inward, rows)
+    shares = -np.einsum("ij,ij->i", moved, inward)
+    return rows.reshape(3 * n, -1), (moved + inward).ravel(), rates, shares

@@ -21,26 +21,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.actuation import Actuation
-from planner.arrays import checked_number, finite_given, float_array, is_finite, per_item
+from planner.arrays import checked_number, finite_given, float_array, per_item
 from planner.contacts import ContactSet, Pyramid, check_frames
 from planner.errors import ContactError, shown
 from planner.forces.build import EXTRA_COST, LimitArguments, build_force_problem
 from planner.forces.costs import QuadraticCost
 from planner.forces.least_violation import Relaxation
-from planner.forces.loop_kernels import (
-    AWAY_CHANGED,
-    OPEN_CHANGED,
-    REFUSED,
-    give_answer,
-    place_points,
-    press_points,
-    shortfall,
-)
 from planner.forces.screen import force_table, wrench_text
 from planner.forces.torque_limits import TorqueCase, TorqueLimits, loaded_rows
 from planner.forces.workspace import ContactWorkspace
 from planner.numerics.dense_qp import DenseQp
-from planner.numerics.kernels import kernels_are_compiled
 from planner.numerics.qp_workspace import DEFAULT_SOLVER, QpWorkspace, qp_workspace
 from planner.spatial import FloatArray
 
@@ -113,7 +103,6 @@ class ForceLoop:
     contacts: ContactWorkspace
     solver: QpWorkspace
     _relaxation: Relaxation | None
-    _by_loops: bool
     _balance: FloatArray
     _met: FloatArray
 
@@ -171,7 +160,6 @@ class ForceLoop:
         self._least, self._most = np.array(p.lower[normal]), np.array(p.upper[normal])
         # which contacts are away, as it was last written
         self._away: NDArray[np.bool_] | None = None
-        self._pressed = np.zeros((2, n))
         self._minus_row_scale, self._row_unit = -p.row_scale[:6], 1.0 / p.row_scale[:6]
         self._case: TorqueCase | None = None
         self._lay_out(0)
@@ -244,11 +232,9 @@ class ForceLoop:
         wrench = finite_given("wrench", wrench, (6,))
         if gravity_torque is not None:
             self._gravity[:] = finite_given("gravity_torque", gravity_torque, (nv,))
-        placed = self._by_loops and self._place_by_loops(positions, frames, center, jacobians, q)
-        if not placed:
-            self._place(positions, frames, center)
-            if jacobians is not None:
-                self.contacts.load(float_array("jacobians", jacobians))
+        self._place(positions, frames, center)
+        if jacobians is not None:
+            self.contacts.load(float_array("jacobians", jacobians))
         if min_normal is not None or max_normal is not None:
             self._press(min_normal, max_normal)
         if costs is not None:
@@ -257,7 +243,7 @@ class ForceLoop:
             if previous is not None:
                 previous = finite_given("previous", previous, (n, 4))
             self._resist_change(previous)
-        if self._drive is not None and not placed:
+        if self._drive is not None:
             if q is None:
                 raise ContactError("an actuation limits the torques; give q (nv,) at every step")
             q = finite_given("q", q, (nv,))
@@ -268,11 +254,7 @@ class ForceLoop:
         solver.solve()
         solver_s = time.perf_counter() - called
         r = self.result
-        r.violation = (
-            shortfall(qp.table, qp.limits, solver.x, qp.value)
-            if self._by_loops
-            else qp.violation(solver.x)
-        )
+        r.violation = qp.violation(solver.x)
         r.balanced = r.allowed = r.violation <= self._tolerance or r.violation <= self._error()
         if not r.balanced:
             called = time.perf_counter()
@@ -314,47 +296,6 @@ class ForceLoop:
         now.place()
         self.qp.new_a = True
 
-    def _place_by_loops(self, *given: FloatArray | None) -> bool:
-        """Write places, Jacobians and limits of torque in loops; whether that was possible.
-
-        It is not where something is missing or unsound, or where other stops became active.
-
-        Args:
-            given: Positions, frames, center, Jacobians and q, as of ``step``.
-        """
-        now, drive, kept = self.contacts, self._drive, self._kept
-        if drive is None or self._n_extra or len(drive.case.extra):
-            return False
-        for place, array in zip(kept, given, strict=True):
-            if type(array) is not np.ndarray or array.shape != place.shape:
-                return False
-        for place, array in zip(kept, given, strict=True):
-            place[:] = array
-        positions, frames, center, jacobians, q = kept
-        if not is_finite(q) or not drive.renew(q, self._open, self._torque_limits):
-            return False
-        answer = place_points(
-            positions,
-            frames,
-            center,
-            jacobians,
-            self.problem.length,
-            drive.case.rows,
-            now.table,
-            now.lever,
-            self._torque_rows,
-            self._loaded_by,
-        )
-        if answer == REFUSED:
-            return False
-        now.positions[:], now.frames[:], now.center[:] = positions, frames, center
-        self.qp.new_a = True
-        if answer == OPEN_CHANGED or self._case is not drive.case:
-            self._case = drive.case
-            self._open_idle_rows(drive.case)
-            drive.renew(q, self._open, self._torque_limits)
-        return True
-
     def _lay_out(self, extra: int) -> None:
         """Make the programme with unknowns for actuators and stops that repeat others.
 
@@ -378,12 +319,6 @@ class ForceLoop:
         # rows of torque that no contact loads are open; known for these rows and this loading
         self._open, self._has_open = np.zeros((2, nv)), False
         self._loaded_by: NDArray[np.bool_] = np.zeros((nx, nv), dtype=np.bool_)
-        # where loops read what a step is given
-        now, n = self.contacts, len(p.contacts)
-        of_contacts = (now.positions.copy(), now.frames.copy(), now.center.copy())
-        self._kept = (*of_contacts, np.zeros((n, 3, nv)), np.zeros(nv))
-        points = bool((np.array(p.contacts.dims) == 3).all() and (unit[: 3 * n] == 1.0).all())
-        self._by_loops = points and self._drive is not None and kernels_are_compiled()
 
     def _make_room(self, extra: int) -> None:
         """Lay out anew with more unknowns; what was written stays."""
@@ -405,8 +340,6 @@ class ForceLoop:
     def _press(self, min_normal: ArrayLike | None, max_normal: ArrayLike | None) -> None:
         """Write bounds on normal forces; of a contact that is away everything is 0."""
         qp, n = self.qp, len(self._least)
-        if self._press_by_loops(min_normal, max_normal):
-            return
         least = self._least if min_normal is None else per_item("min_normal", min_normal, n)
         most = self._most if max_normal is None else per_item("max_normal", max_normal, n)
         if n and not (least.min() >= 0.0 and least.max() < math.inf and most.min() >= 0.0):
@@ -427,24 +360,6 @@ class ForceLoop:
             if self._away is None or not np.array_equal(away, self._away):
                 self._hold_away(away)
         qp.lower[self._normal] = np.minimum(self._least, self._most)
-
-    def _press_by_loops(self, least: ArrayLike | None, most: ArrayLike | None) -> bool:
-        """As ``_press`` in loops; whether that was possible."""
-        if not self._by_loops or self._away is None:
-            return False
-        for row, given in zip(self._pressed, (least, most), strict=True):
-            if type(given) is not np.ndarray or given.shape != row.shape:
-                return False
-            row[:] = given
-        qp = self.qp
-        normal_least, normal_most = self._pressed
-        answer = press_points(normal_least, normal_most, 3, qp.lower, qp.upper, self._away)
-        if answer == REFUSED:
-            return False
-        self._least[:], self._most[:] = self._pressed
-        if answer == AWAY_CHANGED:
-            self._hold_away(self._away)
-        return True
 
     def _hold_away(self, away: NDArray[np.bool_]) -> None:
         """Write the bounds of all rows but normal forces; some contacts (n,) are away."""
@@ -507,19 +422,6 @@ class ForceLoop:
     def _give(self, x: FloatArray, wrench: FloatArray) -> None:
         """Write forces, torques and the unbalanced wrench of an answer."""
         r = self.result
-        if self._by_loops:
-            give_answer(
-                x,
-                self._met,
-                self._row_unit,
-                wrench,
-                self.contacts.lever,
-                self._gravity,
-                r.forces,
-                r.left_over,
-                r.joint_torques,
-            )
-            return
         if self.contacts.plain:
             self._vectors[:] = x.reshape(-1, 3)
         else:

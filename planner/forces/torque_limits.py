@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.actuation import STOP_TOL, Actuation
-from planner.forces.loop_kernels import renew_limits
 from planner.spatial import FloatArray
 from planner.system.threads import built, made_once
 
@@ -120,30 +119,6 @@ class TorqueLimits:
         np.minimum(work, case.most, out=work)
         np.subtract(self._of_rows, self._shift, out=limits)
         return case
-
-    def renew(self, q: FloatArray, opened: FloatArray, limits: FloatArray) -> bool:
-        """As ``at``, in loops, while the same stops are active; whether they are.
-
-        Args:
-            q: Joints (nv,).
-            opened: (2, nv), added to the limits.
-            limits: (2, nv): written, if the same stops are active.
-        """
-        self._q[:] = q
-        case = self.case
-        answer = renew_limits(
-            case.linear,
-            self._state,
-            self._active,
-            STOP_TOL,
-            case.ends,
-            case.least,
-            case.most,
-            opened,
-            self._work,
-            limits,
-        )
-        return answer == 0
 
     @property
     def made_limits(self) -> FloatArray:

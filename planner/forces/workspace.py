@@ -7,7 +7,6 @@ import numpy as np
 from planner.arrays import is_finite
 from planner.contacts import ContactSet
 from planner.errors import ContactError
-from planner.forces.loop_kernels import turn_onto
 from planner.spatial import FloatArray, contact_frames, skew
 
 OPPOSED = -0.9
@@ -103,6 +102,14 @@ def turned_frames(frames: FloatArray, normals: FloatArray) -> FloatArray:
 
     Tangents then move as little as the normals do, where ``contact_frames`` may jump.
     """
-    out = np.empty(frames.shape)
-    turned = turn_onto(np.ascontiguousarray(frames), np.ascontiguousarray(normals), OPPOSED, out)
-    return out if turned else contact_frames(normals)
+    old = frames[:, :, 0]
+    cosine = (old * normals).sum(axis=1)
+    if (cosine < OPPOSED).any():
+        return contact_frames(normals)
+    dyad = normals[:, :, None] * old[:, None]
+    turn = dyad - dyad.transpose(0, 2, 1)  # the cross-product matrix of old x normals
+    rotation = IDENTITY + turn + turn @ turn / (1.0 + cosine)[:, None, None]
+    return np.asarray(rotation @ frames)
+
+
+IDENTITY = np.eye(3)

@@ -28,7 +28,6 @@ from planner.hands.hand import Hand
 from planner.kinematics.symbolic import SymbolicHand
 from planner.motion.path import ObjectPath
 from planner.motion.terms import BEARING, LOAD
-from planner.numerics.casadi_compiled import compiled
 from planner.spatial import FloatArray
 from planner.synthesis.contact_wrenches import contact_torque
 from planner.synthesis.objectives.joint import LEAST_LIMIT, LEAST_PRESS, driving
@@ -94,7 +93,7 @@ def load_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
     out = ca.densify(ca.vertcat(LOAD.weight * spare, BEARING.weight * ca.vertcat(*friction)))
     parameters = ca.vertcat(grip, carry, mu, length, weight, ca.vec(per_limit))
     jacobian = ca.densify(ca.jacobian(out, x))
-    return compiled(ca.Function("loads", [x, ca.vec(r0), parameters], [out, jacobian]))
+    return ca.Function("loads", [x, ca.vec(r0), parameters], [out, jacobian])
 
 
 def load_parameters(

@@ -28,7 +28,6 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.kinematics.symbolic import SymbolicHand
-from planner.numerics.casadi_compiled import compiled
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 
@@ -62,7 +61,7 @@ def _between_knots(hand: Hand, fingers: tuple[Finger, ...]) -> tuple[Any, Any]:
         pivots.append(ca.dot(turn, normal))
     inputs, both = [first, second, ca.vec(r0)], ca.vertcat(first, second)
     rolled, pivoted = (
-        compiled(ca.Function(name, inputs, [ca.densify(out), ca.densify(ca.jacobian(out, both))]))
+        ca.Function(name, inputs, [ca.densify(out), ca.densify(ca.jacobian(out, both))])
         for name, out in (("rolling", ca.vertcat(*rows)), ("pivoting", ca.vertcat(*pivots)))
     )
     return rolled, pivoted

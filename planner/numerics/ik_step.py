@@ -18,9 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.numerics.kernels import kernel
 from planner.numerics.qp import solve_qp
-from planner.spatial import FloatArray, IntArray
+from planner.spatial import FloatArray
 
 __all__ = ["Barrier", "Task", "constrained_ik_step", "ik_step"]
 
@@ -120,126 +119,31 @@ def constrained_ik_step(
     Returns:
         The step; None where the equalities and the bounds contradict each other.
     """
-    n, k = len(lower), len(barriers)
+    n, k, m = len(lower), len(barriers), len(equality.error)
     counts = [len(b.least) for b in barriers]
-    programme = _programme(
-        task.jacobian,
-        task.error,
-        np.concatenate([np.zeros((0, n)), *(b.rates for b in barriers)]),
-        np.concatenate([np.zeros(0), *(b.least for b in barriers)]),
-        np.repeat(np.arange(k), counts),
-        np.array([b.unit for b in barriers], dtype=np.float64),
-        equality.jacobian,
-        equality.error,
-        lower,
-        upper,
-        posture,
-        (posture_weight, damping, price),
-    )
-    found = solve_qp(*programme)
-    return None if found is None else found[:n]
-
-
-Programme = tuple[
-    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
-]
-"""Arguments of ``solve_qp``."""
-
-
-def _programme_plain(
-    jacobian: FloatArray,
-    error: FloatArray,
-    rates: FloatArray,
-    least: FloatArray,
-    barrier: IntArray,
-    units: FloatArray,
-    equal_rates: FloatArray,
-    equal_error: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    posture: FloatArray,
-    costs: tuple[float, float, float],
-) -> Programme:
-    """``_programme`` in NumPy."""
-    posture_weight, damping, price = costs
-    n, k, m = len(lower), len(units), len(equal_error)
+    barrier, units = np.repeat(np.arange(k), counts), np.array([b.unit for b in barriers])
+    rates = np.concatenate([np.zeros((0, n)), *(b.rates for b in barriers)])
+    least = np.concatenate([np.zeros(0), *(b.least for b in barriers)])
     size = n + k  # the last unknowns: by how much barriers are missed
     hessian, gradient = np.zeros((size, size)), np.empty(size)
-    hessian[:n, :n] = jacobian.T @ jacobian
+    hessian[:n, :n] = task.jacobian.T @ task.jacobian
     hessian[np.arange(n), np.arange(n)] += posture_weight + damping
     hessian[np.arange(n, size), np.arange(n, size)] = 1.0
-    gradient[:n] = -(jacobian.T @ error + posture_weight * posture)
+    gradient[:n] = -(task.jacobian.T @ task.error + posture_weight * posture)
     gradient[n:] = price
     table = np.zeros((m + len(least), size))
-    table[:m, :n], table[m:, :n] = equal_rates, rates
+    table[:m, :n], table[m:, :n] = equality.jacobian, rates
     table[m + np.arange(len(least)), n + barrier] = units[barrier]
-    low = np.concatenate([equal_error, least])
-    high = np.concatenate([equal_error, np.full(len(least), np.inf)])
-    nothing, endless = np.zeros(k), np.full(k, np.inf)
-    bounds = np.concatenate([lower, nothing]), np.concatenate([upper, endless])
-    return hessian, gradient, table, low, high, *bounds
-
-
-@kernel(_programme_plain)
-def _programme(
-    jacobian: FloatArray,
-    error: FloatArray,
-    rates: FloatArray,
-    least: FloatArray,
-    barrier: IntArray,
-    units: FloatArray,
-    equal_rates: FloatArray,
-    equal_error: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    posture: FloatArray,
-    costs: tuple[float, float, float],
-) -> Programme:
-    """The quadratic programme of ``constrained_ik_step``.
-
-    Args:
-        jacobian: Of the task (t, n).
-        error: (t,).
-        rates: Of all distances (r, n).
-        least: Their least growth (r,).
-        barrier: Which barrier each belongs to (r,).
-        units: Of the barriers' slacks (k,).
-        equal_rates: (m, n).
-        equal_error: (m,).
-        lower: (n,).
-        upper: (n,).
-        posture: (n,).
-        costs: Posture weight, damping and price.
-    """
-    posture_weight, damping, price = costs
-    n, k, m, r = len(lower), len(units), len(equal_error), len(least)
-    hessian, gradient = np.zeros((n + k, n + k)), np.empty(n + k)
-    table, low, high = np.zeros((m + r, n + k)), np.empty(m + r), np.empty(m + r)
-    least_x, most_x = np.zeros(n + k), np.full(n + k, np.inf)
-    for i in range(n):
-        slope = posture_weight * posture[i]
-        for t in range(len(error)):
-            slope += jacobian[t, i] * error[t]
-        gradient[i] = -slope
-        for j in range(i + 1):
-            total = 0.0
-            for t in range(len(error)):
-                total += jacobian[t, i] * jacobian[t, j]
-            hessian[i, j] = hessian[j, i] = total
-        hessian[i, i] += posture_weight + damping
-        least_x[i], most_x[i] = lower[i], upper[i]
-    for i in range(n, n + k):
-        hessian[i, i], gradient[i] = 1.0, price
-    for i in range(m):
-        low[i] = high[i] = equal_error[i]
-        for j in range(n):
-            table[i, j] = equal_rates[i, j]
-    for i in range(r):
-        low[m + i], high[m + i] = least[i], np.inf
-        for j in range(n):
-            table[m + i, j] = rates[i, j]
-        table[m + i, n + barrier[i]] = units[barrier[i]]
-    return hessian, gradient, table, low, high, least_x, most_x
+    found = solve_qp(
+        hessian,
+        gradient,
+        table,
+        np.concatenate([equality.error, least]),
+        np.concatenate([equality.error, np.full(len(least), np.inf)]),
+        np.concatenate([lower, np.zeros(k)]),
+        np.concatenate([upper, np.full(k, np.inf)]),
+    )
+    return None if found is None else found[:n]
 
 
 def _least_squares(

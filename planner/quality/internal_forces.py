@@ -16,7 +16,6 @@ from __future__ import annotations
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.numerics.kernels import kernel
 from planner.quality.cones import primitive_wrenches
 from planner.spatial import FloatArray
 
@@ -47,11 +46,15 @@ def plainly_closed(contacts: ContactSet, edges: int = 8) -> bool:
     Raises:
         ContactError: ``edges`` is below 3.
     """
-    return bool(positive_weights(np.ascontiguousarray(primitive_wrenches(contacts, edges).T)))
+    return positive_weights(np.ascontiguousarray(primitive_wrenches(contacts, edges).T))
 
 
-def _weights_by_numpy(w: FloatArray) -> bool:
-    """``positive_weights`` where it is not compiled."""
+def positive_weights(w: FloatArray) -> bool:
+    """Whether weights a with w^T a = 0 are found that are all positive, and w has rank 6.
+
+    Args:
+        w: Wrenches (m, 6).
+    """
     force, torque = (w[:, :3] ** 2).sum(), (w[:, 3:] ** 2).sum()
     if not (force > 0.0 and torque > 0.0 and np.isfinite(force + torque)):
         return False
@@ -74,91 +77,4 @@ def _weights_by_numpy(w: FloatArray) -> bool:
         share = (-change / a).max()
         a = a + min(1.0, BACK / share) * change if share > 0.0 else there
         a /= a.mean()
-    return False
-
-
-@kernel(_weights_by_numpy)
-def positive_weights(w: FloatArray) -> bool:
-    """Whether weights a with w^T a = 0 are found that are all positive, and w has rank 6.
-
-    Args:
-        w: Wrenches (m, 6).
-    """
-    m = len(w)
-    force, torque = 0.0, 0.0
-    for k in range(m):
-        for i in range(3):
-            force += w[k, i] * w[k, i]
-            torque += w[k, i + 3] * w[k, i + 3]
-    if not (force > 0.0 and torque > 0.0 and force + torque < np.inf):
-        return False
-    p = np.empty((m, 6))
-    largest = 0.0
-    for k in range(m):
-        for i in range(6):
-            p[k, i] = w[k, i] / np.sqrt((force if i < 3 else torque) / m)
-            largest = max(largest, abs(p[k, i]))
-    a, change = np.ones(m), np.empty(m)
-    scatter, y = np.empty((6, 6)), np.empty(6)
-    for step in range(STEPS):
-        for i in range(6):
-            y[i] = 0.0
-            for j in range(i + 1):
-                scatter[i, j] = 0.0
-        for k in range(m):
-            for i in range(6):
-                y[i] += a[k] * p[k, i]
-                part = a[k] * a[k] * p[k, i]
-                for j in range(i + 1):
-                    scatter[i, j] += part * p[k, j]
-        trace = 0.0
-        for i in range(6):
-            trace += scatter[i, i]
-        # Cholesky, and y solved with it
-        determinant = 1.0
-        for i in range(6):
-            for j in range(i + 1):
-                for k in range(j):
-                    scatter[i, j] -= scatter[i, k] * scatter[j, k]
-                if j < i:
-                    scatter[i, j] /= scatter[j, j]
-            if not scatter[i, i] > 0.0:
-                return False
-            determinant *= scatter[i, i]
-            scatter[i, i] = np.sqrt(scatter[i, i])
-        if step == 0 and not determinant * (5.0 / trace) ** 5 > SOUND * trace:
-            return False
-        for i in range(6):
-            for j in range(i):
-                y[i] -= scatter[i, j] * y[j]
-            y[i] /= scatter[i, i]
-        for i in range(5, -1, -1):
-            for j in range(i + 1, 6):
-                y[i] -= scatter[j, i] * y[j]
-            y[i] /= scatter[i, i]
-        total, least, share = 0.0, np.inf, 0.0
-        for k in range(m):
-            change[k] = 0.0
-            for i in range(6):
-                change[k] -= p[k, i] * y[i]
-            change[k] *= a[k] * a[k]
-            total += a[k] + change[k]
-            least = min(least, a[k] + change[k])
-            share = max(share, -change[k] / a[k])
-        if m * least > PLAIN * total:
-            left = 0.0
-            for i in range(6):
-                off = 0.0
-                for k in range(m):
-                    off += (a[k] + change[k]) * p[k, i]
-                left = max(left, abs(off))
-            if left <= BALANCED * largest * total:
-                return True
-        length = min(1.0, BACK / share) if share > 0.0 else 1.0
-        total = 0.0
-        for k in range(m):
-            a[k] += length * change[k]
-            total += a[k]
-        for k in range(m):
-            a[k] *= m / total
     return False

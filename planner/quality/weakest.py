@@ -13,9 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from planner.contacts import cone_edges
-from planner.numerics.kernels import kernel
 from planner.quality.wrench_hull import hull_faces
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, cross
 
 EDGES = 4
 """Sides of the pyramids: Qhull takes 1 ms with four, 4 ms with eight."""
@@ -58,29 +57,6 @@ def sides_of(edges: int) -> FloatArray:
     return sides
 
 
-def _wrenches_by_numpy(
-    points: FloatArray, inward: FloatArray, mu: float, length: float, sides: FloatArray
-) -> FloatArray:
-    """``pyramid_wrenches`` where it is not compiled."""
-    least = np.argmin(np.abs(inward), axis=1)
-    first = _cross(inward, np.eye(3)[least])
-    first /= np.sqrt((first * first).sum(axis=1, keepdims=True))
-    second = _cross(inward, first)
-    one, two = (side[:, None, None] for side in sides.T)
-    force = inward + mu * (one * first + two * second)
-    wrenches = np.concatenate([force, _cross(points, force) / length], axis=2)
-    return np.asarray(wrenches.reshape(-1, 6))
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products along the last axis, a tenth of ``np.cross``'s time for a few."""
-    return a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT]
-
-
-_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
-
-
-@kernel(_wrenches_by_numpy)
 def pyramid_wrenches(
     points: FloatArray, inward: FloatArray, mu: float, length: float, sides: FloatArray
 ) -> FloatArray:
@@ -93,34 +69,14 @@ def pyramid_wrenches(
         length: m.
         sides: Tangential force (k, 2) of each edge at a friction of 1.
     """
-    n = len(points)
-    out = np.zeros((len(sides) * n, 6))
-    first, second = np.zeros(3), np.zeros(3)
-    for i in range(n):
-        x, y, z = inward[i, 0], inward[i, 1], inward[i, 2]
-        # normal x e, with e the coordinate axis that is least aligned with it
-        if abs(x) <= abs(y) and abs(x) <= abs(z):
-            first[0], first[1], first[2] = 0.0, z, -y
-        elif abs(y) <= abs(z):
-            first[0], first[1], first[2] = -z, 0.0, x
-        else:
-            first[0], first[1], first[2] = y, -x, 0.0
-        size = np.sqrt(first[0] * first[0] + first[1] * first[1] + first[2] * first[2])
-        for j in range(3):
-            first[j] /= size
-        second[0] = y * first[2] - z * first[1]
-        second[1] = z * first[0] - x * first[2]
-        second[2] = x * first[1] - y * first[0]
-        for k in range(len(sides)):
-            row = k * n + i
-            for j in range(3):
-                tangential = sides[k, 0] * first[j] + sides[k, 1] * second[j]
-                out[row, j] = inward[i, j] + mu * tangential
-            for j in range(3):
-                after, last = (j + 1) % 3, (j + 2) % 3
-                moment = points[i, after] * out[row, last] - points[i, last] * out[row, after]
-                out[row, 3 + j] = moment / length
-    return out
+    least = np.argmin(np.abs(inward), axis=1)
+    first = cross(inward, np.eye(3)[least])
+    first /= np.sqrt((first * first).sum(axis=1, keepdims=True))
+    second = cross(inward, first)
+    one, two = (side[:, None, None] for side in sides.T)
+    force = inward + mu * (one * first + two * second)
+    wrenches = np.concatenate([force, cross(points, force) / length], axis=2)
+    return np.asarray(wrenches.reshape(-1, 6))
 
 
 def first_apart(directions: FloatArray, count: int) -> list[int]:

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.numerics.casadi_buffers import into_buffers
-from planner.numerics.casadi_compiled import compiled
 from planner.numerics.levenberg_marquardt import SLOW, LMResult, levenberg_marquardt
 from planner.spatial import FloatArray
 from planner.synthesis.field_points import COEFFICIENTS, Field
@@ -259,4 +258,4 @@ class _Shared:
     @built
     def function(self) -> Any:
         """Residuals, their Jacobian and what the row sources need."""
-        return compiled(ca.Function("residuals", self._inputs, self._results))
+        return ca.Function("residuals", self._inputs, self._results)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import stat
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
@@ -27,7 +28,6 @@ from numpy.typing import NDArray
 from platformdirs import user_cache_dir
 
 from planner.spatial import FloatArray
-from planner.system.trusted_files import is_closed
 
 __all__ = [
     "CACHE_VARIABLE",
@@ -116,7 +116,7 @@ def _sealed(kind: str, key: str) -> bytes | None:
         handle = os.open(_path(kind, key), os.O_RDONLY | _NOT_WAITING)
         with os.fdopen(handle, "rb") as stream:
             state = os.fstat(handle)
-            if not is_closed(state) or state.st_size > MOST_BYTES:
+            if not _is_closed(state) or state.st_size > MOST_BYTES:
                 return None
             stored = stream.read()
     except OSError:
@@ -127,3 +127,10 @@ def _sealed(kind: str, key: str) -> bytes | None:
 
 def _seal(kind: str, key: str, content: bytes) -> bytes:
     return hashlib.sha256(f"{kind}/{key}/".encode() + content).digest()
+
+
+def _is_closed(state: os.stat_result) -> bool:
+    """Whether this is a plain file of this user or the administrator that no other can write."""
+    is_mine = not hasattr(os, "getuid") or state.st_uid in (os.getuid(), 0)
+    others_write = state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return stat.S_ISREG(state.st_mode) and is_mine and not others_write
