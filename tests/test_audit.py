@@ -26,8 +26,7 @@ from planner.audit import (
 )
 from planner.audit.judge import Judge
 from planner.errors import FileFormatError, PlannerError, TaskError
-from planner.exchange.formats import Reading, Writing
-from planner.exchange.given import GivenGrasp, GivenGrasps
+from planner.exchange.formats import GivenGrasp, GivenGrasps, Reading, Writing
 from planner.exchange.table import read_table, write_table
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand

@@ -32,9 +32,9 @@ from sim.episodes import (
     write_lerobot,
     write_parquet,
 )
+from sim.episodes.episode import frames_at, rates_of
 from sim.episodes.film import draw_episode, sampled_frames
 from sim.episodes.lerobot import VIDEO_KEY
-from sim.episodes.sampling import frames_at, rates_of
 from sim.looking.film import write_film
 from sim.manipulation import ManipulationReport, manipulate
 from sim.manipulation.report_file import ManipulationReportFile
@@ -342,7 +342,7 @@ def test_statistics_are_those_of_the_columns(
 def test_data_files_are_begun_anew_where_one_is_full(
     held: TrialReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.episodes.lerobot.writer.DATA_MB", 1e-6)
+    monkeypatch.setattr("sim.episodes.lerobot.DATA_MB", 1e-6)
     write_lerobot([held] * 3, tmp_path / "set")
     files = sorted(p.name for p in (tmp_path / "set/data/chunk-000").iterdir())
     assert files == [f"file-{k:03d}.parquet" for k in range(3)]

@@ -19,7 +19,7 @@ from planner.exchange.dexgraspbench.read import read_dexgraspbench
 from planner.exchange.dexgraspnet import read_dexgraspnet
 from planner.exchange.formats import Reading, format_named, format_of
 from planner.exchange.frogger import read_frogger
-from planner.exchange.postures import FileJoints
+from planner.exchange.joints import FileJoints
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState

@@ -16,7 +16,7 @@ from planner.batch import GraspSet, plan_grasps
 from planner.errors import TaskError
 from planner.exchange import export_plans
 from planner.exchange.formats import FORMATS, load_formats
-from planner.exchange.frames import T_object_body
+from planner.exchange.joints import T_object_body
 from planner.files import write_plan
 from planner.hands.hand import Hand
 from planner.search import plan_grasp

@@ -42,9 +42,9 @@ from sim.physics import PhysicsOptions
 from sim.protocols import pushes
 from sim.protocols.settings import Settings
 from sim.real_hand import CommandLimits, LossyLink, Safety
-from sim.real_hand.limits import CommandLimiter
+from sim.real_hand.safety import CommandLimiter
 from sim.reality import Reality
-from sim.reset_states.asked import Draws, StatesAsked
+from sim.reset_states.starts import Draws, StatesAsked
 from sim.timeline import Timeline
 from sim.verdict import DropCriteria, Thresholds
 

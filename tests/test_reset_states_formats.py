@@ -14,7 +14,7 @@ from planner.hand_loading import load_hand
 from planner.spatial import pose_from_wxyz
 from sim.reset_states import StateFormat, StateSet, register_state_format, state_format
 from sim.reset_states.formats import state_formats
-from sim.reset_states.formats.hora import (
+from sim.reset_states.formats.loaders import (
     DOWN,
     HORA_JOINTS,
     T_WORLD_BASE,

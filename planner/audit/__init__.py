@@ -5,13 +5,10 @@ ours, both by ``planner.verification`` and with its tolerances, so that both sta
 ``audit_file`` reads and judges, and says where a file was read in another unit, order or hand.
 """
 
-from planner.audit.grasp_file import GraspFile
-from planner.audit.readings import right_task
-from planner.audit.report import AuditReport, joined_reports
-from planner.audit.rows import STAGES, AuditRow, StageResult
+from planner.audit.grasp_file import GraspFile, given_of_batch, given_of_plans, right_task
+from planner.audit.judge import scaled_object
+from planner.audit.report import STAGES, AuditReport, AuditRow, StageResult, joined_reports
 from planner.audit.run import audit_file, audit_grasps, audit_plans
-from planner.audit.scaled import scaled_object
-from planner.audit.sources import given_of_batch, given_of_plans
 
 __all__ = [
     "STAGES",

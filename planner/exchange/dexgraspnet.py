@@ -22,9 +22,8 @@ import numpy as np
 
 from planner.errors import FileFormatError
 from planner.exchange.array_files import read_array_file
-from planner.exchange.formats import GraspFormat, Reading, register_format
-from planner.exchange.given import GivenGrasp, GivenGrasps
-from planner.exchange.postures import FileJoints
+from planner.exchange.formats import GivenGrasp, GivenGrasps, GraspFormat, Reading, register_format
+from planner.exchange.joints import FileJoints
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray
 

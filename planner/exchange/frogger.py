@@ -21,9 +21,8 @@ import numpy as np
 
 from planner.errors import FileFormatError
 from planner.exchange.array_files import read_array_file, read_pickle
-from planner.exchange.formats import GraspFormat, Reading, register_format
-from planner.exchange.given import GivenGrasp, GivenGrasps
-from planner.exchange.postures import FileJoints, pose_of_seven
+from planner.exchange.formats import GivenGrasp, GivenGrasps, GraspFormat, Reading, register_format
+from planner.exchange.joints import FileJoints, pose_of_seven
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray
 

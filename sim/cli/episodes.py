@@ -80,9 +80,9 @@ def episodes(
     """
     from sim.episodes import write_episodes
     from sim.episodes.film import check_films, size_of
-    from sim.episodes.folder import refuse_full
     from sim.episodes.formats import format_named
     from sim.episodes.sources import Trials, sources_of
+    from sim.episodes.writing import refuse_full
     from sim.learning import named_driver
     from sim.progress import ProgressBar
 

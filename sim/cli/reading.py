@@ -127,7 +127,7 @@ def our_kind(file: Path) -> str | None:
     Raises:
         FileFormatError: It cannot be read.
     """
-    from planner.batch.manifest import MANIFEST
+    from planner.batch.recipe import MANIFEST
     from planner.files import format_told, plan_files
 
     if file.is_dir():

@@ -35,7 +35,7 @@ from sim.progress import ProgressBar
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from planner.exchange.given import GivenGrasp
+    from planner.exchange.formats import GivenGrasp
     from planner.refine import RefinedGrasp
     from planner.spatial import SE3, FloatArray
     from planner.task import GraspTask
@@ -195,7 +195,7 @@ def _poses(
             was written.
     """
     from planner.audit import right_task
-    from planner.refine.pads import NEAR
+    from planner.refine.pose import NEAR
 
     opened = reading.open(file)
     loaded = opened.hand(hand)
@@ -234,8 +234,8 @@ def _of_batch(folder: Path) -> Iterator[_Given]:
 
 def _task_for(first: GraspTask, *, own_place: bool) -> Callable[[GivenGrasp], GraspTask]:
     """The task of each grasp: one per scale and, where the file says so, place of the object."""
-    from planner.audit.scaled import scaled_object
-    from planner.exchange.frames import T_file_object
+    from planner.audit.judge import scaled_object
+    from planner.exchange.joints import T_file_object
 
     made: dict[Any, GraspTask] = {}
 
@@ -258,7 +258,7 @@ def _task_for(first: GraspTask, *, own_place: bool) -> Callable[[GivenGrasp], Gr
 
 def _placed(grasp: GivenGrasp, task: GraspTask) -> _Given:
     """A grasp in the world of its task; its file knows the object by the object's own file."""
-    from planner.exchange.frames import T_file_object
+    from planner.exchange.joints import T_file_object
 
     to_world = task.T_world_object * T_file_object(task).inverse()
     return _Given(grasp.name, task, to_world * grasp.T_object_base, grasp.q)

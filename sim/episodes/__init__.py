@@ -1,6 +1,6 @@
 """Executed trials as data sets of episodes: a LeRobot data set, or plain Parquet."""
 
-from sim.episodes.episode import AnyReport, Episode, episodes_of
+from sim.episodes.episode import AnyReport, Episode, Robot, episodes_of
 from sim.episodes.formats import (
     FORMATS,
     Asked,
@@ -10,7 +10,6 @@ from sim.episodes.formats import (
     register_format,
 )
 from sim.episodes.parquet import read_episodes
-from sim.episodes.robot import Robot
 from sim.episodes.writing import Written, write_episodes, write_lerobot, write_parquet
 
 __all__ = [

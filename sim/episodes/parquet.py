@@ -22,10 +22,8 @@ from planner.batch.rows import arrow
 from planner.errors import FileFormatError, shown
 from planner.spatial import FloatArray
 from planner.version import written_by
-from sim.episodes.episode import Episode
+from sim.episodes.episode import Episode, Robot, frames_at
 from sim.episodes.formats import Asked, EpisodeFormat, register_format
-from sim.episodes.robot import Robot
-from sim.episodes.sampling import frames_at
 from sim.recording import Recording
 
 FORMAT, VERSION = "opposable-episodes", "1"

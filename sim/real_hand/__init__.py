@@ -6,27 +6,34 @@ offer it too, and ``HandWrapper`` stands between. ``run_controller`` executes a 
 
 from __future__ import annotations
 
-from sim.real_hand.clock import Clock, Pace, RealClock, RecordedClock
 from sim.real_hand.interface import (
+    Clock,
     DryRun,
     EndOfReadings,
     HandInterface,
     HandReading,
     HandWrapper,
+    Pace,
+    PlanMark,
+    RealClock,
+    RecordedClock,
 )
-from sim.real_hand.joints import JointCheck, check_joints, checks_table
-from sim.real_hand.limits import CommandLimiter, CommandLimits
+from sim.real_hand.joints import JointCheck, check_joints, checks_table, run_controller
 from sim.real_hand.log import HandLog, LogWriter, read_log
-from sim.real_hand.loop import Carry, ControlLoop
-from sim.real_hand.packets import Inbox, LossyLink, Packet, reading_of, reading_values
-from sim.real_hand.plan_mark import PlanMark
+from sim.real_hand.loop import Carry, ControlLoop, LoopReport, Times
 from sim.real_hand.replay import Comparison, ReplayedHand
-from sim.real_hand.report import LoopReport, Times
-from sim.real_hand.run import run_controller
-from sim.real_hand.safety import Guard, OnStop, Safety, StopCause, Stopped
+from sim.real_hand.safety import (
+    CommandLimiter,
+    CommandLimits,
+    Guard,
+    OnStop,
+    Safety,
+    StopCause,
+    Stopped,
+)
 from sim.real_hand.senses import ASSUMABLE, HandObservation, Observer
 from sim.real_hand.simulated import SimulatedHand
-from sim.real_hand.udp import UdpHand
+from sim.real_hand.udp import Inbox, LossyLink, Packet, UdpHand, reading_of, reading_values
 
 __all__ = [
     "ASSUMABLE",

@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.errors import FileFormatError, PlannerError, TaskError
 from planner.exchange.array_files import OWN_BYTES, checked_small, read_npz
-from planner.files.whole import whole_file
+from planner.files.json_csv import whole_file
 from planner.spatial import FloatArray, IntArray
 from planner.version import written_by
 

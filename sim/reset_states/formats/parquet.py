@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.batch.rows import arrow
 from planner.errors import TaskError
-from planner.files.whole import whole_file
+from planner.files.json_csv import whole_file
 from sim.reset_states.formats.registry import StateFormat, register_state_format
 from sim.reset_states.states import FORMAT, VERSION, StateSet
 

@@ -11,6 +11,24 @@ allegro_hand have the same joints, limits and base frame. Poses are in the world
 hand stands 0.5 m high, turned by -90 degrees about y after 90 degrees about x: palm up. Its gravity
 is -z there, which is -x of the base. Only states that were held within 10 degrees of that are
 written.
+
+``isaac_lab``: reset arrays of an in-hand environment of Isaac Lab.
+
+``_reset_idx`` of ``InHandManipulationEnv`` (isaac-sim/IsaacLab, commit 032e26b,
+``source/isaaclab_tasks/isaaclab_tasks/direct/inhand_manipulation/inhand_manipulation_env.py``)
+writes joint positions and velocities with ``write_joint_state_to_sim``, the same positions as
+targets with ``set_joint_position_target``, and the object with ``write_root_pose_to_sim``. An
+articulation orders its joints breadth first: match them by name with ``find_joints(names,
+preserve_order=True)``. Quaternions are w, x, y, z up to Isaac Lab 2 and x, y, z, w from 3.0 on:
+both are here, called so.
+
+``playground``: reset arrays of an environment of MuJoCo Playground (MJX) or any MuJoCo model.
+
+``reset`` of ``CubeReorient`` (google-deepmind/mujoco_playground, commit d5e6b47,
+``_src/manipulation/leap_hand/reorient.py``) makes its data out of qpos (joints of the hand, then
+position and quaternion w, x, y, z of the object), qvel and ctrl. These arrays are the same in the
+order of the scene's XML file; ``joint_names`` and ``actuator_names`` say by name what stands where,
+for ``get_qpos_ids`` of a model with another order.
 """
 
 from __future__ import annotations
@@ -22,7 +40,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import FileFormatError
-from planner.files.whole import whole_file
+from planner.files.json_csv import whole_file
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from sim.reset_states.formats.registry import StateFormat, register_state_format
 from sim.reset_states.states import StateSet
@@ -122,5 +140,99 @@ register_state_format(
         refuses=_refuses,
         write=_write,
         read=_read,
+    )
+)
+
+
+ISAAC_FILE = "isaac_lab.npz"
+"""Name of the file in the folder of its object and size."""
+
+
+def _isaac_lab_write(states: StateSet, name: str, folder: Path) -> Path:
+    path = folder / name / ISAAC_FILE
+    arrays = {
+        "joint_pos": states.q,
+        "joint_vel": np.zeros_like(states.q),
+        "joint_pos_target": states.targets,
+        "object_pos_b": states.position,
+        "object_quat_b_wxyz": states.quaternion,
+        "object_quat_b_xyzw": np.roll(states.quaternion, -1, axis=1),
+        "object_vel": np.zeros((len(states), 6)),
+        "gravity_b": states.gravity,
+        "mass": states.mass,
+        "friction": states.friction,
+    }
+    content: dict[str, Any] = {key: value.astype(np.float32) for key, value in arrays.items()}
+    with whole_file(path) as stream:
+        np.savez(stream, joint_names=np.array(states.joint_names), **content)
+    return path
+
+
+def _isaac_lab_read(path: Path) -> Mapping[str, Any]:
+    with np.load(path, allow_pickle=False) as file:
+        content = {key: file[key] for key in file.files}
+    return content | {
+        "joint_position": content["joint_pos"],
+        "joint_target": content["joint_pos_target"],
+        "object_position_m": content["object_pos_b"],
+        "object_quaternion_wxyz": content["object_quat_b_wxyz"],
+    }
+
+
+register_state_format(
+    StateFormat(
+        name="isaac_lab",
+        title="joint and root states for Isaac Lab",
+        lost="commands of tendons, which become joint targets; digits beyond float32",
+        refuses=lambda states: "",
+        write=_isaac_lab_write,
+        read=_isaac_lab_read,
+    )
+)
+
+
+PLAYGROUND_FILE = "playground.npz"
+"""Name of the file in the folder of its object and size."""
+
+
+def _playground_write(states: StateSet, name: str, folder: Path) -> Path:
+    path = folder / name / PLAYGROUND_FILE
+    qpos = np.hstack([states.q, states.position, states.quaternion])
+    with whole_file(path) as stream:
+        np.savez(
+            stream,
+            joint_names=np.array(states.joint_names),
+            actuator_names=np.array(states.actuator_names),
+            qpos=qpos.astype(np.float32),
+            qvel=np.zeros((len(states), len(states.joint_names) + 6), dtype=np.float32),
+            ctrl=states.commands.astype(np.float32),
+            gravity=states.gravity.astype(np.float32),
+            mass=states.mass.astype(np.float32),
+            friction=states.friction.astype(np.float32),
+        )
+    return path
+
+
+def _playground_read(path: Path) -> Mapping[str, Any]:
+    with np.load(path, allow_pickle=False) as file:
+        content = {key: file[key] for key in file.files}
+    nq = len(content["joint_names"])
+    joints, position, quaternion = np.split(content["qpos"], [nq, nq + 3], axis=1)
+    return content | {
+        "joint_position": joints,
+        "command": content["ctrl"],
+        "object_position_m": position,
+        "object_quaternion_wxyz": quaternion,
+    }
+
+
+register_state_format(
+    StateFormat(
+        name="playground",
+        title="qpos, qvel, ctrl for MuJoCo Playground",
+        lost="digits beyond float32",
+        refuses=lambda states: "",
+        write=_playground_write,
+        read=_playground_read,
     )
 )
