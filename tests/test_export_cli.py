@@ -119,11 +119,6 @@ def test_what_cannot_be_is_refused_before_anything_is_written(folder: Path, tmp_
             3,
             f"ends with .xml, and mjcf-scene is a folder; name one: {tmp_path / 'scene'}",
         ),
-        (
-            (plan, "--to", "frogger", "-o", file),
-            3,
-            "frogger is read only; formats that",
-        ),
         ((plan, "--to", "nothing", "-o", file), 3, "There is: dexgraspbench, isaac-grasp, mjcf-sc"),
     ):
         given = opposable("export", *words)

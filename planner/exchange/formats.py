@@ -24,6 +24,7 @@ from planner.exchange.array_files import ARRAY_SUFFIXES, read_array_file
 from planner.hands.hand import Hand
 from planner.immutable import freeze
 from planner.spatial import SE3, FloatArray
+from planner.system.plugins import plugin, plugin_names
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,11 +227,8 @@ FORMATS: dict[str, GraspFormat] = {}
 
 _MODULES: tuple[str, ...] = (
     "dexgraspbench.read",
-    "dexgraspnet",
-    "frogger",
     "isaac_grasp",
     "ros.grasp",
-    "ros.trajectory",
     "table",
 )
 """Modules below ``planner.exchange`` that register a format when they are imported."""
@@ -251,9 +249,12 @@ def register_format(grasp_format: GraspFormat) -> GraspFormat:
 
 
 def load_formats() -> None:
-    """Import the formats that this package has; others were registered by their authors."""
+    """Import the formats of this package and of installed ones (``planner.system.plugins``)."""
     for name in _MODULES:
         import_module(f"planner.exchange.{name}")
+    for name in plugin_names("formats"):
+        if name not in FORMATS:
+            register_format(plugin("formats", name))
 
 
 def format_named(name: str) -> GraspFormat:

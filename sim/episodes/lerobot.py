@@ -424,6 +424,7 @@ def _told(episode: Episode) -> dict[str, Any]:
         "seed": episode.seed,
         "controller": episode.controller,
         "fingers": list(episode.fingers),
+        "source": episode.source,
         "begin_s": float(episode.recording.time[0]),
     }
 

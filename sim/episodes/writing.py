@@ -128,7 +128,7 @@ def write_episodes(
         reports: Of trials and manipulations, of one hand; or pairs of a name for messages and a
             report.
         folder: The data set; must not exist, or be empty.
-        to: Name of a format, "lerobot" or "parquet".
+        to: Name of a format, "lerobot" or one that was registered.
         fps: Frames per second; None for that of the recordings. Frames are samples, so it must
             divide their rate.
         video: Film every episode, for formats that can hold films.
@@ -240,14 +240,3 @@ def write_lerobot(
     return write_episodes(
         reports, folder, "lerobot", fps=fps, video=video, size=size, failed=failed
     )
-
-
-def write_parquet(
-    reports: Iterable[AnyReport | tuple[str, AnyReport]],
-    folder: Path | str,
-    *,
-    fps: int | None = None,
-    failed: bool = False,
-) -> Written:
-    """Write plain Parquet: a table of samples and one of episodes; see ``write_episodes``."""
-    return write_episodes(reports, folder, "parquet", fps=fps, failed=failed)

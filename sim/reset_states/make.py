@@ -20,8 +20,7 @@ from planner.kinematics.state import HandState
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask
 from planner.version import written_by
-from sim.reset_states.formats import state_format, state_formats
-from sim.reset_states.formats.arrays import STATES_FILE
+from sim.reset_states.formats import STATES_FILE, state_format, state_formats
 from sim.reset_states.hold import REASONS
 from sim.reset_states.scene import SCENE_FILE, write_scene
 from sim.reset_states.shards import (

@@ -17,6 +17,7 @@ from typing import Any, Protocol, TypeAlias
 
 from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
+from planner.system.plugins import plugin
 from sim.controllers import Observation
 from sim.scene import Scene
 
@@ -78,6 +79,8 @@ def check_touch(name: str) -> str:
     Raises:
         NotFoundError: There is none of that name.
     """
+    if name not in TOUCH_SENSES and (brought := plugin("senses", name)) is not None:
+        register_touch(name, brought)
     if name not in TOUCH_SENSES:
         raise NotFoundError("sense of touch", name, sorted(TOUCH_SENSES))
     return name

@@ -99,13 +99,15 @@ def _recognises(path: Path) -> bool:
         return False
 
 
-register_format(
-    GraspFormat(
-        name=NAME,
-        title="results of FRoGGeR's timing script",
-        suffixes=(".pkl", ".pickle"),
-        loses="",
-        recognises=_recognises,
-        read=read_frogger,
-    )
+FORMAT = GraspFormat(
+    name=NAME,
+    title="results of FRoGGeR's timing script",
+    suffixes=(".pkl", ".pickle"),
+    loses="",
+    recognises=_recognises,
+    read=read_frogger,
 )
+
+if __name__ == "__main__":
+    register_format(FORMAT)
+    print(f"{FORMAT.name}: {FORMAT.title} can be read")

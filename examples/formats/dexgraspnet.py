@@ -136,13 +136,15 @@ def _recognises(path: Path) -> bool:
         return False
 
 
-register_format(
-    GraspFormat(
-        name=NAME,
-        title="DexGraspNet dictionaries (Shadow hand)",
-        suffixes=(".npy",),
-        loses="",
-        recognises=_recognises,
-        read=read_dexgraspnet,
-    )
+FORMAT = GraspFormat(
+    name=NAME,
+    title="DexGraspNet dictionaries (Shadow hand)",
+    suffixes=(".npy",),
+    loses="",
+    recognises=_recognises,
+    read=read_dexgraspnet,
 )
+
+if __name__ == "__main__":
+    register_format(FORMAT)
+    print(f"{FORMAT.name}: {FORMAT.title} can be read")
