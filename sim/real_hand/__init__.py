@@ -33,7 +33,6 @@ from sim.real_hand.safety import (
 )
 from sim.real_hand.senses import ASSUMABLE, HandObservation, Observer
 from sim.real_hand.simulated import SimulatedHand
-from sim.real_hand.udp import Inbox, LossyLink, Packet, UdpHand, reading_of, reading_values
 
 __all__ = [
     "ASSUMABLE",
@@ -51,15 +50,12 @@ __all__ = [
     "HandObservation",
     "HandReading",
     "HandWrapper",
-    "Inbox",
     "JointCheck",
     "LogWriter",
     "LoopReport",
-    "LossyLink",
     "Observer",
     "OnStop",
     "Pace",
-    "Packet",
     "PlanMark",
     "RealClock",
     "RecordedClock",
@@ -69,11 +65,8 @@ __all__ = [
     "StopCause",
     "Stopped",
     "Times",
-    "UdpHand",
     "check_joints",
     "checks_table",
     "read_log",
-    "reading_of",
-    "reading_values",
     "run_controller",
 ]

@@ -1,6 +1,6 @@
-"""``Packet``: a reading or a command as bytes, for hands at the other end of a network.
+"""A hand at the other end of a UDP socket, as ``20_hand_over_udp.py`` drives one.
 
-Little endian, no padding::
+Packets are little endian, without padding::
 
     mark      4 bytes   "OPH1"
     kind      1 byte    what it is; the two ends agree on it
@@ -11,14 +11,11 @@ Little endian, no padding::
     checksum  uint32    CRC-32 of all before
 
 ``reading_values`` and ``reading_of`` are the numbers of a reading; NaN stands for what was not
-read.
-
-``UdpHand``: a hand at the other end of a UDP socket, in packets of ``sim.real_hand.udp``.
-
-Kinds of packets: "H" hello, "C" commands (then number of the phase in ``PHASES``, its progress, and
-how fast that grows, per second), "S" torque off, "E" end; the other end sends "R" readings. The
-times in them are those of the loop's clock: both ends on one machine share ``time.monotonic``.
-There is no authentication: stay on 127.0.0.1, or on a cable that nobody else is on.
+read. Kinds of packets: "H" hello, "C" commands (then number of the phase in ``PHASES``, its
+progress, and how fast that grows, per second), "S" torque off, "E" end; the other end sends "R"
+readings. The times in them are those of the loop's clock: both ends on one machine share
+``time.monotonic``. There is no authentication: stay on 127.0.0.1, or on a cable that nobody else is
+on.
 """
 
 from __future__ import annotations
