@@ -194,7 +194,7 @@ def _poses(
         FileFormatError: The file cannot be read, or was read in another unit, order or hand than it
             was written.
     """
-    from planner.audit import right_task
+    from planner.exchange.audit import right_task
     from planner.refine.pose import NEAR
 
     opened = reading.open(file)
@@ -224,8 +224,8 @@ def _of_plan(file: Path) -> _Given:
 
 def _of_batch(folder: Path) -> Iterator[_Given]:
     """The poses of a batch."""
-    from planner.audit import given_of_batch
     from planner.batch import GraspSet
+    from planner.exchange.audit import given_of_batch
 
     for task, given in given_of_batch(GraspSet(folder), folder):
         for grasp in given.grasps:
@@ -234,7 +234,7 @@ def _of_batch(folder: Path) -> Iterator[_Given]:
 
 def _task_for(first: GraspTask, *, own_place: bool) -> Callable[[GivenGrasp], GraspTask]:
     """The task of each grasp: one per scale and, where the file says so, place of the object."""
-    from planner.audit.judge import scaled_object
+    from planner.exchange.audit.judge import scaled_object
     from planner.exchange.joints import T_file_object
 
     made: dict[Any, GraspTask] = {}

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from planner.audit.grasp_file import GraspFile, given_of_plans, need_one_object, right_task
-from planner.audit.judge import Judge
-from planner.audit.report import AuditReport, AuditRow, StageResult, joined_reports
 from planner.batch.jobs import end_with
 from planner.batch.pool import default_backend, finished
 from planner.batch.recipe import recipe_of, task_of
 from planner.errors import PlannerError, TaskError
+from planner.exchange.audit.grasp_file import GraspFile, given_of_plans, need_one_object, right_task
+from planner.exchange.audit.judge import Judge
+from planner.exchange.audit.report import AuditReport, AuditRow, StageResult, joined_reports
 from planner.exchange.formats import GivenGrasp, GivenGrasps, Reading
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan

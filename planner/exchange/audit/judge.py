@@ -15,11 +15,11 @@ from dataclasses import replace
 import numpy as np
 
 from planner.approach.pregrasp import find_approach
-from planner.audit.report import AuditRow, StageResult
 from planner.collision.pad_contact import PadContact, pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.errors import TaskError
+from planner.exchange.audit.report import AuditRow, StageResult
 from planner.exchange.formats import GivenGrasp
 from planner.exchange.joints import T_file_object
 from planner.failure import Failure

@@ -23,10 +23,10 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.audit.judge import Judge
 from planner.batch.dataset import GraspSet
 from planner.batch.recipe import with_fingers_of
 from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError, few_of, shown
+from planner.exchange.audit.judge import Judge
 from planner.exchange.formats import (
     GivenGrasp,
     GivenGrasps,

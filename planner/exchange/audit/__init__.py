@@ -5,10 +5,10 @@ ours, both by ``planner.verification`` and with its tolerances, so that both sta
 ``audit_file`` reads and judges, and says where a file was read in another unit, order or hand.
 """
 
-from planner.audit.grasp_file import GraspFile, given_of_batch, given_of_plans, right_task
-from planner.audit.judge import scaled_object
-from planner.audit.report import STAGES, AuditReport, AuditRow, StageResult, joined_reports
-from planner.audit.run import audit_file, audit_grasps, audit_plans
+from planner.exchange.audit.grasp_file import GraspFile, given_of_batch, given_of_plans, right_task
+from planner.exchange.audit.judge import scaled_object
+from planner.exchange.audit.report import STAGES, AuditReport, AuditRow, StageResult, joined_reports
+from planner.exchange.audit.run import audit_file, audit_grasps, audit_plans
 
 __all__ = [
     "STAGES",
