@@ -22,11 +22,10 @@ from benchmarks.objects import BenchObject
 from benchmarks.requests import check_tasks, loaded_hand
 from benchmarks.run import ObjectJob, measure
 from benchmarks.statistics import ratio
-from planner.audit.judge import Judge
 from planner.batch.jobs import grasp_seed
 from planner.errors import NotFoundError, PlannerError
-from planner.exchange.formats import Reading, Writing
-from planner.exchange.given import GivenGrasp
+from planner.exchange.audit.judge import Judge
+from planner.exchange.formats import GivenGrasp, Reading, Writing
 from planner.exchange.table import read_table, write_table
 from planner.objects import parse_object
 from planner.plan import GraspPlan

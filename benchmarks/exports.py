@@ -24,7 +24,7 @@ from benchmarks.run import ObjectJob, measure
 from planner.errors import PlannerError
 from planner.exchange import GivenGrasp, Reading, export_plans
 from planner.exchange.formats import FORMATS, GraspFormat, format_named, load_formats
-from planner.exchange.frames import T_object_body
+from planner.exchange.joints import T_object_body
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import rotation_angle

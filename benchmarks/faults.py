@@ -20,9 +20,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from planner.audit import AuditRow, scaled_object
-from planner.audit.judge import Judge
-from planner.exchange.given import GivenGrasp
+from planner.exchange.audit import AuditRow, scaled_object
+from planner.exchange.audit.judge import Judge
+from planner.exchange.formats import GivenGrasp
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.task import GraspTask

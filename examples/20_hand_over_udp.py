@@ -2,8 +2,8 @@
 
 That process simulates the hand in real time. Both are started here and talk on 127.0.0.1 only, on a
 port that the system chooses. Of all packets 5 % are lost and 1 % damaged, each way; they take 5 to
-15 ms. ``sim.real_hand.packets`` has the format (mark, kind, number, time, numbers, checksum),
-``sim.real_hand.udp`` the kinds. Malformed packets are refused, overtaken ones ignored. Prints what
+15 ms. ``udp_hand.py`` beside this script has the format (mark, kind, number, time, numbers,
+checksum) and the kinds. Malformed packets are refused, overtaken ones ignored. Prints what
 loop and network did, and whether the object is held all the same: the fingers' servos hold the last
 command that arrived, and the next one comes 10 ms later.
 """
@@ -16,12 +16,13 @@ import time
 from contextlib import closing, suppress
 from multiprocessing.connection import Connection
 
+from udp_hand import Inbox, LossyLink, Packet, UdpHand, reading_values
+
 from planner import GraspTask, plan_grasp
 from planner.errors import HandError
 from planner.files import read_plan, write_plan
 from sim.controllers import PHASES, GraspController
-from sim.real_hand import RealClock, Safety, SimulatedHand, UdpHand, run_controller
-from sim.real_hand.packets import Inbox, LossyLink, Packet, reading_values
+from sim.real_hand import RealClock, Safety, SimulatedHand, run_controller
 from sim.trial import Timeline, Trial
 
 RATE = 100.0  # of the loop, Hz

@@ -125,13 +125,15 @@ __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
 register_page("GraspPlan", "planner.pages.plan_page:plan_page", "planner.files.plans:write_plan")
 register_page(
-    "MotionPlan", "planner.pages.motion_page:motion_page", "planner.files.motions:write_motion"
+    "MotionPlan", "planner.pages.motion_page:motion_page", "planner.files.movements:write_motion"
 )
-register_page("GaitPlan", "planner.pages.motion_page:motion_page", "planner.files.gaits:write_gait")
+register_page(
+    "GaitPlan", "planner.pages.motion_page:motion_page", "planner.files.movements:write_gait"
+)
 register_page(
     "ManipulationPlan",
     "planner.pages.motion_page:motion_page",
-    "planner.files.manipulations:write_manipulation",
+    "planner.files.movements:write_manipulation",
 )
 register_notebook("ContactSet", "planner.pages.notebook:contacts_html")
 register_notebook("GraspPlan", "planner.pages.notebook:plan_html")

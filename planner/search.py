@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
-from planner.best.attempts import improving_attempts
-from planner.best.wanted import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted
+from planner.best import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted, improving_attempts
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure

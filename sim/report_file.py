@@ -11,8 +11,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from planner.files.json_csv import checked_file, read_json
-from planner.files.whole import whole_file
+from planner.files.json_csv import checked_file, read_json, whole_file
 from planner.pages.page import read_page_data
 from planner.schema import StrictData
 from sim.controllers.events import EventKind

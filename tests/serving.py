@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.batch import GraspSet, plan_grasps
-from planner.batch.manifest import MANIFEST, read_manifest
+from planner.batch.recipe import MANIFEST, read_manifest
 from planner.batch.rows import arrow
 from planner.batch.store import ATTEMPTS, GRASPS, OWNER, shard_file
 from planner.synthesis.options import SynthesisOptions

@@ -18,7 +18,7 @@ from planner.approach.pregrasp import APPROACH_CLEARANCE, Approach, verify_appro
 from planner.collision.world import CollisionWorld
 from planner.errors import FileFormatError, TaskError
 from planner.files import read_plan, write_plan
-from planner.files.manipulations import manipulation_from_dict, manipulation_to_dict
+from planner.files.movements import manipulation_from_dict, manipulation_to_dict
 from planner.hands.hand import Hand
 from planner.kinematics.arm_ik import palm_path, palm_pose
 from planner.kinematics.state import HandState

@@ -15,7 +15,8 @@ import trimesh
 from scipy.optimize import linprog
 
 from benchmarks.faults import FAULTS, judged_with_fault
-from planner.audit import (
+from planner.errors import FileFormatError, PlannerError, TaskError
+from planner.exchange.audit import (
     AuditRow,
     StageResult,
     audit_file,
@@ -24,10 +25,8 @@ from planner.audit import (
     given_of_plans,
     scaled_object,
 )
-from planner.audit.judge import Judge
-from planner.errors import FileFormatError, PlannerError, TaskError
-from planner.exchange.formats import Reading, Writing
-from planner.exchange.given import GivenGrasp, GivenGrasps
+from planner.exchange.audit.judge import Judge
+from planner.exchange.formats import GivenGrasp, GivenGrasps, Reading, Writing
 from planner.exchange.table import read_table, write_table
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
@@ -462,7 +461,7 @@ def test_a_grasp_of_a_scaled_object_passes_at_that_scale(good: Good) -> None:
 
 def test_workers_give_the_same_rows(good: Good, monkeypatch: pytest.MonkeyPatch) -> None:
     task, _, given = good
-    monkeypatch.setattr("planner.audit.run.FEW", 0)
+    monkeypatch.setattr("planner.exchange.audit.run.FEW", 0)
     many = replace(given, grasps=given.grasps * 8)
     alone = audit_grasps(task, many)
     shared = audit_grasps(task, many, workers=2)

@@ -12,8 +12,8 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
-from planner.audit import given_of_plans
 from planner.batch import GraspSet, plan_grasps
+from planner.exchange.audit import given_of_plans
 from planner.exchange.dexgraspbench import export_dexgraspbench
 from planner.exchange.formats import Writing
 from planner.exchange.table import write_table

@@ -15,7 +15,7 @@ from planner.batch import GraspSet, plan_grasps
 from planner.errors import TaskError
 from planner.exchange.dexgraspbench import export_dexgraspbench
 from planner.exchange.dexgraspbench.export import row_squeeze
-from planner.exchange.dexgraspbench.hand_file import T_model_base
+from planner.exchange.dexgraspbench.models import T_model_base
 from planner.hand_loading import load_hand
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask

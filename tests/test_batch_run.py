@@ -17,9 +17,8 @@ import numpy as np
 import pytest
 
 from planner.batch import BatchProgress, GraspFeatures, GraspSet, plan_grasps, pool
-from planner.batch.forked import can_fork
 from planner.batch.jobs import BatchObject, Job
-from planner.batch.pool import finished, planned_rows
+from planner.batch.pool import can_fork, finished, planned_rows
 from planner.batch.rows import failed_row
 from planner.errors import TaskError
 from planner.files import read_plan, write_plan

@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.batch.dataset import GraspSet
-from planner.batch.manifest import Manifest, ManifestObject
-from planner.batch.recipe import Recipe
+from planner.batch.recipe import Manifest, ManifestObject, Recipe
 from planner.batch.rows import failed_row, grasp_schema
 from planner.batch.store import Store, shard_file
 from planner.errors import FileFormatError, NotFoundError, TaskError

@@ -11,7 +11,7 @@ import pytest
 
 from planner.attempt import Attempt
 from planner.batch import GraspFeatures, plan_several, separations
-from planner.batch.several import farthest_points
+from planner.batch.run import farthest_points
 from planner.best import FALLEN_BEHIND
 from planner.errors import FileFormatError, NoGraspFoundError, NotFoundError, TaskError
 from planner.files import plan_to_dict, read_plan, write_plan

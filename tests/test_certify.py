@@ -15,7 +15,7 @@ from test_certify_breaking import bears, bisected
 
 from planner import GraspPlan, GraspTask, plan_grasp, write_plan
 from planner.certify import Certificate, certify, certify_contacts
-from planner.certify.resist import without_grip
+from planner.certify.breaking import without_grip
 from planner.contacts import ContactSet
 from planner.errors import ContactError, TaskError
 from planner.forces import build_force_problem

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog
 
 from planner.certify import Breaking, breaking_along, smallest_breaking
-from planner.certify.resist import Resistance, without_grip
+from planner.certify.breaking import Resistance, without_grip
 from planner.contacts import ContactSet, cone_edges
 from planner.errors import ContactError
 from planner.forces import ForceProblem, build_force_problem

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import linprog
 
 from planner.certify import NEAR, Neighbourhood, bound_nearby, breaking_along
-from planner.certify.neighbourhood import Changes
+from planner.certify.nearby import Changes
 from planner.contacts import ContactSet, cone_edges
 from planner.errors import ContactError, TaskError
 from planner.kinematics.state import HandState

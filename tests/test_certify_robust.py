@@ -17,10 +17,8 @@ from planner.certify import (
     pose_tolerances,
     sampled,
 )
-from planner.certify.errors import random_errors, worst_errors
-from planner.certify.pose import largest_turn
-from planner.certify.robust import weakest_motion
-from planner.certify.sphere import halved, icosphere
+from planner.certify.pose import largest_turn, random_errors, worst_errors
+from planner.certify.robust import halved, icosphere, weakest_motion
 from planner.contacts import ContactSet
 from planner.errors import ContactError
 from planner.quality import force_closure, primitive_wrenches

@@ -23,11 +23,10 @@ from planner.exchange.dexgraspbench import (
     export,
     export_dexgraspbench,
     export_name,
-    object_files,
+    models,
 )
-from planner.exchange.dexgraspbench.hand_file import T_model_base, file_name, write_hand
-from planner.exchange.dexgraspbench.pinned_mjcf import pinned_mjcf
-from planner.exchange.dexgraspbench.squeeze import SPARE, plan_squeeze
+from planner.exchange.dexgraspbench.export import SPARE, plan_squeeze
+from planner.exchange.dexgraspbench.models import T_model_base, file_name, pinned_mjcf, write_hand
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.objects import parse_object
@@ -296,13 +295,13 @@ def test_pieces_that_are_no_truer_than_the_hull_are_one(monkeypatch: pytest.Monk
 
     def pieces(deviation: float) -> Any:
         made = Pieces(vertices=many, faces=faces, deviation=deviation)
-        object_files.benchmark_pieces.cache_clear()
-        monkeypatch.setattr(object_files, "convex_pieces", lambda mesh: made)
+        models.benchmark_pieces.cache_clear()
+        monkeypatch.setattr(models, "convex_pieces", lambda mesh: made)
         return benchmark_pieces(shape)
 
     assert len(pieces(0.003)) == 1  # as far out as the hull
     assert len(pieces(0.001)) == 50
-    object_files.benchmark_pieces.cache_clear()
+    models.benchmark_pieces.cache_clear()
 
 
 def test_the_squeeze_bears_the_benchmarks_loads(jaw: Hand) -> None:

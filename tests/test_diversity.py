@@ -14,19 +14,17 @@ from scipy.spatial.transform import Rotation
 
 from planner.batch import GraspFeatures, diversity, thin
 from planner.batch.diversity import (
+    CONTACT_TOL,
     FINEST,
+    FLEXION_TOL,
     N_CELLS,
+    POSITION_TOL,
+    ROTATION_TOL,
     SURFACE_POINTS,
     TOUCHED,
     cell_of,
-    posture_entropy,
-)
-from planner.batch.thinning import (
-    CONTACT_TOL,
-    FLEXION_TOL,
-    POSITION_TOL,
-    ROTATION_TOL,
     distances,
+    posture_entropy,
 )
 from planner.errors import TaskError
 from planner.hands.hand import Hand

@@ -7,7 +7,7 @@ import json
 import math
 import subprocess
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,23 +23,21 @@ from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.episodes import (
+    FORMATS,
     Asked,
-    Episode,
     Robot,
     episodes_of,
     format_named,
-    read_episodes,
     write_episodes,
     write_lerobot,
-    write_parquet,
 )
+from sim.episodes.episode import frames_at, rates_of
 from sim.episodes.film import draw_episode, sampled_frames
 from sim.episodes.lerobot import VIDEO_KEY
-from sim.episodes.sampling import frames_at, rates_of
 from sim.looking.film import write_film
 from sim.manipulation import ManipulationReport, manipulate
 from sim.manipulation.report_file import ManipulationReportFile
-from sim.recording import PALM, Recording
+from sim.recording import PALM
 from sim.report import TrialReport
 from sim.report_file import ReportFile
 from sim.simulation import Simulation
@@ -89,15 +87,6 @@ def bad_pose(report: TrialReport) -> TrialReport:
 def empty(report: TrialReport) -> TrialReport:
     nothing = episodes_of(report)[0].taken(range(0)).recording
     return replace(report, recording=nothing)
-
-
-def same_states(one: Recording, other: Recording) -> None:
-    for field in fields(Recording):
-        a, b = getattr(one, field.name), getattr(other, field.name)
-        if isinstance(a, np.ndarray):
-            np.testing.assert_array_equal(a, b, err_msg=field.name)
-        else:
-            assert a == b, field.name
 
 
 def data_of(folder: Path) -> dict[str, Any]:
@@ -180,60 +169,6 @@ def test_a_turn_that_was_begun_again_is_an_episode_per_run(turned: ManipulationR
     assert len(first) == len(second) == len(turned.recording)
     assert first.success == turned.success
     assert not second.success and second.reason  # the whole turn was not made in one go
-
-
-# --- plain Parquet -----------------------------------------------------------------------------
-
-
-def test_plain_parquet_gives_everything_back_to_the_last_bit(
-    held: TrialReport, failed: TrialReport, tmp_path: Path
-) -> None:
-    written = write_parquet([held, failed], tmp_path / "set", failed=True)
-    assert (written.episodes, written.succeeded, written.complete) == (2, 1, True)
-    back = read_episodes(tmp_path / "set")
-    for report, episode in zip((held, failed), back, strict=True):
-        (wanted,) = episodes_of(report)
-        same_states(episode.recording, wanted.recording)
-        for name in ("robot", "kind", "sentence", "object", "mass_kg", "success", "reason"):
-            assert getattr(episode, name) == getattr(wanted, name), name
-        assert (episode.seed, episode.controller) == (wanted.seed, wanted.controller)
-
-
-def test_plain_columns_have_units_and_are_null_without_contact(
-    held: TrialReport, tmp_path: Path
-) -> None:
-    write_parquet([held], tmp_path / "set")
-    table = pa.parquet.read_table(tmp_path / "set" / "samples.parquet")
-    for field in table.schema:
-        assert field.metadata[b"description"], field.name
-    units = {f.name: f.metadata.get(b"unit", b"").decode() for f in table.schema}
-    assert units["joint.index_0"] == units["command.A_index_0"] == "rad"
-    assert (units["object.z"], units["force.thumb.x"], units["time_s"]) == ("m", "N", "s")
-    touch = np.array(table["touch.thumb"].to_pylist())
-    force = np.array([v is not None for v in table["force.thumb.x"].to_pylist()])
-    assert touch.any() and not touch.all()
-    np.testing.assert_array_equal(touch, force)
-    limits = table.schema.field("command.A_index_0").metadata
-    assert float(limits[b"upper"]) == held.recording.control_range[0, 1]
-
-
-def test_plain_parquet_that_is_not_ours_is_refused(held: TrialReport, tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="cannot read episodes from"):
-        read_episodes(tmp_path / "none")
-    write_parquet([held], tmp_path / "set")
-    path = tmp_path / "set" / "episodes.parquet"
-    table = pa.parquet.read_table(path)
-    for key, value, words in (
-        ("version", "2", "of version '2'; this package reads '1'"),
-        ("format", "other", "of format 'other'"),
-    ):
-        told = {**table.schema.metadata, key.encode(): value.encode()}
-        pa.parquet.write_table(table.replace_schema_metadata(told), path)
-        with pytest.raises(FileFormatError, match=words):
-            read_episodes(tmp_path / "set")
-    path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(FileFormatError, match="cannot read episodes from"):
-        read_episodes(tmp_path / "set")
 
 
 # --- LeRobot, by its schema --------------------------------------------------------------------
@@ -342,7 +277,7 @@ def test_statistics_are_those_of_the_columns(
 def test_data_files_are_begun_anew_where_one_is_full(
     held: TrialReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.episodes.lerobot.writer.DATA_MB", 1e-6)
+    monkeypatch.setattr("sim.episodes.lerobot.DATA_MB", 1e-6)
     write_lerobot([held] * 3, tmp_path / "set")
     files = sorted(p.name for p in (tmp_path / "set/data/chunk-000").iterdir())
     assert files == [f"file-{k:03d}.parquet" for k in range(3)]
@@ -470,21 +405,21 @@ def test_failed_trials_are_left_out_unless_asked_for(
     written = write_episodes(
         [held, failed],
         tmp_path / "good",
-        "parquet",
+        "lerobot",
         told=lambda episode, why: told.append((episode.success, why)),
     )
     assert (written.episodes, written.left_out) == (1, {f"the trial failed: {failed.reason}": 1})
     assert told == [(True, ""), (False, f"the trial failed: {failed.reason}")]
     assert "1 failed trials left out" in str(written)
     with pytest.raises(TaskError, match=f"no episode to write.*{failed.reason}"):
-        write_parquet([failed], tmp_path / "none")
+        write_lerobot([failed], tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
 
 def test_half_a_trial_is_never_an_episode(held: TrialReport, tmp_path: Path) -> None:
     cut = ReportFile.model_validate(held.to_dict())
     cut = cut.model_copy(update={"success": False, "reason": "interrupted"})
-    written = write_parquet([held, cut], tmp_path / "set", failed=True)
+    written = write_lerobot([held, cut], tmp_path / "set", failed=True)
     assert written.episodes == 1 and written.complete
     assert written.left_out == {"the trial failed: interrupted": 1}
 
@@ -529,8 +464,8 @@ def test_two_hands_in_one_data_set_are_refused(
     with pytest.raises(TaskError, match=r"its joint names are 'thumb_9' at place 0, and 'index_0'"):
         ours.refuse_unless_same(other, "it")
     (episode,) = episodes_of(held)
-    writer = format_named("parquet").writer(tmp_path, Asked())
-    assert writer.add(episode) == len(episode)
+    writer = format_named("lerobot").writer(tmp_path, Asked())
+    assert writer.add(episode) == len(episode) - 1
     writer.finish()
 
 
@@ -550,10 +485,9 @@ def test_folders_in_the_way_are_refused(held: TrialReport, tmp_path: Path) -> No
             write_lerobot([held], tmp_path / name)
 
 
-@pytest.mark.parametrize("to", ["lerobot", "parquet"])
 @pytest.mark.parametrize("which", ["write_table", "close"])
 def test_a_full_disk_leaves_nothing(
-    held: TrialReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str, which: str
+    held: TrialReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, which: str
 ) -> None:
     calls = []
     true = getattr(pa.parquet.ParquetWriter, which)
@@ -566,7 +500,7 @@ def test_a_full_disk_leaves_nothing(
 
     monkeypatch.setattr(pa.parquet.ParquetWriter, which, full)
     with pytest.raises(FileFormatError, match=r"cannot write .*set: No space left on device"):
-        write_episodes([held, held], tmp_path / "set", to)
+        write_lerobot([held, held], tmp_path / "set")
     assert not list(tmp_path.iterdir())
 
 
@@ -582,7 +516,7 @@ def test_ctrl_c_keeps_whole_episodes(held: TrialReport, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         write_lerobot(reports(0), tmp_path / "none")
     ended = replace(held, verdict=replace(held.verdict, fault=interrupted(held)))
-    assert write_parquet([held, ended, held], tmp_path / "cut").episodes == 1
+    assert write_lerobot([held, ended, held], tmp_path / "cut").episodes == 1
     assert {p.name for p in tmp_path.iterdir()} == {"set", "cut"}
 
 
@@ -606,7 +540,6 @@ def test_an_error_while_trials_run_leaves_nothing(held: TrialReport, tmp_path: P
     ("given", "error", "words"),
     [
         ({"to": "hdf5"}, NotFoundError, "hdf5"),
-        ({"to": "parquet", "video": True}, TaskError, "parquet holds no films"),
         ({"to": "lerobot", "fps": 0}, TaskError, "fps is 0"),
         ({"to": "lerobot", "video": True, "size": (100, 64)}, TaskError, "multiples of 16"),
         ({"to": "lerobot", "fps": 30}, TaskError, "rates that fit: 50, 25"),
@@ -622,8 +555,15 @@ def test_what_cannot_be_is_said_and_leaves_nothing(
 
 
 def test_an_episode_without_its_task_cannot_be_filmed(held: TrialReport, tmp_path: Path) -> None:
-    write_parquet([held], tmp_path / "set")
-    (read,) = read_episodes(tmp_path / "set")
-    assert isinstance(read, Episode) and read.task is None
+    (episode,) = episodes_of(held)
     with pytest.raises(TaskError, match="cannot be filmed"):
-        draw_episode(read, tmp_path / "film.mp4", fps=50, size=(32, 32))
+        draw_episode(replace(episode, task=None), tmp_path / "film.mp4", fps=50, size=(32, 32))
+
+
+def test_a_format_without_films_refuses_them(
+    held: TrialReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = replace(format_named("lerobot"), name="plain", films=False)
+    monkeypatch.setitem(FORMATS, "plain", plain)
+    with pytest.raises(TaskError, match="plain holds no films"):
+        write_episodes([held], tmp_path / "set", "plain", video=True)

@@ -6,6 +6,7 @@ The files are made here as the other side's code writes them (the modules cite i
 from __future__ import annotations
 
 import pickle
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,25 @@ from planner.batch import GraspSet, plan_grasps
 from planner.errors import FileFormatError, NotFoundError
 from planner.exchange.dexgraspbench import export_dexgraspbench
 from planner.exchange.dexgraspbench.read import read_dexgraspbench
-from planner.exchange.dexgraspnet import read_dexgraspnet
-from planner.exchange.formats import Reading, format_named, format_of
-from planner.exchange.frogger import read_frogger
-from planner.exchange.postures import FileJoints
+from planner.exchange.formats import FORMATS, GraspFormat, Reading, format_named, format_of
+from planner.exchange.joints import FileJoints
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 
 BY_NUMBER = Reading(by_number=True)
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "formats"
+
+
+@pytest.fixture
+def example(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> GraspFormat:
+    """A format of ``examples/formats``, registered as its package does."""
+    made = runpy.run_path(str(EXAMPLES / f"{request.param}.py"))["FORMAT"]
+    assert isinstance(made, GraspFormat)
+    monkeypatch.setitem(FORMATS, made.name, made)
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -230,12 +240,14 @@ def _net(rng: np.random.Generator) -> dict[str, Any]:
     return {"scale": 0.08, "qpos": {n: float(v) for n, v in zip(names, values, strict=True)}}
 
 
-def test_dexgraspnet(tmp_path: Path, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("example", ["dexgraspnet"], indirect=True)
+def test_dexgraspnet(example: GraspFormat, tmp_path: Path, rng: np.random.Generator) -> None:
+    assert example.read is not None
     shadow = load_hand("shadow_hand")
     rows = [_net(rng) for _ in range(2)]
     np.save(tmp_path / "core-mug.npy", np.array(rows, dtype=object))
     assert format_of(tmp_path / "core-mug.npy").name == "dexgraspnet"
-    given = read_dexgraspnet(tmp_path / "core-mug.npy", shadow, Reading())
+    given = example.read(tmp_path / "core-mug.npy", shadow, Reading())
     for grasp, row in zip(given.grasps, rows, strict=True):
         qpos = row["qpos"]
         # our joints count from 1
@@ -254,7 +266,11 @@ def test_dexgraspnet(tmp_path: Path, rng: np.random.Generator) -> None:
         assert (grasp.scale, grasp.object) == (0.08, "core-mug")
 
 
-def test_damaged_dexgraspnet(tmp_path: Path, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("example", ["dexgraspnet"], indirect=True)
+def test_damaged_dexgraspnet(
+    example: GraspFormat, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    assert example.read is not None
     shadow, path = load_hand("shadow_hand"), tmp_path / "a.npy"
     for change, said in (
         ({"WRJTx": None}, "grasp 0"),
@@ -266,13 +282,17 @@ def test_damaged_dexgraspnet(tmp_path: Path, rng: np.random.Generator) -> None:
         row["qpos"] |= change
         np.save(path, np.array([row], dtype=object))
         with pytest.raises(FileFormatError, match=said):
-            read_dexgraspnet(path, shadow, Reading())
+            example.read(path, shadow, Reading())
     with pytest.raises(FileFormatError, match="does not fit allegro_hand: it lacks index_0"):
         np.save(path, np.array([_net(rng)], dtype=object))
-        read_dexgraspnet(path, load_hand("allegro_hand"), Reading())
+        example.read(path, load_hand("allegro_hand"), Reading())
 
 
-def test_frogger(hand: Hand, tmp_path: Path, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("example", ["frogger"], indirect=True)
+def test_frogger(
+    example: GraspFormat, hand: Hand, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    assert example.read is not None
     place, base = _pose(rng), _pose(rng)
     seven = _seven(place * base)
     q = rng.normal(size=hand.nq)
@@ -284,7 +304,7 @@ def test_frogger(hand: Hand, tmp_path: Path, rng: np.random.Generator) -> None:
     }
     (tmp_path / "a.pkl").write_bytes(pickle.dumps(data))
     assert format_of(tmp_path / "a.pkl").name == "frogger"
-    given = read_frogger(tmp_path / "a.pkl", hand, BY_NUMBER)
+    given = example.read(tmp_path / "a.pkl", hand, BY_NUMBER)
     (grasp,) = given.grasps
     _close(grasp.T_object_base, base)
     np.testing.assert_allclose(grasp.q, q)
@@ -292,7 +312,7 @@ def test_frogger(hand: Hand, tmp_path: Path, rng: np.random.Generator) -> None:
     arm = load_hand("allegro_on_arm7")
     data["q_stars"] = rng.normal(size=(1, arm.nq))
     (tmp_path / "b.pkl").write_bytes(pickle.dumps(data))
-    (grasp,) = read_frogger(tmp_path / "b.pkl", arm, BY_NUMBER).grasps
+    (grasp,) = example.read(tmp_path / "b.pkl", arm, BY_NUMBER).grasps
     _close(grasp.T_object_base, place.inverse())
 
 

@@ -14,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.errors import FileFormatError, TaskError
-from planner.exchange.formats import Reading, Writing, format_of
-from planner.exchange.given import GivenGrasp, GivenGrasps
+from planner.exchange.formats import GivenGrasp, GivenGrasps, Reading, Writing, format_of
 from planner.exchange.table import read_table, write_given, write_table
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand

@@ -16,7 +16,7 @@ from planner.batch import GraspSet, plan_grasps
 from planner.errors import TaskError
 from planner.exchange import export_plans
 from planner.exchange.formats import FORMATS, load_formats
-from planner.exchange.frames import T_object_body
+from planner.exchange.joints import T_object_body
 from planner.files import write_plan
 from planner.hands.hand import Hand
 from planner.search import plan_grasp
@@ -118,11 +118,6 @@ def test_what_cannot_be_is_refused_before_anything_is_written(folder: Path, tmp_
             (plan, "--to", "mjcf-scene", "-o", tmp_path / "scene.xml"),
             3,
             f"ends with .xml, and mjcf-scene is a folder; name one: {tmp_path / 'scene'}",
-        ),
-        (
-            (plan, "--to", "frogger", "-o", file),
-            3,
-            "frogger is read only; formats that",
         ),
         ((plan, "--to", "nothing", "-o", file), 3, "There is: dexgraspbench, isaac-grasp, mjcf-sc"),
     ):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from planner.errors import FileFormatError, TaskError
-from planner.exchange.dexgraspbench import plans as module
-from planner.exchange.dexgraspbench.plans import write_dexgraspbench
+from planner.exchange.dexgraspbench import export as module
+from planner.exchange.dexgraspbench.export import write_dexgraspbench
 from planner.exchange.formats import Writing
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.batch.features import GraspFeatures
+from planner.batch.diversity import GraspFeatures
 from planner.collision.pad_contact import pad_contacts
 from planner.errors import TaskError
 from planner.hands.hand import Hand
@@ -221,6 +221,6 @@ def test_grasps_with_fewer_fingers_are_compared_with_the_others() -> None:
         contacts=contacts,
         q=np.zeros((n, d)),
     )
-    from planner.batch.thinning import thin
+    from planner.batch.diversity import thin
 
     assert thin(grasps).tolist() == [0, 1]

@@ -18,7 +18,7 @@ from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.files import read_gait, write_gait, write_json
-from planner.files.gaits import gait_to_dict
+from planner.files.movements import gait_to_dict
 from planner.forces import gravity_wrench
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand

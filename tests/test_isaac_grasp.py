@@ -17,8 +17,8 @@ from hypothesis import HealthCheck, given, settings
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.exchange import Reading, Writing, export_plans
 from planner.exchange.formats import format_of
-from planner.exchange.frames import T_object_body
 from planner.exchange.isaac_grasp import read_isaac_grasp, write_isaac_grasp
+from planner.exchange.joints import T_object_body
 from planner.exchange.yaml_text import read_documents
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand

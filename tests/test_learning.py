@@ -44,14 +44,11 @@ from sim.learning import (
     policy_controller,
     trials,
 )
-from sim.learning.collecting import read_episode
-from sim.learning.fitting import fit, trained_network
-from sim.learning.lag import LENGTH, ObjectLag
-from sim.learning.playback import AIM, Playback, servo_shift
+from sim.learning.playback import AIM, LENGTH, ObjectLag, Playback, servo_shift
 from sim.learning.policy import errors_told, normalised, physics_told
 from sim.learning.senses import LAGS, SENSES, SenseHistory, columns
 from sim.learning.shipped import policy_file, shipped_policies
-from sim.learning.training import POLICY
+from sim.learning.training import POLICY, fit, read_episode, trained_network
 from sim.manipulation import ManipulationRun
 from sim.physics import PhysicsOptions
 from sim.reality import Reality, named_reality
@@ -524,7 +521,7 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(
 @pytest.mark.slow
 @pytest.mark.usefixtures("plan")
 def test_the_teacher_turns_it_under_lab_by_the_truth(folder: Path) -> None:
-    from sim.learning.collecting import run_episode
+    from sim.learning.training import run_episode
 
     episode = run_episode(Plans(TASK, folder), 0, count=1, policy=None, share=1.0, noise=0.0)
     assert episode.strict, episode.reason

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.sparse import csc_matrix
 
-from planner.certify.resist import Resistance
+from planner.certify.breaking import Resistance
 from planner.contacts import ContactSet
 from planner.errors import PlannerError
 from planner.forces import build_force_problem, distribute_forces
@@ -252,7 +252,7 @@ def test_what_no_solver_decides_is_not_known_and_ends_nothing(
     oracle = Resistance(problem, np.eye(6)[:, 2:3], gap=0.01)
     monkeypatch.undo()
     true = Resistance(problem, np.eye(6)[:, 2:3], gap=0.01).support(np.ones(1))[0]
-    monkeypatch.setattr("planner.certify.resist.solve_lp", lambda *given: NOT_KNOWN)
+    monkeypatch.setattr("planner.certify.breaking.solve_lp", lambda *given: NOT_KNOWN)
     assert oracle.held is None and oracle.support(np.ones(1))[0] >= true > 0.0
 
 

@@ -26,7 +26,7 @@ from planner.files import (
     write_motion,
     write_trajectory,
 )
-from planner.files.manipulations import manipulation_to_dict
+from planner.files.movements import manipulation_to_dict
 from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.motion.manipulation import (

@@ -21,7 +21,7 @@ from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.files import read_motion, write_json, write_motion
-from planner.files.motions import motion_to_dict
+from planner.files.movements import motion_to_dict
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState

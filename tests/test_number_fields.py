@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from udp_hand import LossyLink
 
 from planner.certify import Neighbourhood
 from planner.contacts import Contact, ContactSet
@@ -42,10 +43,10 @@ from sim.manipulation.timeline import ManipulationTimeline, SuccessCriteria
 from sim.physics import PhysicsOptions
 from sim.protocols import pushes
 from sim.protocols.settings import Settings
-from sim.real_hand import CommandLimits, LossyLink, Safety
-from sim.real_hand.limits import CommandLimiter
+from sim.real_hand import CommandLimits, Safety
+from sim.real_hand.safety import CommandLimiter
 from sim.reality import Reality
-from sim.reset_states.asked import Draws, StatesAsked
+from sim.reset_states.starts import Draws, StatesAsked
 from sim.verdict import DropCriteria, Thresholds
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -18,7 +18,7 @@ from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 from sim.controllers.pads import PadReading
 from sim.real_hand import CommandLimits, Observer, OnStop, RealClock, Safety
-from sim.real_hand.clock import Pace
+from sim.real_hand.interface import Pace
 
 PERIOD = 0.01
 

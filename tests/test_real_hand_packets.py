@@ -13,19 +13,12 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from udp_hand import Inbox, LossyLink, Packet, UdpHand, reading_of, reading_values
 
 from planner.errors import HandError
 from planner.hand_loading import load_hand
 from planner.spatial import SE3
-from sim.real_hand import (
-    HandReading,
-    Inbox,
-    LossyLink,
-    Packet,
-    UdpHand,
-    reading_of,
-    reading_values,
-)
+from sim.real_hand import HandReading
 
 HAND = load_hand("allegro_hand")
 FINGERS = ("thumb", "index", "middle", "ring")

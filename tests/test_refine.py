@@ -27,9 +27,8 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.objects import parse_object
 from planner.refine import Movement, RefinedGrasp, with_fingers
-from planner.refine.near import NEAR, near_numbers
-from planner.refine.pads import under_pads
-from planner.refine.pose import palm_pose
+from planner.refine.pose import palm_pose, under_pads
+from planner.refine.rungs import NEAR, near_numbers
 from planner.regions import TouchRegion, parse_region
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions

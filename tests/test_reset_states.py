@@ -23,15 +23,30 @@ from planner.objects import parse_object
 from planner.task import GraspTask
 from sim.physics import PhysicsOptions
 from sim.reset_states import Draws, StatesAsked, StateSet, StatesProgress, make_states
-from sim.reset_states.asked import cells_of, scaled
 from sim.reset_states.check_states import main as share_held
-from sim.reset_states.coverage import BANDS, SECTORS, TURNS, coverage, orientation_cells
-from sim.reset_states.distinct import NEAR_JOINT, NEAR_POSITION, Distinct
 from sim.reset_states.hold import DROPPED, LIMITS, LOOSE, PENETRATES, REASONS, hold
 from sim.reset_states.scene import write_scene
-from sim.reset_states.shards import SHARD, read_shard, shard_path
-from sim.reset_states.sources import plan_jobs, planned_sources
-from sim.reset_states.starts import Starts, load_starts
+from sim.reset_states.shards import (
+    BANDS,
+    NEAR_JOINT,
+    NEAR_POSITION,
+    SECTORS,
+    SHARD,
+    TURNS,
+    Distinct,
+    coverage,
+    orientation_cells,
+    read_shard,
+    shard_path,
+)
+from sim.reset_states.starts import (
+    Starts,
+    cells_of,
+    load_starts,
+    plan_jobs,
+    planned_sources,
+    scaled,
+)
 
 ASKED = StatesAsked(
     hand="allegro_hand", objects=("cylinder:0.03x0.08",), n=20, grasps=6, motions=2, gaits=0

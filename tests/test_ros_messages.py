@@ -18,8 +18,13 @@ from hypothesis import strategies as st
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.exchange import Reading, Writing, export_plans
 from planner.exchange.formats import format_of
-from planner.exchange.frames import T_object_body
-from planner.exchange.joints import channels_of, completed_joints, followers, read_renaming
+from planner.exchange.joints import (
+    T_object_body,
+    channels_of,
+    completed_joints,
+    followers,
+    read_renaming,
+)
 from planner.exchange.ros import (
     FIELDS,
     check_message,
@@ -28,7 +33,7 @@ from planner.exchange.ros import (
     trajectory_message,
     write_ros_grasps,
 )
-from planner.exchange.ros.parts import duration
+from planner.exchange.ros.messages import duration
 from planner.hands.hand import Hand
 from planner.motion import plan_motion
 from planner.plan import GraspPlan

@@ -17,7 +17,7 @@ from benchmarks.run import Job, measure
 from planner.batch import GraspSet
 from planner.errors import PlannerError, TaskError
 from planner.exchange.dexgraspbench import export_dexgraspbench
-from planner.exchange.dexgraspbench.hand_file import file_name
+from planner.exchange.dexgraspbench.models import file_name
 from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.runner import Check, Runner
 from sim.tables import Row, grouped, share, table_of

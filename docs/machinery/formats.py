@@ -19,7 +19,7 @@ from machinery.docstrings import as_written
 from machinery.write import write_pages
 from planner.batch.rows import grasp_schema
 from planner.description import HandDescription
-from planner.exchange.table_file import TableFile
+from planner.exchange.table_forms import TableFile
 from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
 from planner.hand_loading import load_hand
 from planner.hands.arm import MountDescription

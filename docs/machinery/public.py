@@ -71,7 +71,7 @@ GROUPS: dict[str, list[str]] = {
         "planner.batch",
         "planner.files",
         "planner.exchange",
-        "planner.audit",
+        "planner.exchange.audit",
         "planner.schema",
         "planner.version",
     ],

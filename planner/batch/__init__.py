@@ -1,12 +1,9 @@
 """Many grasps at once: planned in parallel, stored as they come, compared, thinned, exported."""
 
 from planner.batch.dataset import GraspSet
-from planner.batch.diversity import Diversity, diversity
-from planner.batch.features import GraspFeatures
+from planner.batch.diversity import Diversity, GraspFeatures, diversity, thin
 from planner.batch.refined import refine_grasps
-from planner.batch.run import BatchProgress, plan_grasps
-from planner.batch.several import plan_several, separations
-from planner.batch.thinning import thin
+from planner.batch.run import BatchProgress, plan_grasps, plan_several, separations
 
 __all__ = [
     "BatchProgress",

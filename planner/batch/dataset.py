@@ -12,14 +12,18 @@ import numpy as np
 
 from planner.approach.arm_path import ArmPath
 from planner.approach.pregrasp import Approach
-from planner.batch.checked import check_fingers, checked_row, reading
-from planner.batch.diversity import Diversity, diversity
-from planner.batch.features import GraspFeatures
-from planner.batch.manifest import read_manifest
-from planner.batch.recipe import task_of, with_fingers_of
-from planner.batch.rows import arrow, attempt_rows, attempt_schema, grasp_schema
+from planner.batch.diversity import Diversity, GraspFeatures, diversity, thin
+from planner.batch.recipe import read_manifest, task_of, with_fingers_of
+from planner.batch.rows import (
+    arrow,
+    attempt_rows,
+    attempt_schema,
+    check_fingers,
+    checked_row,
+    grasp_schema,
+    reading,
+)
 from planner.batch.store import ATTEMPTS, GRASPS, JOURNAL, shard_file, waiting_rows, whole_shards
-from planner.batch.thinning import thin
 from planner.errors import FileFormatError, NotFoundError
 from planner.failure import Failure
 from planner.plan import GraspPlan, SolveRecord

@@ -21,11 +21,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
-from planner.batch.manifest import MANIFEST, Manifest, read_manifest
+from planner.batch.recipe import MANIFEST, Manifest, read_manifest
 from planner.batch.rows import arrow, attempt_rows, attempt_schema
 from planner.errors import FileFormatError
 from planner.files import write_json
-from planner.files.whole import PART
+from planner.files.json_csv import PART
 
 GRASPS, ATTEMPTS = "grasps", "attempts"
 """The two tables."""

@@ -9,8 +9,7 @@ from planner.certify.certificate import (
     certify,
     certify_contacts,
 )
-from planner.certify.nearby import NearBound, bound_nearby
-from planner.certify.neighbourhood import NEAR, Neighbourhood
+from planner.certify.nearby import NEAR, NearBound, Neighbourhood, bound_nearby
 from planner.certify.pose import PoseErrors
 from planner.certify.robust import Verdict, closure_survives
 from planner.certify.tolerance import Tolerance, contact_tolerances, pose_tolerances, sampled

@@ -21,8 +21,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.optimize import nnls
 
-from planner.certify.errors import random_errors, worst_errors
-from planner.certify.pose import PoseError, PoseErrors
+from planner.certify.pose import PoseError, PoseErrors, random_errors, worst_errors
 from planner.certify.robust import closure_survives, weakest_motion
 from planner.contacts import ContactSet
 from planner.quality import closure_of_wrenches, primitive_wrenches

@@ -1,13 +1,23 @@
-"""``.npy``, ``.npz`` and pickle files, read without executing anything (``load_pickle``).
+"""``.npy``, ``.npz`` and pickle files, read without executing anything that they hold.
 
-The size that a file declares is compared with what it has before memory is asked for.
+The size that a file declares is compared with what it has before memory is asked for. Pickles are
+read by another process with an allow-list and limits, ``planner.exchange.unpickle``.
 """
 
 from __future__ import annotations
 
+import atexit
 import io
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
 import zipfile
 import zlib
+from contextlib import suppress
+from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from tokenize import TokenError
@@ -18,7 +28,8 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from planner.errors import FileFormatError, NotFoundError
-from planner.exchange.pickles import Budget, load_pickle
+from planner.exchange import unpickle
+from planner.exchange.unpickle import DAMAGED, MEMORY, REPLY, REQUEST, SECONDS, VALUE
 
 ARRAY_SUFFIXES = (".npy", ".npz", ".pkl", ".pickle", ".pt", ".pth")
 """How files end that are read here, or refused by name."""
@@ -36,6 +47,13 @@ MOST_MEMBERS = 4096
 
 SMALL = 1 << 22
 """Bytes of an array of names or text that becomes objects of Python, of some 60 bytes each."""
+
+LARGEST_PICKLE = 1 << 25
+"""Largest pickle (bytes)."""
+
+MOST_ITEMS = 500_000
+"""Values of all pickles of a file, each counted as often as it is referred to: 5,000 grasps of a
+dictionary of 50 numbers each."""
 
 _NPY, _ZIP, _TORCH_MAGIC = b"\x93NUMPY", b"PK\x03\x04", b"\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19."
 
@@ -81,6 +99,107 @@ def checked_small(array: NDArray[Any], what: str) -> NDArray[Any]:
 def read_pickle(path: Path) -> Any:
     """The value of a pickle file; raises as ``read_array_file``."""
     return load_pickle(_bytes(path), str(path))
+
+
+@dataclass(eq=False)
+class Budget:
+    """Values that are left for all pickles of a file together."""
+
+    items: int = MOST_ITEMS
+
+
+class _Reader:
+    """The process that reads pickles; made when it is needed, and again when it has died."""
+
+    def __init__(self) -> None:
+        """Nothing runs yet."""
+        self._lock = threading.Lock()
+        self.process: subprocess.Popen[bytes] | None = None
+        self._owner = 0
+
+    def ask(self, data: bytes, most: int) -> tuple[int, bytes, int]:
+        """Kind of reply, its bytes and the values that were taken; why it died as ``MEMORY``."""
+        with self._lock:
+            process = self._started()
+            assert process.stdin is not None and process.stdout is not None  # pipes, see below
+            header = b""
+            with suppress(BrokenPipeError):
+                process.stdin.write(REQUEST.pack(len(data), most) + data)
+                process.stdin.flush()
+                header = process.stdout.read(REPLY.size)
+            if len(header) == REPLY.size:
+                kind, length, taken = REPLY.unpack(header)
+                reply = process.stdout.read(length)
+                if kind == MEMORY:
+                    self.close()
+                return kind, reply, taken
+            died = process.wait()
+            self.close()
+        why = f"what takes more than {SECONDS} s to read"
+        return MEMORY, (why if died == -signal.SIGPROF else "what breaks its reader").encode(), 0
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        if self.process is None or self._owner != os.getpid():  # a copy of us has its own
+            self._owner = os.getpid()
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", unpickle.__file__],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            )
+            atexit.register(self.close)
+        return self.process
+
+    def close(self) -> None:
+        """End it."""
+        if self.process is None or self._owner != os.getpid():
+            return
+        for pipe in (self.process.stdin, self.process.stdout):
+            with suppress(BrokenPipeError):
+                if pipe is not None:
+                    pipe.close()
+        self.process.wait()
+        self.process = None
+
+
+READER = _Reader()
+
+
+def load_pickle(data: bytes, where: str, budget: Budget | None = None) -> Any:
+    """The value of a pickle, nothing of which is executed.
+
+    Args:
+        data: The bytes; what follows the end of the pickle does not count.
+        where: File and place, for messages.
+        budget: What is left for this one; a whole one if None.
+
+    Returns:
+        None, bool, int, float, str, bytes, array, or list, tuple or dictionary of these; NumPy
+        numbers as Python's.
+
+    Raises:
+        FileFormatError: It is truncated or damaged, too large or too deep, or holds anything else.
+    """
+    budget = budget or Budget()
+    if len(data) > LARGEST_PICKLE:
+        raise FileFormatError(
+            f"{where} has {len(data)} bytes, and pickles of {LARGEST_PICKLE} are read"
+        )
+    kind, reply, taken = READER.ask(data, budget.items)
+    budget.items -= taken
+    if kind == VALUE:
+        return pickle.loads(reply)  # made by our own process, of plain values
+    said = reply.decode(errors="replace")
+    if kind == DAMAGED:
+        raise FileFormatError(
+            f"{where}: the pickle is truncated or damaged ({said}); nothing of it was executed. "
+            "Copy the file again"
+        )
+    raise FileFormatError(
+        f"{where}: it holds {said}; nothing of it was executed. Object arrays are pickles: arrays, "
+        "numbers, text, lists, tuples and dictionaries are read. Save the grasps with these alone"
+    )
 
 
 def is_torch(data: bytes) -> bool:

@@ -31,17 +31,24 @@ from typing import Any
 import numpy as np
 
 from planner.errors import FileFormatError, shown
-from planner.exchange.formats import GraspFormat, Reading, Writing, register_format
-from planner.exchange.frames import (
+from planner.exchange.formats import (
+    GivenGrasp,
+    GivenGrasps,
+    GraspFormat,
+    Reading,
+    Writing,
+    register_format,
+)
+from planner.exchange.joints import (
     T_base_body,
     T_object_body,
+    channels_of,
+    completed_joints,
     hand_frame,
     need_no_arm,
     need_one_pair,
     object_frame,
 )
-from planner.exchange.given import GivenGrasp, GivenGrasps
-from planner.exchange.joints import channels_of, completed_joints
 from planner.exchange.yaml_text import (
     member,
     number,

@@ -4,10 +4,21 @@ A joint that no actuator moves and that the equality couplings C q = d tie to th
 follower: a driver moves it with the others and has no name for it, so that files for drivers leave
 it out. A reader computes it from the same couplings. An actuator that moves several joints (a
 tendon) has one number for them, its length R q + length0.
+
+Poses of a plan in frames that others know, and what a format refuses.
+
+Others know an object by its file, so that poses are written in the frame of that file; our own
+frame has its origin at the centre of mass. What is not from a file keeps our frame.
+
+Joints and poses of a file that says little of itself, as one of our hands has them.
+
+A file may name no joints, name them by another numbering, leave out a wrist, and give the pose of a
+body that is not the hand's base. ``FileJoints`` settles this once per file.
 """
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,13 +26,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
-from planner.errors import FileFormatError, NotFoundError, TaskError
-from planner.exchange.formats import Writing
-from planner.exchange.given import joints_by_name
+from planner.errors import FileFormatError, NotFoundError, TaskError, few_of
+from planner.exchange.dexgraspbench.models import frame_shift
+from planner.exchange.formats import Reading, Writing, joints_by_name
 from planner.exchange.yaml_text import read_documents, table, text
 from planner.hands.hand import Hand
-from planner.spatial import FloatArray, IntArray
+from planner.kinematics.state import HandState
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
+from planner.task import GraspTask
 
 DETERMINED = 1e-9
 """A joint is tied by couplings if each direction that they leave free moves it by less (-)."""
@@ -198,3 +213,239 @@ def _together(hand: Hand) -> tuple[str, ...]:
             )
             told.append(f"actuator {name} commands {parts}")
     return tuple(told)
+
+
+def T_file_object(task: GraspTask) -> SE3:
+    """Pose of our frame of a task's object in the frame of the object's own file."""
+    return SE3(np.eye(3), frame_shift(task.object.shape))
+
+
+def T_base_body(hand: Hand, q: FloatArray, body: str) -> SE3:
+    """Pose of a body of a hand in its base, at joints (nq,); of the base itself for "".
+
+    Raises:
+        NotFoundError: The hand has no such body.
+    """
+    if body in ("", hand.description.base_body):
+        return SE3.Identity()
+    bodies = [f.name for f in hand.pin_model.frames if f.type == pin.FrameType.BODY]
+    if body not in bodies:
+        raise NotFoundError(f"body of {hand.name}", body, bodies)
+    return SE3(HandState(hand, q).pin_data.oMf[hand.pin_model.getBodyId(body)])
+
+
+def T_object_body(plan: GraspPlan, body: str = "") -> SE3:
+    """Pose of a body of the hand at the grasp, in the frame of the object's own file.
+
+    Raises:
+        NotFoundError: The hand has no such body.
+    """
+    task = plan.task
+    T_object_base = task.T_world_object.inverse() * plan.T_world_base
+    return T_file_object(task) * T_object_base * T_base_body(task.hand, plan.q, body)
+
+
+def object_frame(task: GraspTask, writing: Writing) -> str:
+    """Name of the object's frame in a file."""
+    return writing.object_frame or task.object.name
+
+
+def hand_frame(hand: Hand, writing: Writing) -> str:
+    """Name of the hand's frame in a file."""
+    return writing.hand_frame or writing.base_body or hand.description.base_body
+
+
+def need_no_arm(task: GraspTask, what: str) -> Hand:
+    """The hand of a task.
+
+    Raises:
+        TaskError: It is on an arm.
+    """
+    if task.hand.arm is not None:
+        raise TaskError(
+            f"{task.hand.name} is on an arm, and {what} tells the pose of a hand alone; plan with "
+            "the hand without its arm, or export ros2-trajectory"
+        )
+    return task.hand
+
+
+def need_one_pair(plans: Sequence[GraspPlan], what: str) -> GraspTask:
+    """A task that all plans share as far as hand and object go.
+
+    Raises:
+        TaskError: They are of several hands or objects.
+    """
+    first = plans[0].task
+    for plan in plans[1:]:
+        task = plan.task
+        for kind, mine, other, same in (
+            ("hand", first.hand.name, task.hand.name, first.hand.digest == task.hand.digest),
+            ("object", first.object.name, task.object.name, _same_object(first, task)),
+        ):
+            if not same:
+                raise TaskError(
+                    f"the plans are for more than one {kind}, {mine} and {other}, and a file of "
+                    f"{what} is for one; write a file for each"
+                )
+    return first
+
+
+def _same_object(one: GraspTask, other: GraspTask) -> bool:
+    a, b = one.object, other.object
+    return a is b or (a.name, a.shape.spec) == (b.name, b.shape.spec)
+
+
+_SHADOW = re.compile(r"(?:robot0:|rh_|lh_)?((?:FF|MF|RF|LF|TH|WR)J)(\d)")
+"""Joints of the Shadow hand: its maker counts from 1, the model of OpenAI (``robot0:``) from 0."""
+
+NORM_TOL = 1e-2
+"""How far the length of a quaternion may be from 1 (-): files hold single precision."""
+
+
+def pose_of_seven(values: FloatArray, order: str, where: str) -> SE3:
+    """Pose from position (m) and quaternion in one (7,).
+
+    Args:
+        values: (7,).
+        order: "wxyz" or "xyzw".
+        where: Place in the file, for messages.
+
+    Raises:
+        FileFormatError: Other numbers, not finite, or no unit quaternion.
+    """
+    array = np.asarray(values, dtype=float).reshape(-1)
+    if array.shape != (7,) or not np.isfinite(array).all():
+        raise FileFormatError(
+            f"{where} is {np.shape(values)} numbers, or not finite; a pose is x, y, z (m) and a "
+            f"quaternion {', '.join(order)}"
+        )
+    norm = float(np.linalg.norm(array[3:]))
+    if abs(norm - 1.0) > NORM_TOL:
+        raise FileFormatError(
+            f"{where}: the last four of {np.round(array, 4).tolist()} have length {norm:.4g}, and "
+            "a quaternion has length 1; it is damaged, or not a pose x, y, z and a quaternion"
+        )
+    quaternion = array[3:] if order == "wxyz" else array[[6, 3, 4, 5]]
+    return pose_from_wxyz(array[:3], quaternion)
+
+
+class FileJoints:
+    """How the joints of a file become those of a hand, and its poses those of the hand's base."""
+
+    def __init__(
+        self,
+        hand: Hand,
+        reading: Reading,
+        where: str,
+        *,
+        names: Sequence[str] | None = None,
+        count: int,
+        base_body: str = "",
+    ) -> None:
+        """Settle names.
+
+        Args:
+            hand: Our hand.
+            reading: What the reader is told.
+            where: The file, for messages.
+            names: As the file gives them; None where it gives none.
+            count: How many joints the file has.
+            base_body: Body whose pose the format gives, if ``reading`` names no other; "" for the
+                hand's base.
+
+        Raises:
+            FileFormatError: The file names no joints and nobody did, or they do not fit.
+            NotFoundError: The hand has no such body.
+        """
+        self.hand, self.where = hand, where
+        self.body = reading.base_body or base_body
+        self.assumed: list[str] = []
+        told = reading.joint_names or names
+        held = self._held()
+        if reading.joint_names is not None and len(reading.joint_names) != count:
+            raise FileFormatError(
+                f"{where} has {count} joints and --joint-names gives {len(reading.joint_names)}; "
+                "give a name for each, in the order of the file"
+            )
+        if told is None and reading.by_number:
+            wanted = [n for n in hand.joint_names if n not in held]
+            whole = count == hand.nq
+            if not whole and count != len(wanted):
+                raise FileFormatError(
+                    f"{where} has {count} joints, {hand.name} has {hand.nq}"
+                    f"{f' ({len(wanted)} without those above {self.body})' if held else ''}; give "
+                    "the hand that the file is for, or --joint-names"
+                )
+            told = hand.joint_names if whole else wanted
+            self.assumed.append(f"joints are in the order of {hand.name}")
+        if told is None:
+            raise FileFormatError(
+                f"{where} has {count} joints and does not name them; if they are in the order of "
+                f"{hand.name} ({few_of(hand.joint_names)}), say --by-number, else give their "
+                "names with --joint-names"
+            )
+        self.names = [reading.rename.get(n) or _ours(n, hand) for n in told]
+        self.missing = [n for n in held if n not in self.names]
+        if self.missing:
+            joints = ", ".join(self.missing)
+            self.assumed.append(
+                f"{joints}, which the file lacks and which do not move {self.body}, are at 0"
+            )
+
+    def _held(self) -> list[str]:
+        """Joints between the hand's base and the body of the poses."""
+        if not self.body:
+            return []
+        T_base_body(self.hand, self.hand.neutral, self.body)  # refuses what there is not
+        model = self.hand.mj_model
+        chain, at = [], int(model.body(self.body).id)
+        while at:
+            first, number = int(model.body_jntadr[at]), int(model.body_jntnum[at])
+            chain += [str(model.joint(j).name) for j in range(first, first + number)]
+            at = int(model.body_parentid[at])
+        return [n for n in self.hand.joint_names if n in chain]
+
+    def of(self, values: FloatArray, where: str = "") -> FloatArray:
+        """Joints (nq,) or (m, nq) of ours from those of the file (n,) or (m, n).
+
+        Raises:
+            FileFormatError: They are not as many, not numbers, or not finite.
+        """
+        place = where or self.where
+        try:
+            array = np.asarray(values, dtype=float)
+        except (TypeError, ValueError):
+            raise FileFormatError(f"{place} holds joints that are no numbers") from None
+        if not np.isfinite(array).all():
+            raise FileFormatError(f"{place} holds joints that are not finite; leave it out")
+        if array.ndim and array.shape[-1] != len(self.names):
+            raise FileFormatError(
+                f"{place} has {array.shape[-1]} values for {len(self.names)} joints; it is damaged"
+            )
+        filled = np.concatenate([array, np.zeros((*array.shape[:-1], len(self.missing)))], axis=-1)
+        return joints_by_name(self.hand, [*self.names, *self.missing], filled, where=place)
+
+    def base(self, T_object_body: SE3, q: FloatArray) -> SE3:
+        """Pose of the hand's base from that of the body that the file tells."""
+        if not self.body:
+            return T_object_body
+        return T_object_body * T_base_body(self.hand, q, self.body).inverse()
+
+
+def _ours(name: str, hand: Hand) -> str:
+    """The joint of a hand that a file means by a name: the same, or one of the Shadow hand's."""
+    if name in hand.joint_names:
+        return name
+    named = _SHADOW.fullmatch(name)
+    if named is None:
+        return name
+    mine = {_numbered(joint): joint for joint in hand.joint_names}
+    return mine.get(_numbered(name), name)
+
+
+def _numbered(name: str) -> tuple[str, int] | None:
+    """A joint of the Shadow hand with its maker's number; None for another."""
+    named = _SHADOW.fullmatch(name)
+    if named is None:
+        return None
+    return named[1], int(named[2]) + name.startswith("robot0:")

@@ -1,6 +1,6 @@
 """``table``: grasps as a plain table of poses and joints by names with units, read and written.
 
-``planner.exchange.table_file`` has the schema, ``table_forms`` its three forms.
+``planner.exchange.table_forms`` has the schema and its three forms.
 """
 
 from __future__ import annotations
@@ -13,12 +13,24 @@ from pathlib import Path
 import numpy as np
 
 from planner.errors import FileFormatError, TaskError
-from planner.exchange.formats import GraspFormat, Reading, Writing, register_format
-from planner.exchange.frames import T_file_object, T_object_body
-from planner.exchange.given import GivenGrasp, GivenGrasps
-from planner.exchange.postures import FileJoints, pose_of_seven
-from planner.exchange.table_file import ANGLES, LENGTHS, TableFile, TableGrasp
-from planner.exchange.table_forms import TABLE_FORMS, read_table_file, table_bytes
+from planner.exchange.formats import (
+    GivenGrasp,
+    GivenGrasps,
+    GraspFormat,
+    Reading,
+    Writing,
+    register_format,
+)
+from planner.exchange.joints import FileJoints, T_file_object, T_object_body, pose_of_seven
+from planner.exchange.table_forms import (
+    ANGLES,
+    LENGTHS,
+    TABLE_FORMS,
+    TableFile,
+    TableGrasp,
+    read_table_file,
+    table_bytes,
+)
 from planner.files import whole_file
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan

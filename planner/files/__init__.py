@@ -1,27 +1,37 @@
 """Files that people and other programmes read: plans, contacts, trajectories."""
 
-from planner.files.contacts_file import ContactsFile, read_contacts
-from planner.files.data import PLAN_VERSION, PlanFile, TaskData
-from planner.files.gaits import GaitFile, read_gait, write_gait
-from planner.files.json_csv import read_json, write_json, write_trajectory
-from planner.files.manipulations import (
-    ManipulationFile,
-    given_manipulation,
-    read_manipulation,
-    write_manipulation,
+from planner.files.data import PLAN_VERSION, PlanFile, TaskData, task_data, task_from_data
+from planner.files.json_csv import (
+    format_told,
+    plain_name,
+    plan_files,
+    read_json,
+    whole_file,
+    write_json,
+    write_trajectory,
 )
-from planner.files.motions import MotionFile, read_motion, write_motion
-from planner.files.plan_folder import format_told, plan_files
+from planner.files.movements import (
+    GaitFile,
+    ManipulationFile,
+    MotionFile,
+    given_manipulation,
+    read_gait,
+    read_manipulation,
+    read_motion,
+    write_gait,
+    write_manipulation,
+    write_motion,
+)
 from planner.files.plans import (
+    ContactsFile,
     given_plan,
     plan_from_dict,
     plan_to_dict,
     pose_of_plan,
+    read_contacts,
     read_plan,
     write_plan,
 )
-from planner.files.tasks import task_data, task_from_data
-from planner.files.whole import plain_name, whole_file
 
 __all__ = [
     "PLAN_VERSION",

@@ -1,21 +1,73 @@
-"""JSON files, checked by a schema, and trajectories: every refusal says why and which file."""
+"""JSON files, checked by a schema, and trajectories: every refusal says why and which file.
+
+Files that are written whole or not at all, and names that stay in their folder.
+
+Plan files of a folder, as ``opposable refine`` writes one, without reading them whole.
+
+``opposable audit``, ``refine``, ``export``, ``episodes`` and ``test`` take such a folder for its
+files.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
+import os
+import re
+import secrets
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, BinaryIO, TypeVar, get_args
 
 import numpy as np
 from pydantic import ValidationError
 
 from planner.errors import FileFormatError, shown
-from planner.files.whole import whole_file
 from planner.plan import JointTrajectory
 from planner.schema import StrictData, faults_of
 from planner.spatial import pose_to_wxyz
+
+LONGEST_NAME = 100
+"""Characters of a name in a file's name: file systems end at 255 bytes."""
+
+PART = re.compile(r"\.[0-9a-f]{16}\.part")
+"""Name of a file that is being written, or was when its process was killed."""
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[BinaryIO]:
+    """A stream whose content becomes the file, if the block ends without an error.
+
+    Until then it is a new file beside it, of a random name. Links are not followed; a file or link
+    at ``path`` is replaced.
+
+    Raises:
+        FileFormatError: The folder does not exist or cannot be written, or a folder is in the way.
+    """
+    partial = path.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        with partial.open("xb") as stream:
+            yield stream
+        os.replace(partial, path)
+    except OSError as error:
+        raise FileFormatError(f"cannot write {path}: {error.strerror or error}") from error
+    except ValueError as error:  # a null character in the name
+        raise FileFormatError(f"cannot write {str(path)!r}: {error}") from error
+    finally:
+        with suppress(OSError, ValueError):
+            partial.unlink()
+
+
+def plain_name(text: str) -> str:
+    """A name of a hand or an object as part of a file's name: no folders, nothing hidden.
+
+    Letters, digits, and ``_ . + -`` stay; everything else becomes a dash.
+    """
+    plain = re.sub(r"[^\w.+\-]", "-", text)[:LONGEST_NAME].lstrip(".-")
+    return plain or "unnamed"
+
 
 FileT = TypeVar("FileT", bound=StrictData)
 
@@ -104,3 +156,43 @@ def checked_file(
         return schema.model_validate(data)
     except ValidationError as error:
         raise FileFormatError(f"{source} is damaged: {faults_of(error)}") from error
+
+
+HEAD = 4096
+"""Bytes of a file within which it says its format."""
+
+_FORMAT = re.compile(rb'"format"\s*:\s*"(opposable-[a-z-]+)"')
+
+
+def format_told(file: Path) -> str:
+    """The format that a JSON file of ours says of itself, "" for every other file or folder.
+
+    Raises:
+        FileFormatError: It cannot be read.
+    """
+    if not file.is_file():
+        return ""
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(HEAD)
+    except OSError as error:
+        raise FileFormatError(f"cannot read {file}: {error.strerror}") from error
+    told = _FORMAT.search(head) if head.lstrip().startswith(b"{") else None
+    return told[1].decode() if told else ""
+
+
+def plan_files(folder: Path, formats: Collection[str] = ("opposable-plan",)) -> tuple[Path, ...]:
+    """JSON files of some formats that lie in a folder, by name.
+
+    Args:
+        folder: The folder; folders in it are not looked at.
+        formats: What the files say of themselves.
+
+    Raises:
+        FileFormatError: The folder or a file cannot be read.
+    """
+    try:
+        files = sorted(folder.iterdir())
+    except OSError as error:
+        raise FileFormatError(f"cannot read the folder {folder}: {error.strerror}") from error
+    return tuple(f for f in files if f.suffix == ".json" and format_told(f) in formats)

@@ -3,39 +3,198 @@
 The schema is the pydantic model ``PlanFile`` (``opposable schema plan`` prints it as JSON Schema).
 Reading checks the format, the version and the hand's digest, rebuilds the task, and recomputes
 contacts, forces and quality from the joints: a file that claims others is refused.
+
+Check of the figures in a plan file against its grasp.
+
+Readers of the JSON without this package rely on its quality, gaps and clearances. They are computed
+again from the joints, and a file with other figures is refused. Figures that are not unique are
+checked by their defining property: an interval encloses the true value as tightly as ours, the
+weights of closure balance, and no wrench is harder to balance than the weakest. Texts are not
+compared.
+
+Contacts to be analysed: a list that a user typed in, or those of a plan file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field, ValidationError
 
 from planner.approach.pregrasp import Approach
-from planner.contacts import Contact, ContactSet
+from planner.contacts import Contact, ContactModel, ContactSet
 from planner.errors import FileFormatError, TaskError, shown
 from planner.failure import Failure
-from planner.files.claims import check_clearances, check_quality
 from planner.files.data import (
+    LARGEST,
     ArmData,
     ContactData,
     GraspData,
+    NotNegative,
     PlanFile,
     PoseData,
     RecordData,
+    Vector3,
+    task_data,
+    task_from_data,
 )
 from planner.files.json_csv import checked_file, read_json, write_json
-from planner.files.tasks import task_data, task_from_data
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
+from planner.quality import primitive_wrenches
+from planner.schema import StrictData, faults_of
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 from planner.version import written_by
+
+QUALITY_REL_TOL = 1e-3
+"""How far stored figures may be from those computed again, as a share of the larger (-): contacts
+recomputed on another machine differ by rounding, 1e-9 and less."""
+
+QUALITY_ABS_TOL = 1e-6
+"""The same in their own unit, for figures near zero."""
+
+CLEARANCE_TOL = 1e-4
+"""The same for gaps and clearances, m: as for the positions of contacts."""
+
+LARGEST_FIGURE = 1e300
+"""Largest figure of a grasp, in any unit."""
+
+INTERVALS = ("epsilon_round", "epsilon_linf")
+WORDS = ("reason",)
+CERTIFICATES = ("weights", "weakest_wrench_n_nm")
+
+
+def check_quality(
+    claimed: Mapping[str, Any], true: Mapping[str, Any], contacts: ContactSet, source: str
+) -> None:
+    """Refuse a claimed quality that the contacts do not have.
+
+    Args:
+        claimed: What the file says, as ``QualityReport.to_dict`` writes it.
+        true: The same from the contacts.
+        contacts: The contacts of the plan, world axes.
+        source: What errors call the file.
+
+    Raises:
+        FileFormatError: A figure is missing, unknown, or another one.
+    """
+    for name, value in _pairs(claimed, true, "quality", source):
+        known = true[name]
+        if name == "closure":
+            if not isinstance(value, Mapping):
+                raise _other(source, f"quality.{name}")
+            for part, claim in _pairs(value, known, "quality.closure", source):
+                if part not in (*WORDS, *CERTIFICATES) and not _agree(claim, known[part]):
+                    raise _other(source, f"quality.closure.{part}", claim, known[part])
+        elif name in INTERVALS:
+            if not _encloses(value, known):
+                raise _other(source, f"quality.{name}", value, known)
+        elif name not in CERTIFICATES and not _agree(value, known):
+            raise _other(source, f"quality.{name}", value, known)
+    length = true["length_m"]
+    wrenches = primitive_wrenches(contacts, true["edges"], length=length)
+    if not _balance(claimed["closure"]["weights"], true["closure"], wrenches):
+        raise _other(source, "quality.closure.weights")
+    weakest = _numbers(claimed["weakest_wrench_n_nm"], 6)
+    if weakest is not None:
+        unit = weakest / np.repeat([1.0, length], 3)
+        reach = float((-unit @ wrenches).max(initial=0.0))
+        is_unit = _agree(float(np.linalg.norm(unit)), 1.0)
+        if is_unit and reach <= true["epsilon"] * (1 + QUALITY_REL_TOL) + QUALITY_ABS_TOL:
+            return
+    raise _other(source, "quality.weakest_wrench_n_nm")
+
+
+def check_clearances(
+    claimed: Mapping[str, float], true: Mapping[str, float], what: str, source: str
+) -> None:
+    """Refuse claimed distances (m), by what they are between, that are not those of the joints.
+
+    Two pairs that are equally far apart may stand for each other at the end of the list.
+
+    Raises:
+        FileFormatError: There are others.
+    """
+    last = max(true.values(), default=0.0)
+    if len(claimed) != len(true):
+        raise _other(source, what)
+    for pair, distance in claimed.items():
+        if abs(distance - true.get(pair, last)) > CLEARANCE_TOL:
+            raise _other(source, f"{what}, {pair!r}", distance, true.get(pair))
+
+
+def _pairs(claimed: Mapping[str, Any], true: Mapping[str, Any], what: str, source: str) -> Any:
+    if set(claimed) != set(true):
+        raise _other(source, f"list of figures in {what}", sorted(claimed), sorted(true))
+    return claimed.items()
+
+
+def _other(source: str, what: str, claimed: Any = None, true: Any = None) -> FileFormatError:
+    compared = ""
+    if claimed is not None or true is not None:
+        compared = f" ({shown(claimed, 140)}, recomputed {shown(true, 140)})"
+    return FileFormatError(
+        f"{source}: its {what} is not that of its joints{compared}; it is damaged, or was "
+        "changed: plan again, or write the plan again where it was made"
+    )
+
+
+def _numbers(value: Any, n: int) -> Any:
+    """So many finite numbers as an array, else None."""
+    good = isinstance(value, list) and len(value) == n
+    if not good or not all(_is_figure(x) for x in value):
+        return None
+    return np.array(value, dtype=np.float64)
+
+
+def _is_figure(value: Any) -> bool:
+    """Whether it is a finite number; a whole one may have more digits than a float can hold."""
+    is_number = isinstance(value, float | int) and not isinstance(value, bool)
+    return is_number and abs(value) <= LARGEST_FIGURE
+
+
+def _agree(claimed: Any, true: Any) -> bool:
+    """Whether two figures are the same but for rounding; None and lists only if they are equal."""
+    if isinstance(true, bool) or not isinstance(true, float | int):
+        return type(claimed) is type(true) and bool(claimed == true)
+    if not _is_figure(claimed):
+        return False
+    return bool(np.isclose(claimed, true, rtol=QUALITY_REL_TOL, atol=QUALITY_ABS_TOL))
+
+
+def _encloses(claimed: Any, true: Any) -> bool:
+    """Whether an interval meets the true one and its ends are no farther than that one is wide."""
+    ends = _numbers(claimed, 2)
+    if ends is None or ends[0] > ends[1]:
+        return False
+    slack = true[1] - true[0] + QUALITY_REL_TOL * abs(true[1]) + QUALITY_ABS_TOL
+    return bool(
+        np.abs(ends - true).max() <= slack
+        and ends[0] <= true[1] + QUALITY_ABS_TOL
+        and true[0] <= ends[1] + QUALITY_ABS_TOL
+    )
+
+
+def _balance(claimed: Any, closure: Mapping[str, Any], wrenches: Any) -> bool:
+    """Whether weights prove closure: of sum 1, none below the min-weight, without resultant."""
+    if closure["weights"] is None:
+        return claimed is None
+    weights = _numbers(claimed, wrenches.shape[1])
+    if weights is None or not _agree(float(weights.sum()), 1.0):
+        return False
+    least = closure["min_weight"] * (1 - QUALITY_REL_TOL) - QUALITY_ABS_TOL
+    return bool(weights.min() >= least and np.abs(wrenches @ weights).max() <= BALANCE_TOL)
+
+
+BALANCE_TOL = 1e-6
+"""Largest resultant of the weights of closure per newton of normal force (-)."""
+
 
 CONTACT_TOL = 1e-4
 """How far stored contacts (m), normals (-), forces (N) and torques (N m) may be from those
@@ -237,3 +396,62 @@ def numbers_of(items: Sequence[BaseModel]) -> FloatArray:
             elif isinstance(value, float):
                 flat.append(value)
     return np.array(flat)
+
+
+class ContactInput(StrictData):
+    """One contact that a user typed in."""
+
+    position_m: Vector3
+    normal_into_object: Vector3
+    model: ContactModel = "point"
+    mu: NotNegative = 0.5
+    mu_torsion_m: NotNegative = 0.0
+
+
+class ContactsFile(StrictData):
+    """A list of contacts to analyse.
+
+    Attributes:
+        contacts: The contacts, all in one frame.
+        center_m: Centre of mass of the object in that frame.
+        length_m: Characteristic length by which torques are divided; the largest distance of a
+            contact from the centre if left out.
+    """
+
+    contacts: list[ContactInput] = Field(min_length=1)
+    center_m: Vector3 = (0.0, 0.0, 0.0)
+    length_m: float | None = Field(None, gt=0, le=LARGEST, allow_inf_nan=False)
+
+
+def read_contacts(path: Path | str) -> tuple[ContactSet, float]:
+    """Contacts and characteristic length (m) of a plan file or a contacts file (``ContactsFile``).
+
+    Raises:
+        FileFormatError: Neither.
+        ContactError: A normal has no direction.
+    """
+    data = read_json(path, "plan or contacts file")
+    if data.get("format") == "opposable-plan":
+        plan = read_plan(path)
+        return plan.contacts, plan.task.object.shape.bounding_radius
+    try:
+        file = ContactsFile.model_validate(data)
+    except ValidationError as error:
+        raise FileFormatError(
+            f"{path} is neither a plan nor a list of contacts: {faults_of(error)}. "
+            'A list of contacts is {"contacts": [{"position_m": [x, y, z], '
+            '"normal_into_object": [x, y, z], "mu": 0.5}]}'
+        ) from error
+    contacts = ContactSet.from_arrays(
+        [c.position_m for c in file.contacts],
+        [c.normal_into_object for c in file.contacts],
+        mu=[c.mu for c in file.contacts],
+        mu_torsion=[c.mu_torsion_m for c in file.contacts],
+        model=[c.model for c in file.contacts],
+        center=file.center_m,
+    )
+    arms = np.linalg.norm(contacts.positions - contacts.center, axis=1)
+    length = file.length_m or float(arms.max())
+    if length <= 0:
+        raise FileFormatError(f"{path}: every contact is at the centre of mass; give length_m")
+    return contacts, length

@@ -23,6 +23,7 @@ from pathlib import Path
 from planner.errors import ModelError, NotFoundError
 from planner.system.environment import Held
 from planner.system.models import models_dir
+from planner.system.plugins import plugin, plugin_names
 
 __all__ = [
     "FOREIGN_HANDS",
@@ -81,8 +82,12 @@ def hand_names() -> tuple[str, ...]:
 
 
 def foreign_hand_names() -> tuple[str, ...]:
-    """Names ``PACKAGE:NAME`` of known hands in packages of others, installed or not, sorted."""
-    return tuple(sorted(FOREIGN_HANDS))
+    """Names of hands in packages of others, sorted.
+
+    ``PACKAGE:NAME`` of known ones, installed or not, and those that installed packages bring
+    (``planner.system.plugins``).
+    """
+    return tuple(sorted((*FOREIGN_HANDS, *plugin_names("hands"))))
 
 
 def foreign_hand_model(name: str) -> str | None:
@@ -122,6 +127,8 @@ def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
     if foreign is not None:
         return model_file(foreign, Path())
     path = Path(name_or_path)
+    if not os.path.exists(path) and (brought := plugin("hands", text)) is not None:
+        path = Path(brought)
     if os.path.isdir(path):  # False, not an error, where the name is too long or the way is barred
         path = path / DESCRIPTION_FILE
     if os.path.isfile(path):
@@ -136,14 +143,16 @@ def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
         advice = "give a hand.toml, a model, or a name that opposable hands lists"
         raise NotFoundError("hand", str(path), hand_names(), advice, is_path=True)
     hint = "Or give the path of a hand.toml or of a model."
-    names = (*hand_names(), *(foreign_hand_names() if name else ()))
+    names = (*hand_names(), *(foreign_hand_names() if name else plugin_names("hands")))
     raise NotFoundError("hand", text, names, hint)
 
 
 def hand_reference(name_or_path: str | Path) -> str:
     """Reference to the same hand from any folder: the name, or the absolute path."""
     text = str(name_or_path)
-    is_name = text in hand_names() or (":" in text and not os.path.exists(text))
+    is_name = text in hand_names() or (
+        not os.path.exists(text) and (":" in text or text in plugin_names("hands"))
+    )
     return text if is_name else str(Path(name_or_path).absolute())
 
 

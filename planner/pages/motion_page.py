@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.files.gaits import gait_to_dict
-from planner.files.manipulations import manipulation_to_dict
-from planner.files.motions import motion_to_dict
+from planner.files.movements import gait_to_dict, manipulation_to_dict, motion_to_dict
 from planner.motion import Knot, MotionPlan
 from planner.motion.gait import GaitPlan
 from planner.motion.manipulation import ManipulationPlan

@@ -10,7 +10,7 @@ from html import escape
 from importlib import import_module
 from pathlib import Path
 
-from planner.files.whole import plain_name
+from planner.files.json_csv import plain_name
 from planner.pages.page import Page, page_html, write_page
 
 __all__ = ["has_browser", "show_page", "temporary_page"]

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.errors import FileFormatError
-from planner.files.whole import whole_file
+from planner.files.json_csv import whole_file
 from planner.pages.blocks import PLOTS, Block, Verdict, block_html
 from planner.pages.payload import scene_bytes
 from planner.pages.scene import Scene

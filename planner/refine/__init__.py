@@ -1,7 +1,6 @@
 """From a hand pose that somebody else made to the nearest grasp that passes our verdict."""
 
-from planner.refine.grasp import refine_grasp, with_fingers
-from planner.refine.movement import Movement
-from planner.refine.refined import RefinedGrasp
+from planner.refine.grasp import RefinedGrasp, refine_grasp, with_fingers
+from planner.refine.pose import Movement
 
 __all__ = ["Movement", "RefinedGrasp", "refine_grasp", "with_fingers"]

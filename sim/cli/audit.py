@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from planner.audit import AuditReport, GraspFile
+    from planner.exchange.audit import AuditReport, GraspFile
     from planner.hands.hand import Hand
     from planner.task import GraspTask
 
@@ -119,7 +119,7 @@ def audit(
     Plans and batches of ours bring hand and object, and so may tables; other files need --hand and
     --object. Exit code 0 if every grasp passes, 1 if not.
     """
-    from planner.audit.report import check_form
+    from planner.exchange.audit.report import check_form
     from sim.cli.places import object_of, table_of
 
     check_folder(output)
@@ -187,8 +187,8 @@ def _audit_ours(
     file: Path, kind: str, approach: bool, workers: int, simulate: bool, quiet: bool
 ) -> AuditReport:
     """The verdict on plans or a batch of ours, each grasp with the fingers of its task."""
-    from planner.audit import audit_grasps, given_of_batch, given_of_plans
     from planner.batch import GraspSet
+    from planner.exchange.audit import audit_grasps, given_of_batch, given_of_plans
     from planner.files import read_plan
 
     if kind == "batch":
@@ -230,7 +230,7 @@ def _audit_theirs(
     """The verdict on a file of another tool, object by object."""
     from dataclasses import replace
 
-    from planner.audit import audit_grasps, right_task
+    from planner.exchange.audit import audit_grasps, right_task
 
     objects = file.objects(file.grasps(hand), object)
     sets = [
@@ -259,7 +259,7 @@ def _joined(reports: Sequence[AuditReport], total: int) -> AuditReport:
     """Reports as one, rows numbered through."""
     from dataclasses import replace
 
-    from planner.audit import joined_reports
+    from planner.exchange.audit import joined_reports
 
     joined = joined_reports(reports)
     rows = tuple(replace(row, index=i) for i, row in enumerate(joined.rows))
@@ -288,7 +288,7 @@ def _show(report: AuditReport, output: Path | None) -> None:
 
 def _stage_table(report: AuditReport) -> Table:
     """How many grasps pass each stage."""
-    from planner.audit import STAGES
+    from planner.exchange.audit import STAGES
     from sim.tables import percent, table_of
 
     table = table_of(

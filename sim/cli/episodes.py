@@ -37,12 +37,14 @@ def episodes(
     folder: Annotated[
         Path, typer.Option("--out", "-o", help="The data set, a new folder.", metavar="DIR")
     ] = Path("episodes"),
-    to: Annotated[str, typer.Option(help="lerobot or parquet.", metavar="FORMAT")] = "lerobot",
+    to: Annotated[
+        str, typer.Option(help="lerobot, or one registered.", metavar="FORMAT")
+    ] = "lerobot",
     fps: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="Frames per second; of lerobot 50 if not given, of parquet all samples.",
+            help="Frames per second; 50 if not given.",
             metavar="N",
         ),
     ] = None,
@@ -72,7 +74,7 @@ def episodes(
     physics: PhysicsOption = "ours",
     as_json: JsonOption = False,
 ) -> None:
-    """Trials as a data set of episodes: LeRobot or Parquet.
+    """Trials as a LeRobot data set of episodes.
 
     Plans of grasps and manipulations and the rows of batches are executed in MuJoCo; reports with
     states are taken as they are. All are of one hand. Ctrl-C keeps the episodes that are whole; an
@@ -80,9 +82,9 @@ def episodes(
     """
     from sim.episodes import write_episodes
     from sim.episodes.film import check_films, size_of
-    from sim.episodes.folder import refuse_full
     from sim.episodes.formats import format_named
     from sim.episodes.sources import Trials, sources_of
+    from sim.episodes.writing import refuse_full
     from sim.learning import named_driver
     from sim.progress import ProgressBar
 

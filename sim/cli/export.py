@@ -24,7 +24,7 @@ from sim.cli.common import (
 from sim.cli.reading import renaming
 
 if TYPE_CHECKING:
-    from planner.exchange.sources import AnyPlan
+    from planner.exchange.export import AnyPlan
 
 FORMATS_OF_SIM = ("sim.scene_export",)
 """Modules of ``sim`` that register a format when they are imported: those that need a scene."""

@@ -7,14 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sim.cli.common import (
-    EXIT_NO,
-    HandArgument,
-    JsonOption,
-    errors_for_people,
-    out,
-    print_json,
-)
+from sim.cli.common import EXIT_NO, HandArgument, JsonOption, errors_for_people, out, print_json
 
 
 @errors_for_people()
@@ -67,7 +60,7 @@ def schema(
     from pydantic import BaseModel
 
     from planner.errors import NotFoundError
-    from planner.exchange.table_file import TableFile
+    from planner.exchange.table_forms import TableFile
     from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
     from sim.manipulation import ManipulationReportFile
     from sim.report_file import ReportFile

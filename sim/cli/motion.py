@@ -81,7 +81,7 @@ def plan_motion(
 ) -> None:
     """Plan how an object is turned or moved on one grasp."""
     from planner.files import write_motion
-    from planner.files.motions import motion_to_dict
+    from planner.files.movements import motion_to_dict
     from planner.motion import plan_motion as plan
     from sim.manipulation.drawing import draw_motion
 
@@ -136,7 +136,7 @@ def plan_gait(
 ) -> None:
     """Plan a turn of any size by strokes, fingers moving on."""
     from planner.files import write_gait
-    from planner.files.gaits import gait_to_dict
+    from planner.files.movements import gait_to_dict
     from planner.motion.gait import plan_gait as plan
     from sim.manipulation.drawing import draw_motion
 

@@ -15,7 +15,7 @@ import typer
 from sim.cli.common import names
 
 if TYPE_CHECKING:
-    from planner.audit import GraspFile
+    from planner.exchange.audit import GraspFile
     from planner.exchange.formats import Reading
     from planner.plan import GraspPlan
 
@@ -90,7 +90,7 @@ class ReadingOptions:
         Raises:
             PlannerError: No such file or format, or something told that there is not.
         """
-        from planner.audit import GraspFile
+        from planner.exchange.audit import GraspFile
 
         return GraspFile.open(file, format=self.format, reading=self.reading(), only=self.only)
 
@@ -127,7 +127,7 @@ def our_kind(file: Path) -> str | None:
     Raises:
         FileFormatError: It cannot be read.
     """
-    from planner.batch.manifest import MANIFEST
+    from planner.batch.recipe import MANIFEST
     from planner.files import format_told, plan_files
 
     if file.is_dir():

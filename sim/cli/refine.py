@@ -35,7 +35,7 @@ from sim.progress import ProgressBar
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from planner.exchange.given import GivenGrasp
+    from planner.exchange.formats import GivenGrasp
     from planner.refine import RefinedGrasp
     from planner.spatial import SE3, FloatArray
     from planner.task import GraspTask
@@ -194,8 +194,8 @@ def _poses(
         FileFormatError: The file cannot be read, or was read in another unit, order or hand than it
             was written.
     """
-    from planner.audit import right_task
-    from planner.refine.pads import NEAR
+    from planner.exchange.audit import right_task
+    from planner.refine.pose import NEAR
 
     opened = reading.open(file)
     loaded = opened.hand(hand)
@@ -224,8 +224,8 @@ def _of_plan(file: Path) -> _Given:
 
 def _of_batch(folder: Path) -> Iterator[_Given]:
     """The poses of a batch."""
-    from planner.audit import given_of_batch
     from planner.batch import GraspSet
+    from planner.exchange.audit import given_of_batch
 
     for task, given in given_of_batch(GraspSet(folder), folder):
         for grasp in given.grasps:
@@ -234,8 +234,8 @@ def _of_batch(folder: Path) -> Iterator[_Given]:
 
 def _task_for(first: GraspTask, *, own_place: bool) -> Callable[[GivenGrasp], GraspTask]:
     """The task of each grasp: one per scale and, where the file says so, place of the object."""
-    from planner.audit.scaled import scaled_object
-    from planner.exchange.frames import T_file_object
+    from planner.exchange.audit.judge import scaled_object
+    from planner.exchange.joints import T_file_object
 
     made: dict[Any, GraspTask] = {}
 
@@ -258,7 +258,7 @@ def _task_for(first: GraspTask, *, own_place: bool) -> Callable[[GivenGrasp], Gr
 
 def _placed(grasp: GivenGrasp, task: GraspTask) -> _Given:
     """A grasp in the world of its task; its file knows the object by the object's own file."""
-    from planner.exchange.frames import T_file_object
+    from planner.exchange.joints import T_file_object
 
     to_world = task.T_world_object * T_file_object(task).inverse()
     return _Given(grasp.name, task, to_world * grasp.T_object_base, grasp.q)

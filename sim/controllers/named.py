@@ -6,10 +6,11 @@ import copy
 import inspect
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 from planner.errors import NotFoundError, TaskError, shown
 from planner.plan import GraspPlan
+from planner.system.plugins import plugin
 from sim.controllers.base import Controller
 from sim.controllers.grasp import GraspController
 from sim.controllers.object_impedance import ObjectImpedance
@@ -42,6 +43,8 @@ def named_controller(name: str) -> MakeController:
     Raises:
         NotFoundError: No controller has that name.
     """
+    if name not in CONTROLLERS and (brought := plugin("controllers", name)) is not None:
+        return cast(MakeController, brought)
     if name not in CONTROLLERS:
         raise NotFoundError("controller", name, CONTROLLERS, OF_A_POLICY)
     return CONTROLLERS[name]

@@ -1,6 +1,6 @@
-"""Executed trials as data sets of episodes: a LeRobot data set, or plain Parquet."""
+"""Executed trials as data sets of episodes: LeRobot data sets, version 3.0."""
 
-from sim.episodes.episode import AnyReport, Episode, episodes_of
+from sim.episodes.episode import AnyReport, Episode, Robot, episodes_of
 from sim.episodes.formats import (
     FORMATS,
     Asked,
@@ -9,9 +9,7 @@ from sim.episodes.formats import (
     format_named,
     register_format,
 )
-from sim.episodes.parquet import read_episodes
-from sim.episodes.robot import Robot
-from sim.episodes.writing import Written, write_episodes, write_lerobot, write_parquet
+from sim.episodes.writing import Written, write_episodes, write_lerobot
 
 __all__ = [
     "FORMATS",
@@ -24,9 +22,7 @@ __all__ = [
     "Written",
     "episodes_of",
     "format_named",
-    "read_episodes",
     "register_format",
     "write_episodes",
     "write_lerobot",
-    "write_parquet",
 ]

@@ -3,30 +3,123 @@
 A report becomes an episode, whether it was just made or read from a file: states, commands and
 contacts come from its ``Recording``, success and reason from its verdict. A manipulation that was
 put down half-way and begun again is an episode for each run, since the hand stands elsewhere then.
+
+``Robot``: names and units of a hand's joints, actuators and contacts in a data set.
+
+Which samples of a recording are the frames of an episode with a fixed rate.
+
+A data set with a frame rate has its frames at even times. They are samples as they were recorded:
+nothing is interpolated, so that forces and contacts are those of the simulation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, TypeAlias
 
+import mujoco
 import numpy as np
 
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, TaskError, shown
 from planner.files.data import PlanFile
 from planner.files.json_csv import checked_file
-from planner.files.manipulations import ManipulationFile
+from planner.files.movements import ManipulationFile
+from planner.hands.hand import Hand
 from planner.pages.page import without_folder
+from planner.spatial import FloatArray, IntArray
 from planner.task import GraspTask
-from sim.episodes.robot import Robot
 from sim.manipulation.page_parts import motion_of, obstacles_of
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.pages.tasks import task_of_plan
-from sim.recording import Recording
+from sim.recording import PALM, Recording
 from sim.report import TrialReport
 from sim.report_file import ReportFile
+
+SERVO_TOL = 1e-9
+"""Relative difference of gain and stiffness (-) up to which a command is the servo's target."""
+
+NO_UNIT = "-"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """What all episodes of one data set have in common.
+
+    Attributes:
+        name: Of the hand.
+        joint_names: nq names, the order of ``Recording.q``.
+        joint_units: "rad" or "m" per joint.
+        actuator_names: nu names, the order of ``Recording.commands``.
+        command_units: Per actuator: "rad" or "m" for the target of a position servo, "N m" or "N"
+            for a torque or force, "-" where the model scales the command by a gain.
+        contact_names: Columns of contacts: every finger of the hand, then ``PALM``.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    joint_units: tuple[str, ...]
+    actuator_names: tuple[str, ...]
+    command_units: tuple[str, ...]
+    contact_names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, hand: Hand) -> Robot:
+        """Of a hand; an arm that carries it counts as part of it."""
+        slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
+        types = [int(hand.mj_model.joint(name).type[0]) for name in hand.joint_names]
+        return cls(
+            name=hand.name,
+            joint_names=hand.joint_names,
+            joint_units=tuple("m" if kind == slide else "rad" for kind in types),
+            actuator_names=hand.actuation.names,
+            command_units=tuple(
+                _command_unit(hand, i, [kind == slide for kind in types])
+                for i in range(len(hand.actuation.names))
+            ),
+            contact_names=(*hand.fingers, PALM),
+        )
+
+    def refuse_unless_same(self, other: Robot, source: str) -> None:
+        """Check that an episode is of this robot.
+
+        Args:
+            other: The episode's.
+            source: What the error calls the episode.
+
+        Raises:
+            TaskError: Names or units differ; says the first that do.
+        """
+        for field in fields(self):
+            ours, theirs = getattr(self, field.name), getattr(other, field.name)
+            if ours != theirs:
+                raise TaskError(
+                    f"{source} is of another hand: its {field.name.replace('_', ' ')} are "
+                    f"{_first_difference(theirs, ours)} before it; one data set "
+                    "holds one hand, so write another folder for each"
+                )
+
+
+def _first_difference(theirs: str | tuple[str, ...], ours: str | tuple[str, ...]) -> str:
+    if isinstance(theirs, str) or isinstance(ours, str) or len(theirs) != len(ours):
+        return f"{shown(theirs)}, and {shown(ours)}"
+    k = next(i for i, pair in enumerate(zip(theirs, ours, strict=True)) if pair[0] != pair[1])
+    return f"{shown(theirs[k])} at place {k}, and {shown(ours[k])}"
+
+
+def _command_unit(hand: Hand, i: int, slides: list[bool]) -> str:
+    """Unit of the command of actuator i, by its law F = gain ctrl + bias1 length + ...."""
+    actuation = hand.actuation
+    gain, stiffness = float(actuation.gain[i]), -float(actuation.bias[i, 1])
+    driven = [slides[k] for k in range(len(slides)) if actuation.moment[i, k]]
+    linear = bool(driven) and all(driven)
+    if abs(gain - stiffness) <= SERVO_TOL * abs(gain):
+        return "m" if linear else "rad"
+    if stiffness == 0.0 and gain == 1.0:
+        return "N" if linear else "N m"
+    return NO_UNIT
+
 
 AnyReport: TypeAlias = TrialReport | ReportFile | ManipulationReport | ManipulationReportFile
 """Reports of which episodes are made."""
@@ -249,3 +342,62 @@ def _plan(report: ReportFile | ManipulationReportFile, source: str) -> dict[str,
             "was made in Python; write the episode from Python, where the report has its plan"
         )
     return report.plan
+
+
+TIME_TOL = 2e-6
+"""How far (s) a sample may lie from its frame's time: report files round times to 1e-6 s."""
+
+
+def rates_of(time: FloatArray) -> tuple[int, ...]:
+    """Whole frame rates (1/s) whose frames are samples, highest first; none if none is.
+
+    Args:
+        time: Times of the samples (m,), s, at least two.
+    """
+    period = float(np.median(np.diff(time)))
+    rates = []
+    for rate in range(int(1.0 / period + 0.5), 0, -1):
+        steps = round(1.0 / (rate * period))
+        if abs(steps * period - 1.0 / rate) <= steps * TIME_TOL:
+            rates.append(rate)
+    return tuple(rates)
+
+
+def frames_at(time: FloatArray, fps: int | None, source: str) -> tuple[int, IntArray]:
+    """The frame rate, and the numbers of the samples that are its frames.
+
+    Frames begin at the first sample. Samples after the last frame are left out.
+
+    Args:
+        time: Times of the samples (m,), s, increasing.
+        fps: Wanted rate, 1/s; the highest that fits if None.
+        source: What errors call the episode.
+
+    Raises:
+        TaskError: There are too few samples, or no sample lies where a frame is.
+    """
+    if len(time) < 2:
+        raise TaskError(f"{source}: an episode needs two samples or more, and has {len(time)}")
+    fitting = rates_of(time)
+    allowed = ", ".join(map(str, fitting)) or "none"
+    if not fitting or (fps is not None and fps not in fitting):
+        period = float(np.median(np.diff(time)))
+        wanted = "no whole number of frames a second" if fps is None else f"{fps} frames a second"
+        raise TaskError(
+            f"{source}: {wanted} cannot be had of samples every {1e3 * period:g} ms without "
+            f"inventing states; rates that fit: {allowed}; give one with --fps"
+        )
+    rate = fitting[0] if fps is None else fps
+    count = int((time[-1] - time[0] + TIME_TOL) * rate) + 1
+    wanted_times = time[0] + np.arange(count) / rate
+    after = np.minimum(np.searchsorted(time, wanted_times - TIME_TOL), len(time) - 1)
+    off = np.abs(time[after] - wanted_times) > TIME_TOL
+    if off.any():
+        raise TaskError(
+            f"{source}: there is no sample at {wanted_times[np.argmax(off)]:.4f} s, where a frame "
+            f"of {rate} a second is; rates that fit the other samples: {allowed}"
+        )
+    if count < 2:
+        raise TaskError(f"{source}: at {rate} frames a second it has one frame; give a higher rate")
+    frames: IntArray = after.astype(np.int64)
+    return rate, frames

@@ -1,7 +1,7 @@
-"""All formats of episodes by name; a format is one module or folder, and one registration.
+"""All formats of episodes by name; a format is one module, and one registration.
 
-A format has a writer, which takes episodes one by one into a folder of its own, and may have a
-reader. ``opposable episodes --to NAME`` writes whatever is registered here.
+A format has a writer, which takes episodes one by one into a folder of its own. ``opposable
+episodes --to NAME`` writes whatever is registered here.
 """
 
 from __future__ import annotations
@@ -77,7 +77,6 @@ class EpisodeFormat:
         loses: What of a recording it does not hold, a sentence; "" for nothing.
         films: Whether it can hold videos.
         writer: Makes the writer of a folder that exists and is empty.
-        read: Reads the episodes of a folder; None where there is no reader of ours.
     """
 
     name: str
@@ -85,14 +84,10 @@ class EpisodeFormat:
     loses: str
     films: bool
     writer: Callable[[Path, Asked], EpisodeWriter]
-    read: Callable[[Path], list[Episode]] | None = None
 
 
 FORMATS: dict[str, EpisodeFormat] = {}
-"""All formats by name; filled by ``load_formats``."""
-
-_MODULES = ("lerobot", "parquet")
-"""Modules of this room that register a format when they are imported."""
+"""All formats by name; those of others once their authors registered them."""
 
 
 def register_format(episode_format: EpisodeFormat) -> EpisodeFormat:
@@ -107,19 +102,13 @@ def register_format(episode_format: EpisodeFormat) -> EpisodeFormat:
     return episode_format
 
 
-def load_formats() -> None:
-    """Import the formats that this package has; others were registered by their authors."""
-    for name in _MODULES:
-        import_module(f"sim.episodes.{name}")
-
-
 def format_named(name: str) -> EpisodeFormat:
     """The format of a name.
 
     Raises:
         NotFoundError: There is none.
     """
-    load_formats()
+    import_module("sim.episodes.lerobot")  # which registers itself
     if name not in FORMATS:
         raise NotFoundError("format of episodes", name, FORMATS)
     return FORMATS[name]

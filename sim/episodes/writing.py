@@ -1,20 +1,70 @@
-"""``write_episodes``: reports into a data set, episode by episode, whole or not at all."""
+"""``write_episodes``: reports into a data set, episode by episode, whole or not at all.
+
+A folder that appears whole or not at all.
+"""
 
 from __future__ import annotations
 
+import os
+import secrets
+import shutil
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from planner.errors import FileFormatError, TaskError
 from planner.system.interrupts import interrupts_wait
-from sim.episodes.episode import AnyReport, Episode, episodes_of
-from sim.episodes.folder import whole_folder
+from sim.episodes.episode import AnyReport, Episode, Robot, episodes_of
 from sim.episodes.formats import Asked, EpisodeWriter, format_named
-from sim.episodes.robot import Robot
 from sim.report import TrialReport
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """A new folder whose content becomes ``folder``, if the block ends without an error.
+
+    Until then it stands beside it under a random name that begins with a dot; an error, such as a
+    full disk, removes it.
+
+    Raises:
+        FileFormatError: The folder exists and holds something, or cannot be written.
+    """
+    refuse_full(folder)
+    partial = folder.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        partial.parent.mkdir(parents=True, exist_ok=True)
+        partial.mkdir()
+        yield partial
+        os.rename(partial, folder)  # onto nothing, or an empty folder
+    except OSError as error:
+        raise FileFormatError(f"cannot write {folder}: {error.strerror or error}") from error
+    except ValueError as error:
+        if "null" not in str(error):
+            raise
+        raise FileFormatError(f"cannot write {str(folder)!r}: {error}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def refuse_full(folder: Path) -> None:
+    """Check that a folder can begin here.
+
+    Raises:
+        FileFormatError: It is a file, or holds something.
+    """
+    try:
+        taken = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+    except (OSError, ValueError) as error:  # too long a name, a barred way, a null character
+        reason = getattr(error, "strerror", None) or error
+        raise FileFormatError(f"cannot write {folder}: {reason}; give another name") from error
+    if taken:
+        raise FileFormatError(
+            f"{folder} exists and is not empty; a data set is written whole, so name a new folder"
+        )
+
 
 FAILED = "the trial failed: "
 """How the reason of an episode begins that is left out because its trial failed."""
@@ -78,7 +128,7 @@ def write_episodes(
         reports: Of trials and manipulations, of one hand; or pairs of a name for messages and a
             report.
         folder: The data set; must not exist, or be empty.
-        to: Name of a format, "lerobot" or "parquet".
+        to: Name of a format, "lerobot" or one that was registered.
         fps: Frames per second; None for that of the recordings. Frames are samples, so it must
             divide their rate.
         video: Film every episode, for formats that can hold films.
@@ -190,14 +240,3 @@ def write_lerobot(
     return write_episodes(
         reports, folder, "lerobot", fps=fps, video=video, size=size, failed=failed
     )
-
-
-def write_parquet(
-    reports: Iterable[AnyReport | tuple[str, AnyReport]],
-    folder: Path | str,
-    *,
-    fps: int | None = None,
-    failed: bool = False,
-) -> Written:
-    """Write plain Parquet: a table of samples and one of episodes; see ``write_episodes``."""
-    return write_episodes(reports, folder, "parquet", fps=fps, failed=failed)

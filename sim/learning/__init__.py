@@ -13,8 +13,8 @@ from sim.learning.controller import (
     open_loop,
     policy_controller,
 )
-from sim.learning.objects import ObjectRange
 from sim.learning.policy import Policy, PolicyFor
+from sim.learning.senses import ObjectRange
 from sim.learning.shipped import shipped_policies
 from sim.learning.training import Course, Learned, Progress, learn
 from sim.learning.trials import Conditions, Plans, TurnTask

@@ -16,6 +16,7 @@ import numpy as np
 from planner.errors import NotFoundError
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
+from planner.system.plugins import plugin_names
 from sim.controllers import (
     CONTROLLERS,
     Event,
@@ -228,7 +229,7 @@ def named_driver(name: str) -> str | PolicyMaker | None:
     """
     if name.startswith(POLICY):
         return policy_controller(name.removeprefix(POLICY))
-    if name and name not in CONTROLLERS:
+    if name and name not in (*CONTROLLERS, *plugin_names("controllers")):
         policies = [POLICY + policy for policy in shipped_policies()]
         raise NotFoundError("controller", name, (*CONTROLLERS, *policies, f"{POLICY}FILE"))
     return name or None

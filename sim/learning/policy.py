@@ -18,25 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arrays import check_fields
-from planner.errors import (
-    FileFormatError,
-    HandError,
-    NotFoundError,
-    PlannerError,
-    TaskError,
-    shown,
-)
+from planner.errors import FileFormatError, HandError, NotFoundError, PlannerError, TaskError, shown
 from planner.exchange.array_files import checked_small, read_npz
-from planner.files.whole import whole_file
+from planner.files.json_csv import whole_file
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.estimation import NONE
-from sim.learning.objects import ObjectRange
 from sim.learning.playback import AIM
-from sim.learning.senses import SENSES, SenseHistory, checked_senses
+from sim.learning.senses import SENSES, ObjectRange, SenseHistory, checked_senses
 from sim.learning.trials import FRICTION, MASS
 from sim.physics import PhysicsOptions
 from sim.reality import Reality

@@ -9,19 +9,25 @@ targets   offset from the playback's commands at the last decision, as an action
 plan      the playback's posture (nq,), what pressing adds to its commands (nu,), the posture at
           the first touch less the planned one (nq,), and which fingers take part (fingers,)
 clock     place on the path, rate, share of the planned forces, whether the object stands (4,)
-object    its deviation from the plan as joints (2 nq,), degrees: ``sim.learning.lag``; as joints
+object    its deviation from the plan as joints (2 nq,), degrees: ``sim.learning.playback``;
+          as joints
+
+``ObjectRange``: an object of which dimensions are drawn: ``cylinder:0.025..0.035x0.08``.
 """
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import NotFoundError, TaskError
+from planner.errors import NotFoundError, ObjectError, TaskError, shown
 from planner.hands.hand import Hand
+from planner.objects import GraspObject, parse_object
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation
@@ -134,3 +140,56 @@ class SenseHistory:
             "object": [lag for _, _, lag in past],
         }
         return np.concatenate([part for name in self._senses for part in told[name]])
+
+
+_RANGE = re.compile(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)")
+"""Two numbers with two dots between them; a sign is read so that the object can refuse it."""
+
+STEP = 5e-5
+"""Sizes are rounded to this, m: a tenth of a millimetre in diameter."""
+
+
+@dataclass(frozen=True)
+class ObjectRange:
+    """An object as ``parse_object`` takes it; a dimension may be a range ``a..b``, m.
+
+    All ranges are drawn together, so a block that is square stays square.
+
+    Attributes:
+        text: As it was given.
+    """
+
+    text: str
+
+    def __post_init__(self) -> None:
+        """Check both ends.
+
+        Raises:
+            PlannerError: An end is no object, or a range whose end is below its beginning.
+        """
+        for low, high in _RANGE.findall(self.text):
+            if float(low) > float(high):
+                raise ObjectError(
+                    f"the range {low}..{high} of {shown(self.text)} ends below its beginning; give "
+                    f"{high}..{low}"
+                )
+        for share in (0.0, 1.0):
+            parse_object(self.at(share))
+
+    def at(self, share: float) -> str:
+        """The object at a share of all ranges, 0 to 1."""
+
+        def drawn(found: re.Match[str]) -> str:
+            low, high = (float(v) for v in found.groups())
+            return f"{STEP * round((low + share * (high - low)) / STEP):.6g}"
+
+        return _RANGE.sub(drawn, self.text)
+
+    def holds(self, item: GraspObject) -> bool:
+        """Whether an object is of this kind, and its extents between those of both ends."""
+        low, high = (parse_object(self.at(share)).shape for share in (0.0, 1.0))
+        shape = item.shape
+        return type(shape) is type(low) and bool(
+            (shape.half_extents >= low.half_extents - STEP).all()
+            and (shape.half_extents <= high.half_extents + STEP).all()
+        )

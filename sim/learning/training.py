@@ -14,13 +14,26 @@ Each round's policy is fitted anew to the episodes of all rounds so far. A folde
 
 An episode depends on the seed, its number and the policy that drove it; a fit on the episodes. So
 what was interrupted goes on from its folder, and ends as if it had not been.
+
+Episodes to learn from: which trial each one is, how it is run, and its file.
+
+``draw_curves``: how often each round succeeded and how far it turned, as a picture.
+
+``fit``: a policy from samples, by scikit-learn's multilayer perceptron.
+
+scikit-learn is the smallest of the well-kept trainers (10 MB; PyTorch for the CPU takes 200, JAX
+with optax 100), and a network of 10,000 weights needs nothing that it lacks. The same samples and
+seed give the same policy on one machine.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+import time
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,22 +41,276 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arrays import check_fields
-from planner.errors import FileFormatError, shown
+from planner.errors import FileFormatError, TaskError, shown
 from planner.files import read_json, write_json
-from sim.estimation import check_estimator
-from sim.learning.collecting import Episode, read_episode, run_episode
-from sim.learning.curves import draw_curves
-from sim.learning.fitting import fit
+from planner.files.json_csv import whole_file
+from sim.estimation import NONE, check_estimator
 from sim.learning.policy import (
     ACTION_SCALE,
     RATE_HZ,
     Policy,
     PolicyFor,
     errors_told,
+    normalised,
     physics_told,
 )
 from sim.learning.senses import checked_senses, columns
-from sim.learning.trials import Plans, TurnTask
+from sim.learning.teacher import Demonstrator
+from sim.learning.trials import Conditions, Plans, TurnTask
+from sim.manipulation import ManipulationReport
+from sim.manipulation.pressing import ASKED_SHARE, force_limit
+
+_DAMAGED = (OSError, ValueError, KeyError, EOFError)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Episode:
+    """What was seen and wanted in one trial.
+
+    Attributes:
+        senses: (k, m), all that a policy can be told (``senses.SENSES``), at k decisions.
+        wanted: (k, nu), the teacher's actions.
+        success: Turned as far as asked for, and not dropped.
+        strict: The same with closure: nothing of ``ManipulationReport.faults``.
+        turned_deg: Turn at the end of the hold, degrees; NaN if it never came to that.
+        reason: Why it is no strict success, "" if it is.
+        cpu_s: CPU time that it took, with the plan where that was made for it, s.
+    """
+
+    senses: NDArray[np.float32]
+    wanted: NDArray[np.float32]
+    success: bool
+    strict: bool
+    turned_deg: float
+    reason: str
+    cpu_s: float
+
+    @classmethod
+    def of(cls, driver: Demonstrator, report: ManipulationReport, cpu_s: float) -> Episode:
+        """What a demonstrator kept of a run that took some CPU time (s)."""
+        n, nu = driver.history.size, len(driver.action)
+        return cls(
+            senses=np.array(driver.senses, dtype=np.float32).reshape(-1, n),
+            wanted=np.array(driver.wanted, dtype=np.float32).reshape(-1, nu),
+            success=report.success,
+            strict=report.success_with_closure,
+            turned_deg=float(np.rad2deg(report.turned)),
+            reason=report.reason or report.faults,
+            cpu_s=cpu_s,
+        )
+
+    def save(self, path: Path) -> None:
+        """Write it: all of it or nothing.
+
+        Raises:
+            FileFormatError: The file cannot be written.
+        """
+        with whole_file(path) as stream:
+            np.savez_compressed(
+                stream,
+                allow_pickle=False,
+                senses=self.senses,
+                wanted=self.wanted,
+                verdict=np.array([self.success, self.strict]),
+                turned_deg=np.array(self.turned_deg),
+                reason=np.array(self.reason),
+                cpu_s=np.array(self.cpu_s),
+            )
+
+
+def read_episode(path: Path) -> Episode:
+    """Read one back.
+
+    Raises:
+        FileFormatError: The file is damaged.
+    """
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            data: dict[str, Any] = {name: stored[name] for name in stored.files}
+        success, strict = data["verdict"].tolist()
+        return Episode(
+            senses=data["senses"],
+            wanted=data["wanted"],
+            success=success,
+            strict=strict,
+            turned_deg=float(data["turned_deg"]),
+            reason=str(data["reason"]),
+            cpu_s=float(data["cpu_s"]),
+        )
+    except _DAMAGED as error:
+        raise FileFormatError(
+            f"{path} is damaged ({error}); remove it: it is made again"
+        ) from error
+
+
+def run_episode(
+    plans: Plans,
+    number: int,
+    *,
+    count: int,
+    policy: Policy | None,
+    share: float,
+    noise: float,
+    estimator: str = NONE,
+) -> Episode:
+    """Run the episode of a number: the same one for the same policy and seed of the plans.
+
+    Args:
+        plans: Plans, of which the first ``count`` take turns.
+        number: Of the episode.
+        count: How many plans there are to learn from.
+        policy: Which policy drives where the teacher does not; the playback alone if None.
+        share: Share of the time in which the teacher drives, 0 to 1.
+        noise: Noise on the teacher's actions while it drives (-).
+        estimator: What tells where the object is, a name, where there is no policy yet.
+
+    Raises:
+        NoGraspFoundError: There is no plan for it.
+    """
+    begin, task = time.process_time(), plans.task
+    rng = np.random.default_rng([task.seed, number])
+    plan = plans(number % count)
+    limit = ASKED_SHARE * force_limit(plan)
+    driver = Demonstrator(
+        plan.grasp, policy, share=share, noise=noise, rng=rng, max_normal=limit, estimator=estimator
+    )
+    run = Conditions.draw(rng).run(task, plan, driver)
+    driver.simulation = run.sim.simulation
+    report = run.perform()
+    return Episode.of(driver, report, time.process_time() - begin)
+
+
+SIZE, DPI = (7.0, 5.0), 100
+"""Of the picture, inches, and dots per inch."""
+
+
+def draw_curves(rows: Sequence[dict[str, Any]], path: Path) -> bool:
+    """Draw the rows of ``progress.csv``; returns whether matplotlib is there to draw them.
+
+    Args:
+        rows: A row for each episode.
+        path: The picture (PNG).
+    """
+    if find_spec("matplotlib") is None:
+        return False
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
+    rates, turns = figure.subplots(2, 1, sharex=True)
+    numbers = sorted({row["round"] for row in rows})
+    for key, label in (("success", "turned, not dropped"), ("strict", "with closure")):
+        share = [np.mean([row[key] for row in rows if row["round"] == k]) for k in numbers]
+        rates.plot(numbers, 100.0 * np.array(share), "o-", label=label)
+    teacher = [next(row["teacher_share"] for row in rows if row["round"] == k) for k in numbers]
+    rates.plot(numbers, 100.0 * np.array(teacher), ":", color="gray", label="teacher drives")
+    rates.set(ylabel="% of episodes, or of time", ylim=(-3, 103))
+    rates.legend(loc="lower left")
+    rates.grid(alpha=0.3)
+    known = [row for row in rows if np.isfinite(row["turned_deg"])]
+    spread = [0.6 * (row["episode"] % 7 / 7.0 - 0.5) for row in known]
+    turns.scatter(
+        [row["round"] + s for row, s in zip(known, spread, strict=True)],
+        [row["turned_deg"] for row in known],
+        s=9,
+        c=["C2" if row["strict"] else "C3" for row in known],
+    )
+    turns.set(
+        xlabel="round; 0 is the playback alone",
+        ylabel="turned, degrees\n(green: with closure)",
+        xticks=numbers,
+    )
+    turns.grid(alpha=0.3)
+    figure.savefig(path)
+    return True
+
+
+HIDDEN = (64, 64)
+"""Units of the hidden layers."""
+
+STAGES = ((1e-3, 0.6), (3e-4, 0.25), (1e-4, 0.15))
+"""Learning rates, and the share of the epochs with each."""
+
+BATCH, DECAY = 256, 30.0
+"""Samples per step of Adam, and scikit-learn's ``alpha``, which it divides by them. So strong a
+decay explains 0.5 of the squares of the actions wanted in unseen episodes, 1.0 only 0.3 (33
+episodes of round 0: errors of joints are drawn once per episode, and so few are learned by
+heart)."""
+
+LEAST_SCALE = 1e-2
+"""Least standard deviation by which a sense is divided: one that never changed stays near 0."""
+
+NEEDS_SKLEARN = (
+    'training needs scikit-learn: pip install "opposable[learn]"; running a policy does not'
+)
+
+
+def fit(
+    about: PolicyFor,
+    senses: NDArray[np.float32],
+    wanted: NDArray[np.float32],
+    *,
+    epochs: int,
+    seed: int,
+) -> Policy:
+    """A policy that gives the wanted actions for the senses, least squares.
+
+    Args:
+        about: What it is for.
+        senses: (k, m).
+        wanted: (k, nu), in [-1, 1].
+        epochs: Passes over all samples.
+        seed: Of first weights and order.
+
+    Raises:
+        TaskError: scikit-learn is not installed, or there are no samples.
+    """
+    if len(senses) == 0:
+        raise TaskError("there are no samples to learn from; collect episodes first")
+    mean, scale = senses.mean(axis=0), np.maximum(senses.std(axis=0), np.float32(LEAST_SCALE))
+    # actions are a few hundredths, and first weights are made for outputs of size 1
+    unit = max(float(wanted.std()), LEAST_SCALE)
+    inputs = normalised(senses, mean, scale)
+    network = trained_network(inputs, wanted / unit, epochs=epochs, seed=seed)
+    weights, biases = list(network.coefs_), list(network.intercepts_)
+    weights[-1], biases[-1] = unit * weights[-1], unit * biases[-1]
+    return Policy(
+        about=about,
+        mean=mean,
+        scale=scale,
+        weights=tuple(w.astype(np.float32) for w in weights),
+        biases=tuple(b.astype(np.float32) for b in biases),
+    )
+
+
+def trained_network(
+    inputs: NDArray[np.float32], wanted: NDArray[np.float32], *, epochs: int, seed: int
+) -> Any:
+    """scikit-learn's ``MLPRegressor`` after so many passes over the samples, at falling rates.
+
+    Raises:
+        TaskError: scikit-learn is not installed.
+    """
+    try:
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.neural_network import MLPRegressor
+    except ImportError as error:
+        raise TaskError(NEEDS_SKLEARN) from error
+    network = MLPRegressor(
+        hidden_layer_sizes=HIDDEN,
+        batch_size=min(BATCH, len(inputs)),
+        alpha=DECAY,
+        random_state=seed,
+        warm_start=True,
+        tol=0.0,
+        n_iter_no_change=epochs + 1,
+    )
+    for rate, share in STAGES:
+        network.set_params(learning_rate_init=rate, max_iter=max(1, round(share * epochs)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # the epochs are what was asked for
+            network.fit(inputs, wanted)
+    return network
+
 
 LEARN_FORMAT, LEARN_VERSION = "opposable-learn", 2
 """What ``learn.json`` says it is."""

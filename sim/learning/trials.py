@@ -18,14 +18,14 @@ from planner.arrays import check_fields
 from planner.contacts import MOST_FRICTION
 from planner.errors import NoGraspFoundError, TaskError
 from planner.files import read_manipulation, write_manipulation
-from planner.files.manipulations import manipulation_from_dict, manipulation_to_dict
+from planner.files.movements import manipulation_from_dict, manipulation_to_dict
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.motion.manipulation import ManipulationPlan, manipulation_task, plan_manipulation
 from planner.motion.manipulation.search import ONE_STROKE
 from planner.objects import parse_object
 from planner.spatial import SE3
-from sim.learning.objects import ObjectRange
+from sim.learning.senses import ObjectRange
 from sim.manipulation import ManipulationRun, Push, rests, settled
 from sim.manipulation.in_hand import AnyTurningController
 from sim.physics import PhysicsOptions

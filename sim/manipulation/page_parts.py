@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.files.data import ContactData
 from planner.files.json_csv import checked_file
-from planner.files.manipulations import ManipulationFile
-from planner.files.motions import MotionFile
+from planner.files.movements import ManipulationFile, MotionFile
 from planner.motion.manipulation.ending import standing_under
 from planner.pages.scene import Contacts
 from planner.spatial import FloatArray

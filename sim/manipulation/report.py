@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.files.manipulations import manipulation_from_dict, manipulation_to_dict
+from planner.files.movements import manipulation_from_dict, manipulation_to_dict
 from planner.motion.manipulation import ManipulationPlan
 from planner.plain import finite
 from planner.quality import QualityReport
@@ -23,12 +23,7 @@ from sim.manipulation.pressing import FingerForce, finger_forces
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.results import PhaseResult, short_of
 from sim.manipulation.simulation import DROPPED
-from sim.manipulation.timeline import (
-    IN_THE_AIR,
-    TURNING,
-    ManipulationTimeline,
-    SuccessCriteria,
-)
+from sim.manipulation.timeline import IN_THE_AIR, TURNING, ManipulationTimeline, SuccessCriteria
 from sim.recording import Recording
 from sim.screen import reality_lines
 from sim.verdict import Fault, first_collision, lost

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from planner.errors import FileFormatError
-from planner.files.data import PlanFile
+from planner.files.data import PlanFile, task_from_data
 from planner.files.json_csv import checked_file
-from planner.files.tasks import task_from_data
 from planner.hand_loading import load_hand
 from planner.task import GraspTask
 

@@ -21,8 +21,8 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.exchange.dexgraspbench import plan_squeeze
-from planner.exchange.dexgraspbench.object_files import frame_shift
-from planner.exchange.dexgraspbench.squeeze import MASS, PUSH, without_servos
+from planner.exchange.dexgraspbench.export import MASS, PUSH, without_servos
+from planner.exchange.dexgraspbench.models import frame_shift
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_change

@@ -22,21 +22,13 @@ import numpy as np
 
 from planner.bridge import compile_spec
 from planner.exchange.dexgraspbench import benchmark_pieces
-from planner.exchange.dexgraspbench.hand_file import T_model_base
+from planner.exchange.dexgraspbench.models import T_model_base
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
 from sim.controllers.base import Phase
 from sim.gantry import Gantry
 from sim.physics import PhysicsOptions
-from sim.scene import (
-    HAND_PREFIX,
-    OBJECT,
-    Scene,
-    add_looks,
-    dress_hand,
-    drop_options,
-    index_scene,
-)
+from sim.scene import HAND_PREFIX, OBJECT, Scene, add_looks, dress_hand, drop_options, index_scene
 
 HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 0.0001)
 """Contact parameters that the benchmark gives to all geoms of a hand."""

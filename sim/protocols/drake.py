@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.exchange.dexgraspbench.squeeze import without_servos
+from planner.exchange.dexgraspbench.export import without_servos
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.quality import closure_and_epsilon, force_closure

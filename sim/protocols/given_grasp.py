@@ -16,10 +16,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from planner.audit import StageResult
-from planner.audit.judge import T_world_base
+from planner.exchange.audit import StageResult
+from planner.exchange.audit.judge import T_world_base
 from planner.exchange.dexgraspbench import plan_squeeze
-from planner.exchange.given import GivenGrasp
+from planner.exchange.formats import GivenGrasp
 from planner.spatial import SE3, FloatArray, pose_change, pose_from_wxyz
 from planner.task import GraspTask
 from planner.verification.geometry import contacts_at

@@ -23,6 +23,7 @@ from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskErr
 from planner.files import given_plan, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
+from planner.system.plugins import plugin, plugin_names
 from planner.task import GraspTask
 from sim.controllers import AnyController, controller_maker, controller_name
 from sim.estimation import NONE, AnyEstimator, estimator_name
@@ -60,7 +61,9 @@ PROTOCOLS: Mapping[str, MakeCases] = MappingProxyType(
         "pushes": pushes_cases,
     }
 )
-"""Name -> what makes the trials out of settings and the seed of random directions and errors."""
+"""Name -> what makes the trials out of settings and the seed of random directions and errors.
+
+Installed packages bring more (``planner.system.plugins``)."""
 
 IN_ALL = tuple(name for name in PROTOCOLS if name not in ("drake", "reality", "pushes"))
 """Protocols that "all" stands for: "drake" needs another package, "reality" and "pushes" test the
@@ -86,9 +89,10 @@ def cases_of(protocol: str, settings: Settings, seed: int) -> tuple[Case, ...]:
     Raises:
         NotFoundError: There is no such protocol.
     """
-    if protocol not in PROTOCOLS:
-        raise NotFoundError("protocol", protocol, PROTOCOLS)
-    return tuple(PROTOCOLS[protocol](settings, seed))
+    make = PROTOCOLS.get(protocol) or plugin("protocols", protocol)
+    if make is None:
+        raise NotFoundError("protocol", protocol, (*PROTOCOLS, *plugin_names("protocols")))
+    return tuple(make(settings, seed))
 
 
 def unsuitable(protocol: str, task: GraspTask) -> str:
@@ -153,7 +157,7 @@ def run_protocol(
 
     Args:
         plan: What to test, or the path of its file.
-        protocol: One of ``PROTOCOLS``.
+        protocol: One of ``PROTOCOLS``, or one that an installed package brings.
         controller: A name ("feedforward", "impedance"), a controller, of which every trial gets a
             copy, or a class or function that makes one from the plan; "feedforward" if None.
             ``dexgraspbench`` and ``drake`` are always run by replayed postures.

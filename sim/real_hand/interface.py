@@ -2,14 +2,29 @@
 
 A driver of a real hand, a simulation (``SimulatedHand``), a log (``ReplayedHand``) and a wrapper
 that makes readings worse (``HandWrapper``) all look like this. A loop needs nothing else of a hand.
+
+``Clock`` and ``Pace``: when a loop runs, which deadlines it missed, how late it was.
+
+Time is cut into slots of one period. A tick begins with its slot and has met its deadline if it
+ends before the next slot begins. After a miss the loop goes on at once, in the slot that it is
+then: slots that have passed altogether are skipped, so that a late loop does not run faster later.
+
+``PlanMark``: which plan a log is of, so that it is replayed with that plan and no other.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+import hashlib
+import json
+import time
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
 
 from planner.errors import HandError
+from planner.plan import GraspPlan
+from planner.shapes import shape_key
 from planner.spatial import SE3, FloatArray
 from sim.controllers.pads import PadReading
 
@@ -158,3 +173,175 @@ class DryRun(HandWrapper):
 
     def stop(self) -> None:
         """Do nothing: a hand that was never written keeps the state that it has."""
+
+
+LATE_TOL = 1e-9
+"""Lateness (s) that is rounding."""
+
+
+class Clock(Protocol):
+    """Tells the time and waits; a test has its own."""
+
+    def now(self) -> float:
+        """Time, s; never goes back."""
+        ...
+
+    def sleep_until(self, moment: float) -> None:
+        """Return at a time (s), or at once where it has passed."""
+        ...
+
+
+@runtime_checkable
+class RecordedClock(Clock, Protocol):
+    """A clock whose time is that of a recorded run: it serves the same run alone."""
+
+    def need_same(self, rate_hz: float, plan: PlanMark | None) -> None:
+        """Refuse a loop that is not the one that was recorded.
+
+        Args:
+            rate_hz: Its rate, Hz.
+            plan: What it executes; None where it executes none.
+
+        Raises:
+            TaskError: Another rate, or another plan.
+        """
+        ...
+
+
+class RealClock:
+    """The system's monotonic clock, which nobody sets."""
+
+    def now(self) -> float:
+        """``time.monotonic()``, s."""
+        return time.monotonic()
+
+    def sleep_until(self, moment: float) -> None:
+        """Sleep until a time (s)."""
+        left = moment - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
+
+
+class Pace:
+    """Slots of one period.
+
+    Attributes:
+        period: Length of a slot, s.
+        slot: Number of the slot of the present tick.
+        begun: When the present tick began, s.
+        misses: Ticks that ended after their slot.
+        skipped: Slots in which no tick began.
+        in_a_row: Misses since the last tick that ended in time.
+        most_in_a_row: The most of these.
+        duration: From the first tick's beginning to the last one's end, s.
+    """
+
+    def __init__(self, clock: Clock, period: float) -> None:
+        """The first slot begins with the first tick."""
+        self._clock = clock
+        self.period = period
+        self.slot = 0
+        self.begun = 0.0
+        self.misses = 0
+        self.skipped = 0
+        self.in_a_row = 0
+        self.most_in_a_row = 0
+        self.duration = 0.0
+        self._first: float | None = None
+        self._latencies: list[float] = []
+
+    def begin(self) -> float:
+        """Wait for the slot; returns the time at which the tick begins, s."""
+        if self._first is None:
+            self._first = self._clock.now()
+        else:
+            self._clock.sleep_until(self._first + self.slot * self.period)
+        self.begun = self._clock.now()
+        return self.begun
+
+    def end(self) -> bool:
+        """End the tick and choose the next slot; returns whether the deadline was missed."""
+        first = 0.0 if self._first is None else self._first
+        since = self._clock.now() - first
+        self.duration = since
+        latency = since - self.slot * self.period
+        self._latencies.append(latency)
+        missed = latency > self.period + LATE_TOL
+        next_slot = self.slot + 1
+        if missed:
+            next_slot = max(next_slot, int((since + LATE_TOL) / self.period))
+            self.misses += 1
+            self.skipped += next_slot - self.slot - 1
+        self.in_a_row = self.in_a_row + 1 if missed else 0
+        self.most_in_a_row = max(self.most_in_a_row, self.in_a_row)
+        self.slot = next_slot
+        return missed
+
+    def rest(self) -> None:
+        """Wait for the next slot without beginning a tick: the last command acts that long."""
+        if self._first is not None:
+            self._clock.sleep_until(self._first + self.slot * self.period)
+
+    @property
+    def latencies(self) -> FloatArray:
+        """(m,), time from the beginning of each tick's slot to the tick's end, s."""
+        return np.array(self._latencies)
+
+
+DIGITS = 9
+"""Decimals of numbers that count: a plan that was written and read is the same to rounding."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanMark:
+    """What identifies a plan.
+
+    Attributes:
+        hand: Name of its hand.
+        hand_sha256: Digest of the hand's files.
+        object: Specification of its object.
+        sha256: Digest of hand, object, mass, friction, gravity, grip and of the grasp's joints and
+            poses.
+    """
+
+    hand: str
+    hand_sha256: str
+    object: str
+    sha256: str
+
+    @classmethod
+    def of(cls, plan: GraspPlan) -> PlanMark:
+        """That of a plan; the same before the plan is written and after it is read."""
+        task = plan.task
+        numbers: tuple[Any, ...] = (
+            *(task.object.mass, task.mu, task.grip_force, task.gravity),
+            *(task.T_world_object.homogeneous, plan.T_world_base.homogeneous),
+            *(plan.T_world_base_start.homogeneous, plan.q, plan.q_pregrasp),
+        )
+        content = [
+            task.hand.digest,
+            shape_key(task.object.shape),
+            task.finger_names,
+            [(np.round(n, DIGITS) + 0.0).tolist() for n in numbers],  # + 0.0: no minus zero
+        ]
+        return cls(
+            hand=task.hand.name,
+            hand_sha256=task.hand.digest,
+            object=task.object.shape.spec,
+            sha256=hashlib.sha256(json.dumps(content).encode()).hexdigest(),
+        )
+
+    def to_dict(self) -> dict[str, str]:
+        """Plain data."""
+        return asdict(self)
+
+    def difference(self, other: PlanMark) -> str:
+        """What the two plans differ in, for people; "" if they are the same."""
+        if self.sha256 == other.sha256:
+            return ""
+        if self.hand_sha256 != other.hand_sha256:
+            same_name = self.hand == other.hand
+            return f"another {self.hand}" if same_name else f"{self.hand}, not of {other.hand}"
+        if self.object != other.object:
+            return f"{self.object}, not of {other.object}"
+        return f"another grasp of {self.object} by {self.hand}"

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from planner.errors import FileFormatError, NotFoundError
 from planner.exchange.array_files import OWN_BYTES, checked_small, read_npz
-from planner.files.whole import whole_file
+from planner.files.json_csv import whole_file
 from planner.spatial import FloatArray, pose_to_wxyz
 from sim.controllers.pads import PadReading
-from sim.real_hand.interface import HandReading
-from sim.real_hand.plan_mark import PlanMark
+from sim.real_hand.interface import HandReading, PlanMark
 
 FORMAT, VERSION = "opposable-hand-log", 2
 

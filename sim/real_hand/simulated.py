@@ -31,8 +31,7 @@ from sim.controllers import (
     UsesSenses,
 )
 from sim.controllers.base import Observation
-from sim.real_hand.clock import Clock
-from sim.real_hand.interface import HandReading
+from sim.real_hand.interface import Clock, HandReading
 from sim.report import TrialReport
 from sim.trial import Trial
 

@@ -1,6 +1,5 @@
 """Stable hand-object states from which reinforcement learning begins its episodes."""
 
-from sim.reset_states.asked import Draws, StatesAsked
 from sim.reset_states.formats import (
     StateFormat,
     register_state_format,
@@ -8,6 +7,7 @@ from sim.reset_states.formats import (
     state_formats,
 )
 from sim.reset_states.make import StatesProgress, make_states
+from sim.reset_states.starts import Draws, StatesAsked
 from sim.reset_states.states import StateSet
 
 __all__ = [

@@ -20,24 +20,34 @@ from planner.kinematics.state import HandState
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask
 from planner.version import written_by
-from sim.reset_states.asked import Cell, StatesAsked, cells_of
-from sim.reset_states.coverage import coverage
-from sim.reset_states.distinct import Distinct
-from sim.reset_states.folder import SUMMARY, append_line, journal, open_folder
-from sim.reset_states.formats import state_format, state_formats
-from sim.reset_states.formats.arrays import STATES_FILE
+from sim.reset_states.formats import STATES_FILE, state_format, state_formats
 from sim.reset_states.hold import REASONS
 from sim.reset_states.scene import SCENE_FILE, write_scene
 from sim.reset_states.shards import (
     SHARD,
+    SUMMARY,
+    Distinct,
     Shard,
     ShardJob,
+    append_line,
+    coverage,
     held_shard,
+    journal,
+    open_folder,
     read_shard,
     shard_path,
 )
-from sim.reset_states.sources import PlanJob, plan_jobs, planned_sources
-from sim.reset_states.starts import load_starts, rows_of, write_cell
+from sim.reset_states.starts import (
+    Cell,
+    PlanJob,
+    StatesAsked,
+    cells_of,
+    load_starts,
+    plan_jobs,
+    planned_sources,
+    rows_of,
+    write_cell,
+)
 from sim.reset_states.states import StateSet
 
 ALL = "all"

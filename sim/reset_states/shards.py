@@ -2,25 +2,57 @@
 
 A shard's content is a function of the seed, the cell and its number. So a run that was interrupted
 goes on with the shards that are missing, and any number of workers gives the same states.
+
+The folder of a cache: what it was asked for, and what earlier runs left in it.
+
+Its files, where ``NAME`` is one object in one size::
+
+    manifest.json         what was asked for; another request is refused
+    check_states.py       holds a sample of states with NumPy and MuJoCo alone
+    summary.json          rates, reasons, coverage
+    NAME/scene.xml        hand and object, with mesh files if there are any
+    NAME/states.npz ...   the states in every format
+    NAME/work/            sources and shards, for a run that goes on
+    hora/                 caches of HORA
+
+How much of the space of orientations states cover: cells of equal volume on SO(3).
+
+A rotation R is the direction u = R e_z and the angle psi by which R turns about u beyond the
+shortest rotation that takes e_z to u. The grid has 6 bands of equal height along z, 12 sectors of
+30 degrees around z, and 12 steps of 30 degrees in psi: 864 cells, each with the same share of
+uniformly distributed rotations. About the axis of a round object psi means nothing: its coverage is
+that of the 72 cells of directions.
+
+Which states are new: of two that are near-duplicates the earlier one is kept.
+
+Two states of a cell are near-duplicates where the object's position differs by at most 1 mm, its
+orientation by at most 1 degree, and every joint by at most 1 degree (0.0175, in rad or m). What the
+states differ in besides (gravity, mass, friction, commands) does not make them distinct.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import time
 import zipfile
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import numpy as np
 
 from planner.batch.jobs import end_with
-from planner.files.whole import whole_file
+from planner.errors import FileFormatError, few_of, shown
+from planner.files import read_json, write_json
+from planner.files.json_csv import whole_file
 from planner.spatial import FloatArray, IntArray
+from planner.version import written_by
 from sim.reset_states.hold import REASONS, hold
-from sim.reset_states.starts import WORK, load_starts
+from sim.reset_states.starts import WORK, StatesAsked, load_starts
 
 SHARD = 64
 """Candidates per shard: 1 to 2 s of work."""
@@ -133,3 +165,184 @@ def read_shard(folder: Path, number: int) -> Shard | None:
         return Shard(**content | {"cpu_s": float(content["cpu_s"])})
     except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
         return None
+
+
+MANIFEST, SUMMARY, CHECK_FILE = "manifest.json", "summary.json", "check_states.py"
+"""Files in the root of a cache."""
+
+FORMAT, VERSION = "opposable-states-cache", 1
+
+JOURNAL = "sources.jsonl"
+
+
+def open_folder(folder: Path, asked: StatesAsked, hand_digest: str) -> None:
+    """Begin a cache, or go on with one.
+
+    Args:
+        folder: Its folder.
+        asked: What is asked for. More states than last time may be, nothing else may differ.
+        hand_digest: Digest of the hand's files.
+
+    Raises:
+        FileFormatError: The folder holds another cache, or something else.
+    """
+    path = folder / MANIFEST
+    wanted = {"format": FORMAT, "version": VERSION, "hand_sha256": hand_digest, **asked.to_dict()}
+    if path.exists():
+        there = read_json(path, "a cache of states")
+        there.pop("written_by", None)
+        if there.get("format") != FORMAT:
+            raise FileFormatError(
+                f"{folder} holds something else, of the format {shown(there.get('format'))}; "
+                "choose another folder"
+            )
+        if differing := [k for k in sorted({*there, *wanted}) if there.get(k) != wanted.get(k)]:
+            k = differing[0]
+            raise FileFormatError(
+                f"{folder} holds states that were asked for otherwise: {few_of(differing)} "
+                f"differ ({k} is {shown(there.get(k))} there and {shown(wanted.get(k))} here); ask "
+                "for the same to go on, or choose another folder"
+            )
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise FileFormatError(f"{folder} is not empty and holds no {MANIFEST}; choose another")
+        copyfile(Path(__file__).with_name(CHECK_FILE), folder / CHECK_FILE)
+    except OSError as error:
+        raise FileFormatError(
+            f"cannot begin a cache in {folder}: {error.strerror}; choose another folder"
+        ) from error
+    write_json({**wanted, "written_by": written_by()}, path)
+
+
+def journal(folder: Path) -> dict[str, Mapping[str, Any]]:
+    """Plans of a cell that were made, by their key; half a line, left by a kill, is skipped."""
+    path = folder / WORK / JOURNAL
+    made: dict[str, Mapping[str, Any]] = {}
+    if path.exists():
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            try:
+                plan = json.loads(line)
+            except ValueError:
+                continue
+            if isinstance(plan, dict) and isinstance(plan.get("key"), str):
+                made[plan["key"]] = plan
+    return made
+
+
+def append_line(folder: Path, plans: Iterable[Mapping[str, Any]]) -> Iterable[Mapping[str, Any]]:
+    """Add plans to the journal of a cell as they come, and pass them on."""
+    path = folder / WORK / JOURNAL
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write("\n")  # after half a line, if there is one
+        for plan in plans:
+            stream.write(json.dumps(plan) + "\n")
+            stream.flush()
+            yield plan
+
+
+BANDS, SECTORS, TURNS = 6, 12, 12
+"""Cells along z, around z, and of the turn about the direction."""
+
+
+def direction_cells(directions: FloatArray) -> IntArray:
+    """Cells (m,), 0 to 71, of unit vectors (m, 3)."""
+    band = np.clip(np.floor((directions[:, 2] + 1.0) / 2.0 * BANDS), 0, BANDS - 1)
+    around = np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) % 1.0
+    sector = np.clip(np.floor(around * SECTORS), 0, SECTORS - 1)
+    return np.asarray(band * SECTORS + sector, dtype=np.int64)
+
+
+def orientation_cells(rotations: FloatArray) -> IntArray:
+    """Cells (m,), 0 to 863, of rotation matrices (m, 3, 3)."""
+    u = rotations[:, :, 2]
+    # the shortest rotation takes e_x to a vector that the formula gives away from u = -e_z
+    below = np.maximum(1.0 + u[:, 2], 1e-12)
+    first = np.stack([1.0 - u[:, 0] ** 2 / below, -u[:, 0] * u[:, 1] / below, -u[:, 0]], axis=1)
+    second = np.cross(u, first)
+    x = rotations[:, :, 0]
+    psi = np.arctan2((x * second).sum(axis=1), (x * first).sum(axis=1)) / (2.0 * np.pi) % 1.0
+    step = np.clip(np.floor(psi * TURNS), 0, TURNS - 1).astype(np.int64)
+    return np.asarray(direction_cells(u) * TURNS + step, dtype=np.int64)
+
+
+def coverage(rotations: FloatArray, gravity: FloatArray) -> dict[str, Any]:
+    """How many cells states reach, as plain data.
+
+    Args:
+        rotations: Orientations of the object in the palm (m, 3, 3).
+        gravity: Directions of gravity in the palm (m, 3), any length.
+    """
+    down = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
+    return {
+        "orientations_of_object_in_palm": _counts(
+            orientation_cells(rotations), BANDS * SECTORS * TURNS
+        ),
+        "directions_of_object_axis_in_palm": _counts(
+            direction_cells(rotations[:, :, 2]), BANDS * SECTORS
+        ),
+        "directions_of_gravity_in_palm": _counts(direction_cells(down), BANDS * SECTORS),
+    }
+
+
+def _counts(cells: IntArray, total: int) -> dict[str, Any]:
+    """Cells reached, of how many, and the states in a cell that is reached: median and most."""
+    counts = np.bincount(cells, minlength=total)
+    reached = counts[counts > 0]
+    return {
+        "cells": total,
+        "reached": len(reached),
+        "share": len(reached) / total,
+        "median_states_in_a_reached_cell": float(np.median(reached)) if len(reached) else 0.0,
+        "most_states_in_a_cell": int(counts.max()),
+    }
+
+
+NEAR_POSITION, NEAR_ANGLE, NEAR_JOINT = 0.001, float(np.deg2rad(1.0)), float(np.deg2rad(1.0))
+"""Tolerances: m, rad, rad (m for slides)."""
+
+
+class Distinct:
+    """States that were taken, and the question whether another one is new.
+
+    They are filed by the cube of 1 mm that the object's position falls into, so that a state is
+    compared with those of 27 cubes.
+    """
+
+    def __init__(self) -> None:
+        """Nothing was taken."""
+        self._cubes: dict[tuple[int, int, int], list[int]] = {}
+        self._rows: list[FloatArray] = []
+
+    def take(self, q: FloatArray, position: FloatArray, quaternion: FloatArray) -> bool:
+        """Take a state if it is new; whether it is.
+
+        Args:
+            q: Joints (nq,).
+            position: Of the object (3,), m.
+            quaternion: Its orientation, a unit quaternion (4,).
+        """
+        x, y, z = (int(i) for i in np.floor(position / NEAR_POSITION))
+        near = [
+            i
+            for dx in (-1, 0, 1)
+            for dy in (-1, 0, 1)
+            for dz in (-1, 0, 1)
+            for i in self._cubes.get((x + dx, y + dy, z + dz), ())
+        ]
+        row = np.concatenate([position, quaternion, q])
+        if near and _near(np.array([self._rows[i] for i in near]), row).size:
+            return False
+        self._cubes.setdefault((x, y, z), []).append(len(self._rows))
+        self._rows.append(row)
+        return True
+
+
+def _near(others: FloatArray, row: FloatArray) -> IntArray:
+    """Which rows (m, 7 + nq) are near-duplicates of a row."""
+    apart = np.linalg.norm(others[:, :3] - row[:3], axis=1) <= NEAR_POSITION
+    apart &= np.abs(others[:, 3:7] @ row[3:7]) >= np.cos(NEAR_ANGLE / 2)
+    apart &= np.abs(others[:, 7:] - row[7:]).max(axis=1) <= NEAR_JOINT
+    return np.flatnonzero(apart)

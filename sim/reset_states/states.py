@@ -12,14 +12,14 @@ import numpy as np
 
 from planner.errors import FileFormatError, PlannerError, TaskError
 from planner.exchange.array_files import OWN_BYTES, checked_small, read_npz
-from planner.files.whole import whole_file
+from planner.files.json_csv import whole_file
 from planner.spatial import FloatArray, IntArray
 from planner.version import written_by
 
 FORMAT, VERSION = "opposable-states", 1
 """Name and version of the file that ``StateSet.write`` makes."""
 
-_KEYS: Mapping[str, str] = MappingProxyType(
+KEYS: Mapping[str, str] = MappingProxyType(
     {
         "q": "joint_position",
         "commands": "command",
@@ -91,7 +91,7 @@ class StateSet:
         """
         n, nq, nu = len(self.mass), len(self.joint_names), len(self.actuator_names)
         widths = {"q": nq, "targets": nq, "commands": nu, "position": 3, "quaternion": 4}
-        for name in _KEYS:
+        for name in KEYS:
             shape = np.shape(getattr(self, name))
             width = {**widths, "gravity": 3}.get(name)
             expected = (n,) if width is None else (n, width)
@@ -104,8 +104,8 @@ class StateSet:
 
     def __getitem__(self, rows: Any) -> Self:
         """Some of the states: a slice, an array of numbers, or a mask (n,)."""
-        columns = {name: getattr(self, name)[rows] for name in _KEYS}
-        rest = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _KEYS}
+        columns = {name: getattr(self, name)[rows] for name in KEYS}
+        rest = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in KEYS}
         return type(self)(**rest, **columns)
 
     def named(self, names: tuple[str, ...], what: str = "q") -> FloatArray:
@@ -135,7 +135,7 @@ class StateSet:
         content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "written_by": written_by()}
         content |= {name: getattr(self, name) for name in (*_TEXTS, "scale")}
         content |= {name: np.array(getattr(self, name)) for name in _NAMES}
-        content |= {key: getattr(self, name) for name, key in _KEYS.items()}
+        content |= {key: getattr(self, name) for name, key in KEYS.items()}
         with whole_file(path) as stream:
             np.savez(stream, **content)
 
@@ -159,12 +159,12 @@ class StateSet:
             raise FileFormatError(
                 f"{path} has version {content['version']} of {FORMAT}; this is for {VERSION}"
             )
-        wanted = {*_TEXTS, *_NAMES, "scale", *_KEYS.values()}
+        wanted = {*_TEXTS, *_NAMES, "scale", *KEYS.values()}
         if missing := sorted(wanted - set(content)):
             raise FileFormatError(f"{path} lacks {', '.join(missing)}; write it again")
         texts: dict[str, Any] = {name: str(content[name]) for name in _TEXTS}
         names: dict[str, Any] = {name: tuple(content[name].tolist()) for name in _NAMES}
-        columns: dict[str, Any] = {name: content[key] for name, key in _KEYS.items()}
+        columns: dict[str, Any] = {name: content[key] for name, key in KEYS.items()}
         try:
             return cls(scale=float(content["scale"]), **texts, **names, **columns)
         except TaskError as error:

@@ -6,26 +6,94 @@ something have all their digits, where MuJoCo's own writer gives six.
 
 The hand's base stands fixed at the pose of the grasp. Table and obstacles are left out: what holds
 the object is the hand alone.
+
+Key frames of an exported scene: states of hand and object, and the commands that belong to them.
+
+    pregrasp   fingers open; commands that hold the hand's own weight there
+    grasp      fingers on the object; the same commands at that posture: nothing presses yet
+    squeeze    the state of ``grasp``; commands that make the planned forces
+
+The commands are those of position servos and do not depend on the state: at the planned posture
+each servo's own law gives exactly the torque that the planned contact forces and the weight of
+hand and object need, and elsewhere its stiffness pulls back (``sim.controllers.grasp``).
+
+Does the exported scene hold its object? ``python check.py [FOLDER]``; needs mujoco and numpy.
+
+Loads scene.xml beside this file, begins at the key frame "grasp", sends the commands of the key
+frame "squeeze" to the servos and nothing else, and looks for 2 s whether the object stays in the
+hand. Exit code 0 if it does, 1 if not, 2 if there is no scene. This file imports nothing of
+Opposable.
 """
 
 from __future__ import annotations
 
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from planner.bridge import compile_spec, spec_from_model
+from planner.collision.moving_hand import moving_hand
+from planner.errors import TaskError
+from planner.exchange.dexgraspbench.export import without_servos
 from planner.files import plain_name
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.gantry import GANTRY
 from sim.physics import PhysicsOptions
 from sim.scene import SUPPORT, Scene, index_scene, scene_spec
-from sim.scene_export.keyframes import KeyFrame
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KeyFrame:
+    """A state at rest and the commands of the hand's actuators.
+
+    Attributes:
+        name: "pregrasp", "grasp" or "squeeze".
+        q: Joints (nq,), rad or m, order of ``hand.joint_names``.
+        ctrl: Commands (nu,), order of ``hand.actuation.names``.
+    """
+
+    name: str
+    q: FloatArray
+    ctrl: FloatArray
+
+
+def key_frames(plan: GraspPlan) -> tuple[KeyFrame, ...]:
+    """The key frames of a plan.
+
+    Raises:
+        TaskError: The hand has actuators that follow no position, or the plan has no forces.
+    """
+    hand = plan.task.hand
+    if reason := without_servos(hand):
+        raise TaskError(
+            f"{reason}; an exported scene is held by position commands: plan with a hand that has "
+            "position servos"
+        )
+    if not plan.forces.found:
+        raise TaskError(
+            f"the plan has no contact forces: {plan.forces.reason}; plan again with a smaller grip"
+        )
+    gravity = plan.T_world_base.rotation.T @ plan.task.gravity
+
+    def resting(q: FloatArray) -> FloatArray:
+        weight = moving_hand(hand).move(q).gravity_torque(gravity)
+        return hand.actuation.commands(q, np.zeros(hand.nq), np.asarray(weight))
+
+    q, opened = np.array(plan.q), np.array(plan.q_pregrasp)
+    pressing = hand.actuation.commands(q, np.zeros(hand.nq), np.array(plan.forces.joint_torques))
+    return (
+        KeyFrame(name="pregrasp", q=opened, ctrl=resting(opened)),
+        KeyFrame(name="grasp", q=q, ctrl=resting(q)),
+        KeyFrame(name="squeeze", q=q, ctrl=pressing),
+    )
+
 
 MESHES = "meshes"
 """Folder of the meshes beside the model."""
@@ -228,3 +296,45 @@ def _digits(written: str, value: Any) -> str:
 
 def _text(numbers: FloatArray) -> str:
     return " ".join(repr(x) for x in np.asarray(numbers, dtype=float).tolist())
+
+
+SECONDS, MOST_MM, MOST_DEG = 2.0, 10.0, 15.0
+
+
+def hold(scene: Path, seconds: float = SECONDS) -> tuple[bool, float, float]:
+    """Whether the object is held to the end, and how far it moved (mm) and turned (degrees)."""
+    model = mujoco.MjModel.from_xml_path(str(scene))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("grasp").id)
+    data.ctrl[:] = model.key("squeeze").ctrl
+    mujoco.mj_forward(model, data)
+    body = model.body("object").id
+    position, turn = data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy()
+    mm = deg = 0.0
+    while data.time < seconds and mm <= MOST_MM and deg <= MOST_DEG:
+        mujoco.mj_step(model, data)
+        mm = 1e3 * float(np.linalg.norm(data.xpos[body] - position))
+        cosine = (float(np.trace(turn.T @ data.xmat[body].reshape(3, 3))) - 1.0) / 2.0
+        deg = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    held = bool(np.isfinite(data.qpos).all() and mm <= MOST_MM and deg <= MOST_DEG)
+    return held, mm, deg
+
+
+def scene_of(given: list[str]) -> Path:
+    """The scene of the folder that is given, or of this file's; ends with exit code 2 if none."""
+    scene = (Path(given[0]) if given else Path(__file__).parent) / "scene.xml"
+    fault = "" if scene.is_file() else f"there is no {scene}; give the folder of an exported scene"
+    if len(given) > 1:
+        fault = f"{len(given)} arguments are given; give one folder, or none for that of this file"
+    if fault:
+        print(f"usage: python check.py [FOLDER]\n{fault}", file=sys.stderr)
+        sys.exit(2)
+    return scene
+
+
+if __name__ == "__main__":
+    held, mm, deg = hold(scene_of(sys.argv[1:]))
+    print(
+        f"{'held' if held else 'not held'}: the object moved {mm:.2f} mm and turned {deg:.2f} deg"
+    )
+    sys.exit(0 if held else 1)

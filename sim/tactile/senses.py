@@ -27,6 +27,7 @@ from planner.errors import NotFoundError, TaskError
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, cross, skew
+from planner.system.plugins import plugin
 from sim.contacts.pads import body_twist
 from sim.controllers import Observation, PadReading, TouchReading
 from sim.scene import HAND_PREFIX, Scene
@@ -91,6 +92,8 @@ def check_touch(name: str) -> str:
     Raises:
         NotFoundError: There is none of that name.
     """
+    if name not in TOUCH_SENSES and (brought := plugin("senses", name)) is not None:
+        register_touch(name, brought)
     if name not in TOUCH_SENSES:
         raise NotFoundError("sense of touch", name, sorted(TOUCH_SENSES))
     return name

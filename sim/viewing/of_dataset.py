@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
-from planner.batch.manifest import MANIFEST
+from planner.batch.recipe import MANIFEST
 from planner.errors import FileFormatError, NotFoundError
 from planner.pages.grid_page import grid_html, grid_models, grid_script
 from planner.pages.page import page_html

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from planner.files.gaits import gait_from_dict
-from planner.files.manipulations import manipulation_from_dict
-from planner.files.motions import motion_from_dict
+from planner.files.movements import gait_from_dict, manipulation_from_dict, motion_from_dict
 from planner.pages.motion_page import motion_page
 from planner.pages.object_motion import AnyMotion
 from planner.pages.page import Page

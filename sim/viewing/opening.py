@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from planner.errors import FileFormatError
-from planner.files.whole import whole_file
+from planner.files.json_csv import whole_file
 from planner.pages.blocks import Sentence
 from planner.pages.opening import has_browser, temporary_page
 from planner.pages.page import Page, page_html

@@ -6,10 +6,14 @@ hand_util.py`` for the order of qpos and for how qpos becomes ctrl, ``config/han
 a hand. ``opposable bench dexgraspbench`` runs that evaluation on an export.
 """
 
-from planner.exchange.dexgraspbench.export import Exported, export_dexgraspbench, grasp_dict
-from planner.exchange.dexgraspbench.hand_file import export_name
-from planner.exchange.dexgraspbench.object_files import benchmark_pieces
-from planner.exchange.dexgraspbench.squeeze import Squeeze, plan_squeeze
+from planner.exchange.dexgraspbench.export import (
+    Exported,
+    Squeeze,
+    export_dexgraspbench,
+    grasp_dict,
+    plan_squeeze,
+)
+from planner.exchange.dexgraspbench.models import benchmark_pieces, export_name
 
 __all__ = [
     "Exported",

@@ -26,11 +26,10 @@ import numpy as np
 
 from planner.errors import FileFormatError
 from planner.exchange.array_files import read_array_file
-from planner.exchange.dexgraspbench.hand_file import T_model_base
-from planner.exchange.dexgraspbench.plans import write_dexgraspbench
-from planner.exchange.formats import GraspFormat, Reading, register_format
-from planner.exchange.given import GivenGrasp, GivenGrasps
-from planner.exchange.postures import FileJoints, pose_of_seven
+from planner.exchange.dexgraspbench.export import write_dexgraspbench
+from planner.exchange.dexgraspbench.models import T_model_base
+from planner.exchange.formats import GivenGrasp, GivenGrasps, GraspFormat, Reading, register_format
+from planner.exchange.joints import FileJoints, pose_of_seven
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray
 

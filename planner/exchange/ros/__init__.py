@@ -12,9 +12,14 @@ YAML: names are those of the fields, unknown ones are refused, missing ones keep
 A YAML file has a document per message, a JSON file a list of messages.
 """
 
-from planner.exchange.ros.fields import FIELDS, check_message
-from planner.exchange.ros.grasp import grasp_message, read_ros_grasps, write_ros_grasps
-from planner.exchange.ros.trajectory import trajectory_message, write_ros_trajectories
+from planner.exchange.ros.grasp import (
+    grasp_message,
+    read_ros_grasps,
+    trajectory_message,
+    write_ros_grasps,
+    write_ros_trajectories,
+)
+from planner.exchange.ros.messages import FIELDS, check_message
 
 __all__ = [
     "FIELDS",

@@ -8,8 +8,7 @@ from pathlib import Path
 from random import Random
 
 from planner.files import read_manipulation, read_motion
-from planner.files.manipulations import manipulation_to_dict
-from planner.files.motions import motion_to_dict
+from planner.files.movements import manipulation_to_dict, motion_to_dict
 
 from ..hostile import changed_json, damaged
 from ..samples import Samples
