@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import trimesh
 from rich.console import Console
+from sim.cli.batch_report import BatchBar
 
 from planner.batch import BatchProgress, GraspSet
 from planner.files import read_plan
 from sim.cli import batch as commands
 from sim.cli import grasp, main
-from sim.cli.batch_report import BatchBar
 
 pytest.importorskip("pyarrow")
 

@@ -24,7 +24,8 @@ import planner
 from planner.files import PlanFile, read_plan
 from planner.hand_loading import load_hand
 from sim.cli import main
-from sim.cli.common import names, print_json
+from sim.cli.common import print_json
+from sim.cli.options import names
 from sim.report_file import ReportFile
 
 ROOT = Path(__file__).resolve().parent.parent

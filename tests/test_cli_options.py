@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 from planner.errors import TaskError
 from sim.cli.common import errors_for_people, reckoning_with
-from sim.cli.options import PlanOptions, with_options
+from sim.cli.options import with_options
+from sim.cli.search import PlanOptions
 
 RUN = CliRunner()
 

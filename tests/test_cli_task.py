@@ -15,9 +15,8 @@ from planner.files import read_plan, write_plan
 from planner.task import GRAVITY as GRAVITY_OF_TASKS
 from planner.task import GraspTask
 from sim.cli import app
-from sim.cli.options import PlanOptions
-from sim.cli.places import obstacle_of, pose_of, table_of
-from sim.cli.task_options import GRAVITY
+from sim.cli.search import PlanOptions
+from sim.cli.tasks import GRAVITY, obstacle_of, pose_of, table_of
 
 RUN = CliRunner()
 

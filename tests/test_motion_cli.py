@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from sim.cli.manipulation import manipulate
+from sim.cli.motion import plan_gait, plan_motion
 from typer.testing import CliRunner
 
 import planner.motion.gait.search
@@ -17,8 +19,6 @@ from benchmarks.conditions import BELIEVED_MU
 from planner.files import read_motion
 from planner.task import DEFAULT_MU
 from sim.cli import app
-from sim.cli.manipulation import manipulate
-from sim.cli.motion import plan_gait, plan_motion
 
 RUN = CliRunner()
 THREE = ["plan-motion", "allegro_hand", "cylinder:0.03x0.1", "--fingers", "thumb,index,middle"]

@@ -13,7 +13,7 @@ from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
-from sim.cli.common import reality_of
+from sim.cli.execution import reality_of
 from sim.preset_files import SUFFIXES, PresetFiles
 from sim.protocols import Settings, run_protocol
 from sim.reality import (
