@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import trimesh
 from rich.console import Console
-from sim.cli.batch_report import BatchBar
 
 from planner.batch import BatchProgress, GraspSet
 from planner.files import read_plan
 from sim.cli import batch as commands
 from sim.cli import grasp, main
+from sim.cli.batch import BatchBar
 
 pytest.importorskip("pyarrow")
 
@@ -125,7 +125,7 @@ def test_the_options_of_run_are_those_of_batch() -> None:
     executed = {"sim_mu", "physics", "controller", "view", "video", "arrows", "verbose"}
     executed |= {"reality", "reality_seed", "estimate", "pads"}
     chosen = {"best_of", "keep", "metric"}
-    assert run - batch == {"object", "out_dir", "context"} | executed | chosen
+    assert run - batch == {"object", "out_dir"} | executed | chosen
 
 
 def test_grasps_that_spare_fingers_go_the_same_ways(tmp_path: Path) -> None:

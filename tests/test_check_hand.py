@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from PIL import Image
-from sim.cli.inspection import inspect_hand
 from typer.testing import CliRunner
 
 from planner.describe import CheckReport, check_hand
@@ -25,6 +24,7 @@ from planner.system.models import models_dir
 from planner.task import GraspTask
 from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT, EXIT_NO
+from sim.cli.hand_tables import inspect_hand
 
 EditHand = Callable[..., Path]
 

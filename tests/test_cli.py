@@ -105,7 +105,7 @@ def test_an_object_stands_in_the_pose_that_is_asked_for(tmp_path: Path) -> None:
 def test_a_plan_file_as_the_object_is_told_what_takes_it(planned: Path) -> None:
     result = opposable("plan", "allegro_hand", planned)
     assert result.code == 3
-    assert f"is a plan file, not an object: opposable simulate {planned}" in result.err
+    assert f"is a plan file, not an object: opposable test {planned}" in result.err
 
 
 def test_a_plan_file_is_valid_and_the_same_for_the_same_seed(planned: Path) -> None:

@@ -13,7 +13,8 @@ import typer
 from typer.testing import CliRunner
 
 from planner.errors import TaskError
-from sim.cli.common import errors_for_people, reckoning_with
+from sim.cli.common import errors_for_people
+from sim.cli.execution import ExecutionOptions
 from sim.cli.options import with_options
 from sim.cli.search import PlanOptions
 
@@ -80,9 +81,10 @@ def test_the_command_line_loads_no_engine_before_a_command_runs() -> None:
 
 
 def test_planning_reckons_with_the_encoders_of_the_reality_unless_it_is_told() -> None:
-    asked = reckoning_with(PlanOptions(), "rough")
+    asked = ExecutionOptions(reality="rough").reckoned(PlanOptions())
     assert asked.joint_error == pytest.approx(3.0)
     assert asked.task("allegro_hand", "sphere").joint_error == pytest.approx(np.deg2rad(3.0))
-    assert reckoning_with(PlanOptions(joint_error=0.0), "rough").joint_error == 0.0
-    assert reckoning_with(PlanOptions(), "ideal").joint_error == 0.0
+    told = PlanOptions(joint_error=0.0)
+    assert ExecutionOptions(reality="rough").reckoned(told).joint_error == 0.0
+    assert ExecutionOptions().reckoned(PlanOptions()).joint_error == 0.0
     assert PlanOptions().task("allegro_hand", "sphere").joint_error == 0.0

@@ -7,7 +7,6 @@ import shlex
 from pathlib import Path
 
 import pytest
-from sim.cli.low_objects import ATTEMPTS, LOW, advice_for_low
 from typer.testing import CliRunner
 
 from planner.attempt import Attempt
@@ -19,6 +18,7 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask
 from sim.cli import app
+from sim.cli.advice import ATTEMPTS, LOW, advice_for_low
 from sim.cli.search import PlanOptions
 
 RUN = CliRunner()

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from sim.cli.states_report import StatesBar, states_table
 
 from sim.cli import main
+from sim.cli.dataset import StatesBar, states_table
 from sim.reset_states import StatesProgress
 from sim.reset_states.shards import shard_path
 

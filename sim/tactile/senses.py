@@ -20,9 +20,6 @@ from planner.plan import GraspPlan
 from sim.controllers import Observation
 from sim.scene import Scene
 
-EXACT = "exact"
-"""Name of the sense without error."""
-
 
 class TouchSense(Protocol):
     """A sense of touch during one trial."""

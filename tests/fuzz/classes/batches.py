@@ -10,9 +10,9 @@ from random import Random
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from sim.cli.batch_report import batch_summary
 
 from planner.batch import GraspSet
+from sim.cli.batch import batch_summary
 
 from ..hostile import changed_json, damaged
 from ..samples import Samples
