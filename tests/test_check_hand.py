@@ -334,18 +334,18 @@ def test_arrays_of_taxels_are_shown_and_wrong_ones_are_told_by_finger(edit_hand:
 
 def test_describe_command(runner: CliRunner, tmp_path: Path) -> None:
     model = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
-    printed = runner.invoke(app, ["describe", str(model), "--name", "mine"])
+    printed = runner.invoke(app, ["hands", str(model), "--describe"])
     assert printed.exit_code == 0, printed.output
-    assert 'name = "mine"' in printed.output
+    assert 'name = "allegro' in printed.output
     path = tmp_path / "hand.toml"
-    wrote = runner.invoke(app, ["describe", str(model), "--out", str(path)])
+    wrote = runner.invoke(app, ["hands", str(model), "--describe", "--out", str(path)])
     assert wrote.exit_code == 0, wrote.output
     assert load_hand(path).joint_names == load_hand("allegro_hand").joint_names
     with Image.open(tmp_path / "hand.png") as picture:  # a row of pinch and open per candidate
         rows = len(load_hand(path).description.postures) // 2
         wide, high = picture.size
         assert (picture.format, high * 2 * 320) == ("PNG", wide * 260 * rows)
-    again = runner.invoke(app, ["describe", str(model), "-o", str(path)])
+    again = runner.invoke(app, ["hands", str(model), "--describe", "-o", str(path)])
     assert again.exit_code == EXIT_BAD_INPUT
     assert "--force" in again.output
     nowhere = runner.invoke(app, ["describe", str(model), "-o", str(tmp_path / "no" / "h.toml")])

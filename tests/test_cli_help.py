@@ -21,8 +21,13 @@ LISTED = [c for group in GROUPS.values() for c in group]
 WIDTH, HEIGHT = 80, 40
 """A terminal, characters."""
 
-LONG = ("run", "plan", "batch", "manipulate", "test", "dataset states", "refine")
-"""Commands with so many options that no help of one line each fits a screen."""
+PLANNING = ("Hand and grip", "Search")
+LONG = {
+    **dict.fromkeys(("run", "plan", "batch", "manipulate", "dataset states"), PLANNING),
+    "test": ("Protocols", "Trial"),
+    "refine": ("Hand and grip", "What the file does not say"),
+}
+"""Commands with so many options that no help of one line each fits a screen, and panels of them."""
 
 SLOW = (
     *("run", "test", "manipulate", "certify", "batch", "crosscheck"),
@@ -91,7 +96,7 @@ def test_help_of_a_command_fits_a_screen_and_ends_in_its_example(listed: Listed)
 @pytest.mark.parametrize("name", LONG)
 def test_long_lists_of_options_are_in_panels(name: str) -> None:
     shown = printed(*name.split(), "--help")
-    assert all(f"─ {title} ─" in shown for title in ("Hand and grip", "Search"))
+    assert all(f"─ {title} ─" in shown for title in LONG[name])
     panels = shown.split("╭─")[1:]
     assert max(panel.count("│ --") for panel in panels) <= 12
 

@@ -80,7 +80,6 @@ def test_an_object_that_cannot_be_held_is_said(tmp_path: Path) -> None:
         (("--friction", "2,1"), "the smaller one first"),
         (("--gravity", "down"), "--gravity"),
         (("--format", "isaac"), "isaac_lab"),
-        (("--turn", "0"), "turn is 0 degrees"),
         (("--workers", "0"), "workers"),
         (("--grasps", "0"), "no grasps, motions or gaits"),
     ],

@@ -59,7 +59,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         _listed("manipulate", "allegro_hand cylinder:0.03x0.08 --rotate 45"),
         _listed("learn", "allegro_hand cylinder:0.03x0.08 -n 2 --rounds 0"),
     ),
-    "Forces and certificates": (
+    "Analysis": (
         _listed("analyse", "plan.json --forces"),
         _listed("certify", "plan.json --samples 100", "analyse"),
     ),
