@@ -1,4 +1,4 @@
-"""``opposable audit``: files of others, plans and batches of ours, exit codes, and a hold trial."""
+"""``opposable refine --judge-only``: files of others, plans and batches of ours, exit codes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``opposable batch`` and ``opposable extract``."""
+"""``opposable batch`` and ``opposable batch --extract``."""
 
 from __future__ import annotations
 

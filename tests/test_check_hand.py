@@ -114,7 +114,7 @@ def test_a_hand_without_postures_cannot_be_planned_with(edit_hand: EditHand) -> 
     report = check_hand(load_hand(edit_hand({"[postures.pinch]": "[postures.other]"})))
     assert not report.ok
     assert levels(report)["error"] == ["there is no posture 'pinch'"]
-    assert "opposable describe" in report.findings[0].what_to_do
+    assert "opposable hands --describe" in report.findings[0].what_to_do
 
 
 def test_a_pad_that_faces_backwards_is_an_error(edit_hand: EditHand) -> None:

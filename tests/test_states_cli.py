@@ -1,4 +1,4 @@
-"""``opposable states``."""
+"""``opposable dataset states``."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Plan files of a folder, as ``opposable refine`` writes one, without reading them whole.
 
-``opposable audit``, ``refine``, ``export``, ``episodes`` and ``test`` take such a folder for its
-files.
+``opposable refine``, ``export``, ``dataset`` and ``test`` take such a folder for its files.
 """
 
 from __future__ import annotations

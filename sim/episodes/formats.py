@@ -1,7 +1,7 @@
 """All formats of episodes by name; a format is one module or folder, and one registration.
 
 A format has a writer, which takes episodes one by one into a folder of its own, and may have a
-reader. ``opposable episodes --to NAME`` writes whatever is registered here.
+reader. ``opposable dataset episodes --to NAME`` writes whatever is registered here.
 """
 
 from __future__ import annotations

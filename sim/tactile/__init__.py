@@ -1,5 +1,6 @@
 """Tactile pads: arrays of taxels, what follows from their images, and cheaper senses of touch."""
 
+from sim.controllers.touch import EXACT
 from sim.tactile.array import TaxelArray
 from sim.tactile.binary import BinarySense
 from sim.tactile.effort import EffortSense
@@ -16,7 +17,6 @@ from sim.tactile.friction import FrictionWatch
 from sim.tactile.ideal import ExactSense
 from sim.tactile.layout import TaxelLayout, default_array
 from sim.tactile.senses import (
-    EXACT,
     TOUCH_SENSES,
     TouchContext,
     TouchSense,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from sim.controllers import Observation
-from sim.tactile.senses import EXACT, TouchContext, register_touch
+from sim.controllers.touch import EXACT
+from sim.tactile.senses import TouchContext, register_touch
 
 
 class ExactSense:
