@@ -60,11 +60,17 @@ def test_a_batch_is_planned_summed_up_exported_and_picked_from(tmp_path: Path) -
         assert code == 3
         assert "options" in err
 
-    code, _, err = opposable("extract", folder, "1", "-o", tmp_path / "plan.json")
+    code, _, err = opposable("batch", folder, "--extract", "1", "-o", tmp_path / "plan.json")
     assert code == 0, err
     assert read_plan(tmp_path / "plan.json").task.object.name == "sphere"
-    assert "was not found" in opposable("extract", folder, "4", "-o", tmp_path / "no.json")[2]
-    assert "There is: 0 to 5" in opposable("extract", folder, "6", "-o", tmp_path / "no.json")[2]
+    assert (
+        "was not found"
+        in opposable("batch", folder, "--extract", "4", "-o", tmp_path / "no.json")[2]
+    )
+    assert (
+        "There is: 0 to 5"
+        in opposable("batch", folder, "--extract", "6", "-o", tmp_path / "no.json")[2]
+    )
     assert not (tmp_path / "no.json").exists()
 
 

@@ -205,7 +205,7 @@ def test_a_finger_that_takes_no_part_presses_with_nothing(
     presses = {p.finger: p.presses for p in check_hand(load_hand(path)).pads}
     assert presses["ring"] is None
     assert all(presses[f] is not None for f in ("thumb", "index", "middle"))
-    shown = runner.invoke(app, ["check-hand", str(path)])
+    shown = runner.invoke(app, ["hands", "--check", str(path)])
     assert shown.exit_code == 0 and "nan" not in shown.output
 
 
@@ -305,16 +305,16 @@ def test_inspect_tells_the_same_torques(shadow: Hand) -> None:
 
 
 def test_check_hand_command(runner: CliRunner, edit_hand: EditHand) -> None:
-    good = runner.invoke(app, ["check-hand", "allegro_hand"])
+    good = runner.invoke(app, ["hands", "--check", "allegro_hand"])
     assert good.exit_code == 0, good.output
     assert "nothing forbids planning" in good.output
-    as_json = runner.invoke(app, ["check-hand", "allegro_hand", "--json"])
+    as_json = runner.invoke(app, ["hands", "--check", "allegro_hand", "--json"])
     assert json.loads(as_json.output)["ok"] is True
     path = edit_hand({"[postures.pinch]": "[postures.other]"})
-    bad = runner.invoke(app, ["check-hand", str(path)])
+    bad = runner.invoke(app, ["hands", "--check", str(path)])
     assert bad.exit_code == EXIT_NO
     assert "no posture 'pinch'" in " ".join(bad.output.split())
-    missing = runner.invoke(app, ["check-hand", "no_such_hand"])
+    missing = runner.invoke(app, ["hands", "--check", "no_such_hand"])
     assert missing.exit_code == EXIT_BAD_INPUT
 
 
@@ -348,9 +348,14 @@ def test_describe_command(runner: CliRunner, tmp_path: Path) -> None:
     again = runner.invoke(app, ["hands", str(model), "--describe", "-o", str(path)])
     assert again.exit_code == EXIT_BAD_INPUT
     assert "--force" in again.output
-    nowhere = runner.invoke(app, ["describe", str(model), "-o", str(tmp_path / "no" / "h.toml")])
+    nowhere = runner.invoke(
+        app, ["hands", "--describe", str(model), "-o", str(tmp_path / "no" / "h.toml")]
+    )
     assert nowhere.exit_code == EXIT_BAD_INPUT
-    assert runner.invoke(app, ["describe", str(tmp_path / "no.xml")]).exit_code == EXIT_BAD_INPUT
+    assert (
+        runner.invoke(app, ["hands", "--describe", str(tmp_path / "no.xml")]).exit_code
+        == EXIT_BAD_INPUT
+    )
 
 
 def test_hands_command_lists_ours_and_those_of_others(runner: CliRunner) -> None:

@@ -141,7 +141,7 @@ def test_a_plan_of_all_of_it_is_kept_by_its_file_and_held(tmp_path: Path) -> Non
     task = read_plan(file).task
     assert (task.table_height, task.wrist_free, task.contact_model) == (0.5, True, "soft")
     assert (len(task.obstacles), task.grip_force, task.gravity[2]) == (1, 2.0, -5.0)
-    assert RUN.invoke(app, ["simulate", str(file)]).exit_code == 0
+    assert RUN.invoke(app, ["test", str(file)]).exit_code == 0
 
 
 def test_a_base_that_is_told_is_kept(tmp_path: Path) -> None:
@@ -164,7 +164,15 @@ def test_a_batch_has_the_same_surroundings(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert (
         RUN.invoke(
-            app, ["extract", str(tmp_path / "grasps"), "0", "-o", str(tmp_path / "plan.json")]
+            app,
+            [
+                "batch",
+                str(tmp_path / "grasps"),
+                "--extract",
+                "0",
+                "-o",
+                str(tmp_path / "plan.json"),
+            ],
         ).exit_code
         == 0
     )

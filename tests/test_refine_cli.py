@@ -179,7 +179,9 @@ def test_what_is_refined_is_read_again(plan: GraspPlan, tmp_path: Path) -> None:
         return done.exit_code, " ".join(done.output.split())
 
     assert run("audit", folder)[1].endswith("2 of 2 grasps pass")
-    rows = json.loads(RUN.invoke(app, ["audit", str(folder), "--json"]).stdout)["rows"]
+    rows = json.loads(RUN.invoke(app, ["refine", "--judge-only", str(folder), "--json"]).stdout)[
+        "rows"
+    ]
     assert [row["name"] for row in rows] == ["0-a", "1-b"]
     assert "2 of 2 brought back" in run("refine", folder, "-o", tmp_path / "again")[1]
     assert "2 plans written" in run("export", folder, "--to", "table", "-o", tmp_path / "t.csv")[1]
