@@ -1,4 +1,4 @@
-"""Measurements of the project, behind the commands of ``opposable bench``.
+"""Measurements of the project, behind the commands of ``python -m benchmarks``.
 
 They stand in the checkout and not in the wheel: their readers are the project's own, and they need
 its version of everything. Nothing that ships imports them.

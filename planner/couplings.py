@@ -212,8 +212,8 @@ def check_held(
             "holds the rest is to be described. If a contact runs one of them to an end of its "
             f"range, add [[couplings]] with joints = {{ {first} = 1.0 }}, value = the lower end "
             'and kind = "stop" (for an upper end, both with a minus); if a gear ties them, joints '
-            f'= {{ {first} = 1.0, {second} = -1.0 }} and kind = "equality". opposable describe '
-            "proposes the stops"
+            f'= {{ {first} = 1.0, {second} = -1.0 }} and kind = "equality". opposable hands '
+            "--describe proposes the stops"
         )
     if free:
         raise HandError(

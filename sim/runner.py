@@ -54,8 +54,15 @@ def made_with() -> dict[str, Any]:
 
 def _command() -> str:
     """The command line, where it is one of ours."""
-    name = Path(sys.argv[0]).name
-    return shlex.join([name, *sys.argv[1:]]) if name == "opposable" else ""
+    program, words = Path(sys.argv[0]), sys.argv[1:]
+    if program.name == "__main__.py" and program.parent.name == "benchmarks":
+        return shlex.join(["python", "-m", "benchmarks", *words])
+    if program.name == "opposable":
+        measured = words[:1] == ["bench"]
+        return shlex.join(
+            ["python", "-m", "benchmarks", *words[1:]] if measured else ["opposable", *words]
+        )
+    return ""
 
 
 def _commit() -> str:

@@ -13,13 +13,13 @@ Whoever looks on may end it: ``simulation.stop("seen enough")``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -41,7 +41,6 @@ from sim.controllers import (
     ReportsLimits,
     controller_for,
 )
-from sim.estimation import AnyEstimator, Estimator, estimator_for, estimator_name
 from sim.looking.picture import draw_tape
 from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
@@ -49,6 +48,11 @@ from sim.physics import AnyPhysics
 from sim.reality import REALITIES, AnyReality, Reality, RealityOfTrial
 from sim.scene import Scene, build_scene
 from sim.tactile import read_touch
+
+if TYPE_CHECKING:
+    from sim.controllers.touch import TouchReading
+    from sim.estimation import AnyEstimator, Estimator
+    from sim.reality import RealityOfTrial
 
 __all__ = ["Simulation", "filmed"]
 
@@ -130,9 +134,16 @@ class Simulation:
         if not reality.ideal:
             if scene is not None:
                 raise TaskError("give a scene or a reality: a reality changes the scene it builds")
+            from sim.reality import RealityOfTrial
+
             self.reality = RealityOfTrial(reality, plan.task)
-        self.estimator: Estimator | None = estimator_for(plan.task, estimator, reality)
-        self._estimator_name = estimator_name(estimator, reality)
+        self.estimator: Estimator | None = None
+        self._estimator_name = "none"
+        if estimator is not None or reality.blurs_pose:
+            from sim.estimation import estimator_for, estimator_name
+
+            self.estimator = estimator_for(plan.task, estimator, reality)
+            self._estimator_name = estimator_name(estimator, reality)
         self.told: tuple[Observation, Observation] | None = None
         self.controller: Controller = controller_for(plan, controller)
         self.scene: Scene = scene or build_scene(
@@ -264,7 +275,7 @@ class Simulation:
             read_twist=self.object_twist,
             read_contacts=partial(hand_contacts, scene, data),
             read_pads=partial(read_pads, scene, data, fingers),
-            read_touch=partial(read_touch, scene, data, fingers),
+            read_touch=partial(_read_touch, scene, data, fingers),
         )
 
     def sensed(self, truth: Observation) -> Observation:
@@ -455,3 +466,8 @@ def filmed(video: Path | None) -> Iterator[None]:
         _tapes.reset(token)
     for tape in tapes[:1]:
         draw_tape(tape, video=video)
+
+
+def _read_touch(scene: Scene, data: Any, fingers: Sequence[str]) -> TouchReading:
+    """As ``sim.tactile.read_touch``, which is loaded for those that feel."""
+    return read_touch(scene, data, fingers)

@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TypedDict, Unpack
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 
@@ -35,7 +35,6 @@ from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
 from sim.controllers import PHASES, AnyController, Phase
 from sim.controllers.retouch import AGAIN_TIME, closed
 from sim.creep import CREEP_BUDGET, least_creep, remedies
-from sim.estimation import AnyEstimator
 from sim.looking.film import check_video
 from sim.looking.picture import draw_tape, moments_of
 from sim.physics import AnyPhysics
@@ -44,6 +43,9 @@ from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
 from sim.simulation import Simulation
 from sim.verdict import Fault, Thresholds, Verdict, judge
+
+if TYPE_CHECKING:
+    from sim.estimation import AnyEstimator
 
 __all__ = ["Timeline", "Trial", "TrialOptions", "felt_by", "run_grasp_phase", "simulate"]
 

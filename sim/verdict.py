@@ -87,7 +87,7 @@ class Thresholds:
         contact_mm: Distance of a finger's mean contact in the hold from its planned one, in the
             object's frame, mm: beyond it the object is held by another grasp. Half the width of a
             fingertip; planned grasps are executed to 0.1 to 0.5 mm without sensor errors
-            (``opposable bench grasps``).
+            (``python -m benchmarks grasps``).
         saturated_share: Share of the samples under load in which an actuator stood at its limit,
             from which on a failure is put down to that (-).
     """

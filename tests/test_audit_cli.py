@@ -1,4 +1,4 @@
-"""``opposable audit``: files of others, plans and batches of ours, exit codes, and a hold trial."""
+"""``opposable refine --judge-only``: files of others, plans and batches of ours, exit codes."""
 
 from __future__ import annotations
 
@@ -54,11 +54,13 @@ def folder(plans: list[GraspPlan], tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def test_good_grasps_exit_with_0_and_bad_ones_with_1(folder: Path, tmp_path: Path) -> None:
-    done = RUN.invoke(app, ["audit", str(folder / "good.csv"), *FOR])
+    done = RUN.invoke(app, ["refine", "--judge-only", str(folder / "good.csv"), *FOR])
     assert done.exit_code == 0, done.output
     assert "3 of 3 grasps pass" in done.output
     rows = tmp_path / "rows.csv"
-    done = RUN.invoke(app, ["audit", str(folder / "bad.json"), *FOR, "--out", str(rows)])
+    done = RUN.invoke(
+        app, ["refine", "--judge-only", str(folder / "bad.json"), *FOR, "--out", str(rows)]
+    )
     assert done.exit_code == 1, done.output
     for words in (
         "3 of 4 grasps pass, 1 fail first at gap",
@@ -72,21 +74,21 @@ def test_good_grasps_exit_with_0_and_bad_ones_with_1(folder: Path, tmp_path: Pat
 
 def test_a_table_brings_its_hand_and_its_objects(folder: Path, tmp_path: Path) -> None:
     """Columns that say what the grasps are for are used where nothing is told."""
-    done = RUN.invoke(app, ["audit", str(folder / "good.csv"), "--json"])
+    done = RUN.invoke(app, ["refine", "--judge-only", str(folder / "good.csv"), "--json"])
     assert done.exit_code == 0, done.output
     data = json.loads(done.stdout)
     assert (data["hand"], data["object"], data["passed"]) == ("allegro_hand", BOX, 3)
     table = json.loads((folder / "good.csv").with_name("bad.json").read_text())
     table["grasps"][1]["object"] = "box:0.05x0.05x0.09"  # of it the pads touch as well
     (tmp_path / "two.json").write_text(json.dumps(table))
-    done = RUN.invoke(app, ["audit", str(tmp_path / "two.json"), "--json"])
+    done = RUN.invoke(app, ["refine", "--judge-only", str(tmp_path / "two.json"), "--json"])
     data = json.loads(done.stdout)
     assert data["object"] == f"{BOX}, box:0.05x0.05x0.09"
     assert [row["index"] for row in data["rows"]] == [0, 1, 2, 3]
     assert [row["object"] for row in data["rows"]] == [BOX] * 3 + ["box:0.05x0.05x0.09"]
     table["hand"] = "my_hand"
     (tmp_path / "two.json").write_text(json.dumps(table))
-    done = RUN.invoke(app, ["audit", str(tmp_path / "two.json")])
+    done = RUN.invoke(app, ["refine", "--judge-only", str(tmp_path / "two.json")])
     assert done.exit_code == 3
     said = " ".join(done.output.split())
     assert "is for the hand 'my_hand', which is not known here; give its name or file" in said
@@ -100,17 +102,17 @@ def test_a_mesh_that_a_file_names(folder: Path, tmp_path: Path) -> None:
     table["grasps"] = table["grasps"][:1]
     table["grasps"][0]["object"] = "can.obj"
     (tmp_path / "t.json").write_text(json.dumps(table))
-    done = RUN.invoke(app, ["audit", str(tmp_path / "t.json"), *FOR[:2], "--json"])
+    done = RUN.invoke(app, ["refine", "--judge-only", str(tmp_path / "t.json"), *FOR[:2], "--json"])
     data = json.loads(done.stdout)
     assert data["object"].endswith("can.obj") and data["stages"]["gap"]["passed"] == 1
     for other, code in (("box:0.05x0.05x0.08", 0), ("box:0.05x0.05x0.09", 3)):
-        words = ["audit", str(tmp_path / "t.json"), *FOR[:2], "--object", other]
+        words = ["refine", "--judge-only", str(tmp_path / "t.json"), *FOR[:2], "--object", other]
         assert RUN.invoke(app, words).exit_code == code, "the same in another form, or another"
     (source,) = sorted((folder / "out" / "graspdata").rglob("*0.npy"))[:1]
     grasp = np.load(source, allow_pickle=True).item()
     grasp["obj_path"] = "can.obj"
     np.save(tmp_path / "g.npy", np.array(grasp, dtype=object))
-    words = ["audit", str(tmp_path / "g.npy"), *FOR[:2], "--by-number"]
+    words = ["refine", "--judge-only", str(tmp_path / "g.npy"), *FOR[:2], "--by-number"]
     done = RUN.invoke(app, words)
     said = " ".join(done.output.split())
     assert f"it names can.obj, which is there: give --object {tmp_path / 'can.obj'}" in said
@@ -118,7 +120,7 @@ def test_a_mesh_that_a_file_names(folder: Path, tmp_path: Path) -> None:
 
 
 def test_json_for_machines(folder: Path) -> None:
-    done = RUN.invoke(app, ["audit", str(folder / "bad.json"), *FOR, "--json"])
+    done = RUN.invoke(app, ["refine", "--judge-only", str(folder / "bad.json"), *FOR, "--json"])
     data = json.loads(done.stdout, parse_constant=pytest.fail)
     assert (data["total"], data["passed"], data["format"]) == (4, 3, "table")
     assert data["stages"]["gap"] == {"passed": 3, "failed": 1, "not_judged": 0, "first_fault": 1}
@@ -128,7 +130,16 @@ def test_json_for_machines(folder: Path) -> None:
 def test_plans_and_batches_bring_all_that_is_needed(folder: Path) -> None:
     for name, count in (("plan.json", 1), ("set", 2)):
         done = RUN.invoke(
-            app, ["audit", str(folder / name), "--approach", "--workers", "1", "--json"]
+            app,
+            [
+                "refine",
+                "--judge-only",
+                str(folder / name),
+                "--approach",
+                "--workers",
+                "1",
+                "--json",
+            ],
         )
         assert done.exit_code == 0, done.output
         data = json.loads(done.stdout)
@@ -137,7 +148,9 @@ def test_plans_and_batches_bring_all_that_is_needed(folder: Path) -> None:
 
 def test_an_export_for_dexgraspbench_is_held(folder: Path) -> None:
     path = folder / "out" / "graspdata"
-    done = RUN.invoke(app, ["audit", str(path), *FOR, "--by-number", "--simulate", "--json"])
+    done = RUN.invoke(
+        app, ["refine", "--judge-only", str(path), *FOR, "--by-number", "--simulate", "--json"]
+    )
     assert done.exit_code == 0, done.output
     data = json.loads(done.stdout)
     assert data["stages"]["held"]["passed"] == 2
@@ -183,7 +196,7 @@ def test_bad_input_is_told(folder: Path, arguments: list[str], said: str) -> Non
     name, *rest = arguments
     rest = [str(folder / r) if r in ("rows.xlsx", "good.csv") else r for r in rest]
     before = sorted(folder.iterdir())
-    done = RUN.invoke(app, ["audit", str(folder / name), *rest])
+    done = RUN.invoke(app, ["refine", "--judge-only", str(folder / name), *rest])
     assert done.exit_code == 3, done.output
     assert re.search(said, " ".join(done.output.split())), done.output
     assert sorted(folder.iterdir()) == before

@@ -1,4 +1,4 @@
-"""``opposable batch`` and ``opposable extract``."""
+"""``opposable batch`` and ``opposable batch --extract``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from planner.batch import BatchProgress, GraspSet
 from planner.files import read_plan
 from sim.cli import batch as commands
 from sim.cli import grasp, main
-from sim.cli.batch_report import BatchBar
+from sim.cli.batch import BatchBar
 
 pytest.importorskip("pyarrow")
 
@@ -60,11 +60,17 @@ def test_a_batch_is_planned_summed_up_exported_and_picked_from(tmp_path: Path) -
         assert code == 3
         assert "options" in err
 
-    code, _, err = opposable("extract", folder, "1", "-o", tmp_path / "plan.json")
+    code, _, err = opposable("batch", folder, "--extract", "1", "-o", tmp_path / "plan.json")
     assert code == 0, err
     assert read_plan(tmp_path / "plan.json").task.object.name == "sphere"
-    assert "was not found" in opposable("extract", folder, "4", "-o", tmp_path / "no.json")[2]
-    assert "There is: 0 to 5" in opposable("extract", folder, "6", "-o", tmp_path / "no.json")[2]
+    assert (
+        "was not found"
+        in opposable("batch", folder, "--extract", "4", "-o", tmp_path / "no.json")[2]
+    )
+    assert (
+        "There is: 0 to 5"
+        in opposable("batch", folder, "--extract", "6", "-o", tmp_path / "no.json")[2]
+    )
     assert not (tmp_path / "no.json").exists()
 
 
@@ -125,7 +131,7 @@ def test_the_options_of_run_are_those_of_batch() -> None:
     executed = {"sim_mu", "physics", "controller", "view", "video", "arrows", "verbose"}
     executed |= {"reality", "reality_seed", "estimate", "pads"}
     chosen = {"best_of", "keep", "metric"}
-    assert run - batch == {"object", "out_dir", "context"} | executed | chosen
+    assert run - batch == {"object", "out_dir"} | executed | chosen
 
 
 def test_grasps_that_spare_fingers_go_the_same_ways(tmp_path: Path) -> None:

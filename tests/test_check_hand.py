@@ -24,7 +24,7 @@ from planner.system.models import models_dir
 from planner.task import GraspTask
 from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT, EXIT_NO
-from sim.cli.inspection import inspect_hand
+from sim.cli.hand_tables import inspect_hand
 
 EditHand = Callable[..., Path]
 
@@ -114,7 +114,7 @@ def test_a_hand_without_postures_cannot_be_planned_with(edit_hand: EditHand) -> 
     report = check_hand(load_hand(edit_hand({"[postures.pinch]": "[postures.other]"})))
     assert not report.ok
     assert levels(report)["error"] == ["there is no posture 'pinch'"]
-    assert "opposable describe" in report.findings[0].what_to_do
+    assert "opposable hands --describe" in report.findings[0].what_to_do
 
 
 def test_a_pad_that_faces_backwards_is_an_error(edit_hand: EditHand) -> None:
@@ -205,7 +205,7 @@ def test_a_finger_that_takes_no_part_presses_with_nothing(
     presses = {p.finger: p.presses for p in check_hand(load_hand(path)).pads}
     assert presses["ring"] is None
     assert all(presses[f] is not None for f in ("thumb", "index", "middle"))
-    shown = runner.invoke(app, ["check-hand", str(path)])
+    shown = runner.invoke(app, ["hands", "--check", str(path)])
     assert shown.exit_code == 0 and "nan" not in shown.output
 
 
@@ -305,16 +305,16 @@ def test_inspect_tells_the_same_torques(shadow: Hand) -> None:
 
 
 def test_check_hand_command(runner: CliRunner, edit_hand: EditHand) -> None:
-    good = runner.invoke(app, ["check-hand", "allegro_hand"])
+    good = runner.invoke(app, ["hands", "--check", "allegro_hand"])
     assert good.exit_code == 0, good.output
     assert "nothing forbids planning" in good.output
-    as_json = runner.invoke(app, ["check-hand", "allegro_hand", "--json"])
+    as_json = runner.invoke(app, ["hands", "--check", "allegro_hand", "--json"])
     assert json.loads(as_json.output)["ok"] is True
     path = edit_hand({"[postures.pinch]": "[postures.other]"})
-    bad = runner.invoke(app, ["check-hand", str(path)])
+    bad = runner.invoke(app, ["hands", "--check", str(path)])
     assert bad.exit_code == EXIT_NO
     assert "no posture 'pinch'" in " ".join(bad.output.split())
-    missing = runner.invoke(app, ["check-hand", "no_such_hand"])
+    missing = runner.invoke(app, ["hands", "--check", "no_such_hand"])
     assert missing.exit_code == EXIT_BAD_INPUT
 
 
@@ -334,23 +334,28 @@ def test_arrays_of_taxels_are_shown_and_wrong_ones_are_told_by_finger(edit_hand:
 
 def test_describe_command(runner: CliRunner, tmp_path: Path) -> None:
     model = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
-    printed = runner.invoke(app, ["describe", str(model), "--name", "mine"])
+    printed = runner.invoke(app, ["hands", str(model), "--describe"])
     assert printed.exit_code == 0, printed.output
-    assert 'name = "mine"' in printed.output
+    assert 'name = "allegro' in printed.output
     path = tmp_path / "hand.toml"
-    wrote = runner.invoke(app, ["describe", str(model), "--out", str(path)])
+    wrote = runner.invoke(app, ["hands", str(model), "--describe", "--out", str(path)])
     assert wrote.exit_code == 0, wrote.output
     assert load_hand(path).joint_names == load_hand("allegro_hand").joint_names
     with Image.open(tmp_path / "hand.png") as picture:  # a row of pinch and open per candidate
         rows = len(load_hand(path).description.postures) // 2
         wide, high = picture.size
         assert (picture.format, high * 2 * 320) == ("PNG", wide * 260 * rows)
-    again = runner.invoke(app, ["describe", str(model), "-o", str(path)])
+    again = runner.invoke(app, ["hands", str(model), "--describe", "-o", str(path)])
     assert again.exit_code == EXIT_BAD_INPUT
     assert "--force" in again.output
-    nowhere = runner.invoke(app, ["describe", str(model), "-o", str(tmp_path / "no" / "h.toml")])
+    nowhere = runner.invoke(
+        app, ["hands", "--describe", str(model), "-o", str(tmp_path / "no" / "h.toml")]
+    )
     assert nowhere.exit_code == EXIT_BAD_INPUT
-    assert runner.invoke(app, ["describe", str(tmp_path / "no.xml")]).exit_code == EXIT_BAD_INPUT
+    assert (
+        runner.invoke(app, ["hands", "--describe", str(tmp_path / "no.xml")]).exit_code
+        == EXIT_BAD_INPUT
+    )
 
 
 def test_hands_command_lists_ours_and_those_of_others(runner: CliRunner) -> None:

@@ -155,13 +155,13 @@ def test_no_command_is_made_of_an_odd_file_name(tmp_path: Path) -> None:
     "arguments",
     [
         ["plan", "allegro_hand", "sphere", "--out", LONG],
-        ["describe", "hand.xml", "--out", LONG],
-        ["check-hand", LONG],
+        ["hands", "hand.xml", "--describe", "--out", LONG],
+        ["hands", LONG, "--check"],
         ["crosscheck", LONG],
-        ["extract", LONG, "0"],
+        ["batch", LONG, "--extract", "0"],
         ["batch", "allegro_hand", "sphere", "-n", "1", "--out", LONG],
-        ["forces", "plan.json", "--tolerance", "nan"],
-        ["forces", "plan.json", "--rate", "inf"],
+        ["test", "plan.json", "--protocol", "creep", "--budget", "nan"],
+        ["analyse", "plan.json", "--forces", "--rate", "inf"],
         ["batch", "allegro_hand", "sphere", "-n", "1", "--workers", str(2**63), "--out", "b"],
     ],
 )

@@ -24,7 +24,8 @@ import planner
 from planner.files import PlanFile, read_plan
 from planner.hand_loading import load_hand
 from sim.cli import main
-from sim.cli.common import names, print_json
+from sim.cli.common import print_json
+from sim.cli.options import names
 from sim.report_file import ReportFile
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -69,7 +70,7 @@ def without_times(plan: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_inspect_prints_every_joint_and_actuator() -> None:
-    result = opposable("inspect", "shadow_hand")
+    result = opposable("hands", "shadow_hand")
     hand = load_hand("shadow_hand")
     assert result.code == 0
     assert result.err == ""
@@ -78,7 +79,7 @@ def test_inspect_prints_every_joint_and_actuator() -> None:
 
 
 def test_inspect_as_json_agrees_with_the_hand() -> None:
-    result = opposable("inspect", "allegro_hand", "--json")
+    result = opposable("hands", "allegro_hand", "--json")
     assert result.code == 0
     data, hand = json.loads(result.out), load_hand("allegro_hand")
     assert data["sha256"] == hand.digest
@@ -104,7 +105,7 @@ def test_an_object_stands_in_the_pose_that_is_asked_for(tmp_path: Path) -> None:
 def test_a_plan_file_as_the_object_is_told_what_takes_it(planned: Path) -> None:
     result = opposable("plan", "allegro_hand", planned)
     assert result.code == 3
-    assert f"is a plan file, not an object: opposable simulate {planned}" in result.err
+    assert f"is a plan file, not an object: opposable test {planned}" in result.err
 
 
 def test_a_plan_file_is_valid_and_the_same_for_the_same_seed(planned: Path) -> None:
@@ -132,7 +133,7 @@ def test_options_of_plan_reach_the_plan(tmp_path: Path) -> None:
 
 def test_plan_simulate_analyse_round_trip(planned: Path, tmp_path: Path, can_draw: bool) -> None:
     report_file, picture = tmp_path / "report.json", tmp_path / "held.png"
-    result = opposable("simulate", planned, "-o", report_file, "--picture", picture)
+    result = opposable("test", planned, "-o", report_file, "--picture", picture)
     assert result.code == 0, result.err
     assert "held" in result.out
     report = json.loads(report_file.read_text(encoding="utf-8"))
@@ -162,7 +163,7 @@ def assert_picture_or_reason(
 
 
 def test_simulate_says_no_when_the_object_is_not_held(planned: Path) -> None:
-    result = opposable("simulate", planned, "--sim-mu", "0", "--json")
+    result = opposable("test", planned, "--sim-mu", "0", "--json")
     report = json.loads(result.out)
     assert result.code == 1
     assert not report["success"]
@@ -280,7 +281,7 @@ def test_analyse_judges_contacts_that_were_typed_in(
 
 
 def test_schema_describes_the_file_that_was_written(planned: Path) -> None:
-    result = opposable("schema", "plan")
+    result = opposable("export", "--schema", "plan")
     assert result.code == 0
     schema, plan = json.loads(result.out), json.loads(planned.read_text(encoding="utf-8"))
     assert set(schema["required"]) <= set(plan) <= set(schema["properties"])
@@ -299,8 +300,8 @@ def test_no_grasp_found_has_its_own_exit_code_and_writes_nothing(tmp_path: Path)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("inspect", "alegro_hand"), "Did you mean 'allegro_hand'?"),
-        (("inspect", "nowhere/hand.toml"), "nowhere/hand.toml does not exist; give a hand.toml"),
+        (("hands", "alegro_hand"), "Did you mean 'allegro_hand'?"),
+        (("hands", "nowhere/hand.toml"), "nowhere/hand.toml does not exist; give a hand.toml"),
         (("plan", "allegro_hand", "bax"), "Did you mean 'box'?"),
         (("plan", "allegro_hand", "box", "--fingers", "thumb,indx,ring"), "mean 'index'?"),
         (
@@ -326,10 +327,10 @@ def test_no_grasp_found_has_its_own_exit_code_and_writes_nothing(tmp_path: Path)
         (("plan", "allegro_hand", "box", "--fingers", "thumb,thumb,ring"), "named twice"),
         (("plan", "allegro_hand", "box", "--max-cpu-s", "0"), "give seconds > 0"),
         (("plan", "allegro_hand", "box", "-o", "nowhere/plan.json"), "no folder nowhere"),
-        (("simulate", "missing.json"), "cannot read plan file missing.json: No such file"),
-        (("simulate", "[bold]missing.json"), "[bold]missing.json"),
+        (("test", "missing.json"), "cannot read plan file missing.json: No such file"),
+        (("test", "[bold]missing.json"), "[bold]missing.json"),
         (("analyse", "missing.json"), "missing.json: No such file"),
-        (("schema", "plans"), "Did you mean 'plan'?"),
+        (("export", "--schema", "plans"), "Did you mean 'plan'?"),
         (("bench", "grasps", "--objects", "bax"), "Did you mean 'box'?"),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, tuple) else "",
@@ -355,10 +356,10 @@ def test_a_folder_that_cannot_be_made_ends_before_planning(tmp_path: Path) -> No
 
 def test_bad_numbers_of_the_simulation_are_refused(planned: Path, tmp_path: Path) -> None:
     for value in ("nan", "-1"):
-        result = opposable("simulate", planned, "--sim-mu", value)
+        result = opposable("test", planned, "--sim-mu", value)
         assert result.code == 3
         assert "mu in simulation is" in result.err
-    result = opposable("simulate", planned, "-o", tmp_path / "nowhere" / "report.json")
+    result = opposable("test", planned, "-o", tmp_path / "nowhere" / "report.json")
     assert result.code == 3
     assert "make it" in result.err
 
@@ -367,7 +368,7 @@ def test_bad_numbers_of_the_simulation_are_refused(planned: Path, tmp_path: Path
 def test_view_without_a_display_is_refused(planned: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    result = opposable("simulate", planned, "--view")
+    result = opposable("test", planned, "--view")
     assert result.code == 3
     assert "there is no display" in result.err
 
@@ -425,7 +426,7 @@ def test_a_damaged_plan_file_is_refused(name: str, planned: Path, tmp_path: Path
     damage, words = DAMAGE[name]
     path = tmp_path / "plan.json"
     path.write_text(damage(planned.read_text(encoding="utf-8")), encoding="utf-8")
-    result = opposable("simulate", path)
+    result = opposable("test", path)
     assert result.code == 3
     assert result.out == ""
     assert result.err.startswith("error: ")
@@ -442,7 +443,7 @@ def test_wrong_usage_has_its_own_exit_code(arguments: tuple[str, ...]) -> None:
 
 
 def test_every_command_explains_itself() -> None:
-    for command in ("run", "inspect", "plan", "simulate", "analyse", "schema"):
+    for command in ("run", "hands", "plan", "test", "analyse", "export"):
         result = opposable(command, "--help")
         assert result.code == 0
         assert command in result.out
@@ -529,7 +530,7 @@ def test_ctrl_c_ends_planning_even_inside_a_solve(tmp_path: Path) -> None:
 def test_ctrl_c_ends_a_trial_with_a_whole_report(planned: Path, tmp_path: Path) -> None:
     path = tmp_path / "report.json"
     script = SAY_WHEN.format(module="mujoco", owner="module", name="mj_step", call=500)
-    result = interrupt(script, "simulate", planned, "-o", path, "--json")
+    result = interrupt(script, "test", planned, "-o", path, "--json")
     assert result.code == 130
     assert "Traceback" not in result.err
     report = json.loads(path.read_text(encoding="utf-8"))

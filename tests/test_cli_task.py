@@ -15,9 +15,8 @@ from planner.files import read_plan, write_plan
 from planner.task import GRAVITY as GRAVITY_OF_TASKS
 from planner.task import GraspTask
 from sim.cli import app
-from sim.cli.options import PlanOptions
-from sim.cli.places import obstacle_of, pose_of, table_of
-from sim.cli.task_options import GRAVITY
+from sim.cli.search import PlanOptions
+from sim.cli.tasks import GRAVITY, obstacle_of, pose_of, table_of
 
 RUN = CliRunner()
 
@@ -142,7 +141,7 @@ def test_a_plan_of_all_of_it_is_kept_by_its_file_and_held(tmp_path: Path) -> Non
     task = read_plan(file).task
     assert (task.table_height, task.wrist_free, task.contact_model) == (0.5, True, "soft")
     assert (len(task.obstacles), task.grip_force, task.gravity[2]) == (1, 2.0, -5.0)
-    assert RUN.invoke(app, ["simulate", str(file)]).exit_code == 0
+    assert RUN.invoke(app, ["test", str(file)]).exit_code == 0
 
 
 def test_a_base_that_is_told_is_kept(tmp_path: Path) -> None:
@@ -165,7 +164,15 @@ def test_a_batch_has_the_same_surroundings(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert (
         RUN.invoke(
-            app, ["extract", str(tmp_path / "grasps"), "0", "-o", str(tmp_path / "plan.json")]
+            app,
+            [
+                "batch",
+                str(tmp_path / "grasps"),
+                "--extract",
+                "0",
+                "-o",
+                str(tmp_path / "plan.json"),
+            ],
         ).exit_code
         == 0
     )

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 import pytest
-from sim.real_hand.udp import Inbox, Packet
+from udp_hand import Inbox, Packet
 
 from planner.collision.pad_contact import pad_contacts
 from planner.collision.world import CollisionWorld

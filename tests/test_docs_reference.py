@@ -88,7 +88,7 @@ def test_every_command_and_option_is_on_its_page() -> None:
 
 def test_every_kind_of_schema_has_a_page(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        main(["schema", "nothing"])
+        main(["export", "--schema", "nothing"])
     error = " ".join(capsys.readouterr().err.split())
     kinds = error.partition("There is: ")[2].rstrip(". ").split(", ")
     assert len(kinds) > 5

@@ -58,7 +58,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, allegro: Hand) -> Path:
 
 def test_plans_reports_and_batches_make_one_data_set(inputs: Path, tmp_path: Path) -> None:
     words = [inputs / "plan.json", inputs / "report.json", inputs / "grasps"]
-    done = opposable("episodes", *words, "-o", tmp_path / "set", "-n", "1", "--failed")
+    done = opposable("dataset", "episodes", *words, "-o", tmp_path / "set", "-n", "1", "--failed")
     assert done.exit_code == 0, done.output
     assert f"written to {tmp_path}/set: episodes: 3" in done.output
     ours = rows_of(tmp_path / "set")
@@ -76,7 +76,16 @@ def test_plans_reports_and_batches_make_one_data_set(inputs: Path, tmp_path: Pat
 
 def test_json_tells_what_was_written(inputs: Path, tmp_path: Path) -> None:
     done = opposable(
-        *("episodes", inputs / "report.json", "-o", tmp_path / "set", "--fps", "25", "--json")
+        *(
+            "dataset",
+            "episodes",
+            inputs / "report.json",
+            "-o",
+            tmp_path / "set",
+            "--fps",
+            "25",
+            "--json",
+        )
     )
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
@@ -86,7 +95,7 @@ def test_json_tells_what_was_written(inputs: Path, tmp_path: Path) -> None:
 
 
 def test_failed_trials_are_named_and_kept_if_asked_for(inputs: Path, tmp_path: Path) -> None:
-    words = ("episodes", inputs / "plan.json", "--sim-mu", "0.05")
+    words = ("dataset", "episodes", inputs / "plan.json", "--sim-mu", "0.05")
     done = opposable(*words, "-o", tmp_path / "set")
     assert done.exit_code == 3 and not (tmp_path / "set").exists()
     assert f"left out: {inputs / 'plan.json'}: the trial failed:" in flat(done)
@@ -120,7 +129,7 @@ def test_bad_input_is_named_and_leaves_nothing(
     report = json.loads((inputs / "report.json").read_text())
     (inputs / "other.json").write_text(json.dumps({**report, "hand": "shadow_hand"}))
     monkeypatch.chdir(inputs)
-    done = opposable("episodes", *words, "-o", tmp_path / "set")
+    done = opposable("dataset", "episodes", *words, "-o", tmp_path / "set")
     assert done.exit_code == 3, done.output
     assert said in flat(done)
     assert not list(tmp_path.iterdir())

@@ -154,9 +154,9 @@ def test_descriptions_with_numbers_that_cannot_be(
         load_hand(path)
 
 
-@pytest.mark.parametrize("command", ["describe", "check-hand"])
+@pytest.mark.parametrize("command", ["--describe", "--check"])
 def test_the_commands_end_with_the_code_of_bad_input(command: str, tmp_path: Path) -> None:
     path = written(tmp_path, claw().replace('axis="0 1 0"', 'axis="nan 1 0"', 1))
-    result = CliRunner().invoke(app, [command, str(path)])
+    result = CliRunner().invoke(app, ["hands", str(path), command])
     assert result.exit_code == EXIT_BAD_INPUT
     assert "axis of joint" in " ".join(result.output.split())

@@ -602,7 +602,7 @@ def test_another_hand_or_object_is_told_before_anything_is_planned(
     code: int,
     told: str,
 ) -> None:
-    from sim.cli.manipulation import TurnOptions
+    from sim.cli.manipulate import TurnOptions
 
     def plan(*_: object) -> None:
         assert told in " ".join(capsys.readouterr().err.split()), "it was not told before"

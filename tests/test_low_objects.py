@@ -18,8 +18,8 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask
 from sim.cli import app
-from sim.cli.low_objects import ATTEMPTS, LOW, advice_for_low
-from sim.cli.options import PlanOptions
+from sim.cli.advice import ATTEMPTS, LOW, advice_for_low
+from sim.cli.search import PlanOptions
 
 RUN = CliRunner()
 

@@ -353,7 +353,7 @@ def test_a_report_file_of_another_kind_is_refused(
 
 @pytest.mark.parametrize("kind", ["manipulation", "manipulation-report"])
 def test_schemas_are_printed(kind: str) -> None:
-    done = CliRunner().invoke(app, ["schema", kind])
+    done = CliRunner().invoke(app, ["export", "--schema", kind])
     assert done.exit_code == 0
     assert f"opposable-{kind}" in done.stdout
 

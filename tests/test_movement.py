@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from planner.errors import TaskError
-from sim.cli.movement import NO_SHIFT, movement
+from sim.cli.options import NO_SHIFT, movement
 
 STILL = (0.0, 0.0, 0.0)
 

@@ -391,14 +391,14 @@ def cli(*arguments: str) -> tuple[int, str, str]:
 def test_commands_take_physics_by_name_and_file(grasped: GraspPlan, tmp_path: Path) -> None:
     plan = tmp_path / "plan.json"
     write_plan(grasped, plan)
-    code, told, _ = cli("simulate", str(plan), "--physics", "mujoco-default", "--json")
+    code, told, _ = cli("test", str(plan), "--physics", "mujoco-default", "--json")
     report = json.loads(told)
     assert code == 1
     assert report["physics"]["name"] == "mujoco-default"
     assert report["physics"]["mu"] == 1.0
     mine = written(tmp_path, "mine.toml", 'preset = "mujoco-default"\nnoslip_iterations = 10')
     more = ("--sim-mu", "0.8", "--verbose")
-    code, told, _ = cli("simulate", str(plan), "--physics", str(mine), *more)
+    code, told, _ = cli("test", str(plan), "--physics", str(mine), *more)
     assert code == 0
     assert "physics: mine.toml" in told
     out = tmp_path / "test"
@@ -408,7 +408,12 @@ def test_commands_take_physics_by_name_and_file(grasped: GraspPlan, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    "command", [("run", "allegro_hand", "box"), ("demo",), ("manipulate", "allegro_hand", "box")]
+    "command",
+    [
+        ("run", "allegro_hand", "box"),
+        ("manipulate", "--demo"),
+        ("manipulate", "allegro_hand", "box"),
+    ],
 )
 def test_a_wrong_physics_ends_before_the_work(command: tuple[str, ...]) -> None:
     code, _, told = cli(*command, "--physics", "bullet")
@@ -448,16 +453,16 @@ def test_changes_are_made_large_enough_for_what_is_measured(grasped: GraspPlan) 
 def test_the_command_creep_says_what_to_change(grasped: GraspPlan, tmp_path: Path) -> None:
     plan = tmp_path / "plan.json"
     write_plan(grasped, plan)
-    code, told, _ = cli("creep", str(plan), "--budget", "0.5", "--json")
+    code, told, _ = cli("test", "--protocol", "creep", str(plan), "--budget", "0.5", "--json")
     data = json.loads(told)
     assert code == 1
     assert data["physics"]["name"] == "mujoco-default"
     assert not data["within_budget"]
     assert all(c["enough"] and c["creep_mm_s"] <= 0.5 for c in data["changes"])
     assert any("priority" in c["what"] for c in data["changes"])
-    code, told, _ = cli("creep", str(plan), "--physics", "ours")
+    code, told, _ = cli("test", "--protocol", "creep", str(plan), "--physics", "ours")
     assert code == 0
     assert "0.1 mm/s are wanted" in told
-    code, _, told = cli("creep", str(plan), "--budget", "-1")
+    code, _, told = cli("test", "--protocol", "creep", str(plan), "--budget", "-1")
     assert code == 3
     assert "--budget is -1" in told

@@ -89,7 +89,8 @@ def test_without_states_there_is_no_page(report: ProtocolReport, plan: GraspPlan
 
 def test_the_command_writes_pages_of_failures(plan: GraspPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
-    words = ["test", str(tmp_path / "plan.json"), "--workers", "1", "--out", str(tmp_path / "out")]
+    words = ["test", str(tmp_path / "plan.json"), "--protocol", "all", "--workers", "1"]
+    words += ["--out", str(tmp_path / "out")]
     for only in ("mass x0.5, friction x1, pose 0 mm 0 deg", TRIALS["robust"]):
         words += ["--only", only]
     done = CliRunner().invoke(app, [*words, "--pages", "failures"])

@@ -613,7 +613,8 @@ def test_of_all_protocols_those_that_a_hand_cannot_take_are_skipped(
 ) -> None:
     file = tmp_path / "plan.json"
     write_plan(pinched, file)
-    arguments = ["test", str(file), "--workers", "1", "--out", str(tmp_path / "out"), "--json"]
+    arguments = ["test", str(file), "--protocol", "all", "--workers", "1"]
+    arguments += ["--out", str(tmp_path / "out"), "--json"]
 
     def run(*names: str) -> tuple[int, dict[str, list[dict[str, str]]], str]:
         with pytest.raises(SystemExit) as ended:
@@ -664,4 +665,5 @@ def test_the_help_names_every_protocol(capsys: pytest.CaptureFixture[str]) -> No
     with pytest.raises(SystemExit):
         main(["test", "--help"])
     told = " ".join(capsys.readouterr().out.split())
-    assert f"{', '.join(PROTOCOLS)}, or all" in told.replace("\u2502 ", "")
+    every = ("hold", "creep", *PROTOCOLS)
+    assert f"{', '.join(every)}, or all" in told.replace("\u2502 ", "")

@@ -14,7 +14,7 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.carrier import Timeline
-from sim.cli.common import reality_of
+from sim.cli.execution import reality_of
 from sim.presets import SUFFIXES
 from sim.protocols import Settings, run_protocol
 from sim.reality import (

@@ -178,20 +178,24 @@ def test_what_is_refined_is_read_again(plan: GraspPlan, tmp_path: Path) -> None:
         done = RUN.invoke(app, [str(w) for w in words])
         return done.exit_code, " ".join(done.output.split())
 
-    assert run("audit", folder)[1].endswith("2 of 2 grasps pass")
-    rows = json.loads(RUN.invoke(app, ["audit", str(folder), "--json"]).stdout)["rows"]
+    assert run("refine", "--judge-only", folder)[1].endswith("2 of 2 grasps pass")
+    rows = json.loads(RUN.invoke(app, ["refine", "--judge-only", str(folder), "--json"]).stdout)[
+        "rows"
+    ]
     assert [row["name"] for row in rows] == ["0-a", "1-b"]
     assert "2 of 2 brought back" in run("refine", folder, "-o", tmp_path / "again")[1]
     assert "2 plans written" in run("export", folder, "--to", "table", "-o", tmp_path / "t.csv")[1]
-    code, said = run("simulate", folder)
-    assert "holds 2 plans, and one is taken; give a file of it: 0-a.json, 1-b.json" in said
-    assert code == 3
-    (folder / "1-b.json").unlink()
-    assert run("simulate", folder)[0] == 0
-    (folder / "0-a.json").unlink()
-    for command in ("simulate", "test"):
-        code, said = run(command, folder)
-        assert code == 3 and "is a folder without plan files; give plan files" in said
+    code, said = run("test", folder)  # each of them, one after the other
+    assert code == 0
+    assert all(f"{name}: " in said for name in ("0-a.json", "1-b.json"))
+    refused = run("test", folder, "-o", tmp_path / "report.json")
+    assert refused[0] == 3 and "--out, --picture and --video are of one plan" in refused[1]
+    one = ("certify", folder)
+    assert "holds 2 plans, and one is taken; give a file of it: 0-a.json, 1-b.json" in run(*one)[1]
+    for file in folder.glob("*-*.json"):
+        file.unlink()
+    code, said = run("test", folder)
+    assert code == 3 and "is a folder without plan files; give plan files" in said
     code, said = run("export", folder, "--to", "table", "-o", tmp_path / "t.csv")
     assert code == 3 and "holds neither plan files nor a batch" in said
 

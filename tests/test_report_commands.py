@@ -47,14 +47,14 @@ def test_run_writes_a_page_and_says_where(tmp_path: Path) -> None:
 
 
 def test_simulate_writes_the_page_beside_the_report(planned: Path, tmp_path: Path) -> None:
-    done = opposable("simulate", planned, "-o", tmp_path / "trial.json")
+    done = opposable("test", planned, "-o", tmp_path / "trial.json")
     assert f"open in a browser: {tmp_path}/trial.html" in done.output
     assert read_report(tmp_path / "trial.html") == read_report(tmp_path / "trial.json")
     assert {file.name for file in tmp_path.iterdir()} == {"trial.json", "trial.html"}
 
 
 def test_simulate_writes_a_page_alone_if_its_name_says_so(planned: Path, tmp_path: Path) -> None:
-    done = opposable("simulate", planned, "-o", tmp_path / "trial.html", "--json")
+    done = opposable("test", planned, "-o", tmp_path / "trial.html", "--json")
     assert {file.name for file in tmp_path.iterdir()} == {"trial.html"}
     told = json.loads(done.stdout)
     assert told == read_report(tmp_path / "trial.html").model_dump(mode="json")
@@ -64,12 +64,12 @@ def test_simulate_writes_a_page_alone_if_its_name_says_so(planned: Path, tmp_pat
 def test_simulate_without_a_file_writes_nothing(planned: Path, tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
-        done = opposable("simulate", planned)
+        done = opposable("test", planned)
     assert "browser" not in done.output and not list(tmp_path.iterdir())
 
 
 def test_a_page_is_not_written_where_it_cannot_be(planned: Path, tmp_path: Path) -> None:
-    done = opposable("simulate", planned, "-o", tmp_path / "missing" / "trial.html")
+    done = opposable("test", planned, "-o", tmp_path / "missing" / "trial.html")
     assert done.exit_code == 3 and "there is no folder" in " ".join(done.output.split())
 
 

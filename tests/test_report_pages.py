@@ -146,7 +146,7 @@ def test_a_page_says_first_whether_it_was_held_and_why_not(
 
 
 def test_the_command_and_the_version_stand_in_the_page(held: TrialReport) -> None:
-    told = replace(held, command="opposable simulate plan.json --sim-mu 0.1").to_file()
+    told = replace(held, command="opposable test plan.json --sim-mu 0.1").to_file()
     said = list(texts(trial_page(told).summary))
     assert told.command in said and told.written_by in said
 

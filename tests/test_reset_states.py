@@ -220,7 +220,14 @@ def test_more_states_begin_with_the_same_ones(cache: Path, tmp_path: Path) -> No
 
 def test_a_killed_run_goes_on(cache: Path, tmp_path: Path) -> None:
     folder = tmp_path / "cache"
-    words = [sys.executable, "-c", "from sim.cli import main; main()", "states", ASKED.hand]
+    words = [
+        sys.executable,
+        "-c",
+        "from sim.cli import main; main()",
+        "dataset",
+        "states",
+        ASKED.hand,
+    ]
     words += [*ASKED.objects, "-n", "100000", "--grasps", "6", "--motions", "2", "--gaits", "0"]
     words += ["--workers", "1"]
     killed = subprocess.Popen([*words, "--out", str(folder)], env={**os.environ})

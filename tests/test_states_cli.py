@@ -1,4 +1,4 @@
-"""``opposable states``."""
+"""``opposable dataset states``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 from rich.console import Console
 
 from sim.cli import main
-from sim.cli.states_report import StatesBar, states_table
+from sim.cli.dataset import StatesBar, states_table
 from sim.reset_states import StatesProgress
 from sim.reset_states.shards import shard_path
 
@@ -34,7 +34,17 @@ def opposable(*arguments: str | Path) -> tuple[int, str, str]:
 
 
 def test_states_are_made_in_two_sizes_and_shown_again(tmp_path: Path) -> None:
-    words = ["states", "allegro_hand", "sphere:0.035", "-n", "5", "--scales", "1,1.1", *FEW]
+    words = [
+        "dataset",
+        "states",
+        "allegro_hand",
+        "sphere:0.035",
+        "-n",
+        "5",
+        "--scales",
+        "1,1.1",
+        *FEW,
+    ]
     words += ["--gravity=-1,0,0", "--out", str(tmp_path / "cache")]
     code, out, err = opposable(*words)
     assert code == 0, err
@@ -65,7 +75,17 @@ def test_states_are_made_in_two_sizes_and_shown_again(tmp_path: Path) -> None:
 
 def test_an_object_that_cannot_be_held_is_said(tmp_path: Path) -> None:
     code, out, _ = opposable(
-        *("states", "allegro_hand", "sphere:0.2", "-n", "5", *FEW, "--out", tmp_path / "cache")
+        *(
+            "dataset",
+            "states",
+            "allegro_hand",
+            "sphere:0.2",
+            "-n",
+            "5",
+            *FEW,
+            "--out",
+            tmp_path / "cache",
+        )
     )
     assert code == 4
     assert "0/5" in out
@@ -80,7 +100,6 @@ def test_an_object_that_cannot_be_held_is_said(tmp_path: Path) -> None:
         (("--friction", "2,1"), "the smaller one first"),
         (("--gravity", "down"), "--gravity"),
         (("--format", "isaac"), "isaac_lab"),
-        (("--turn", "0"), "turn is 0 degrees"),
         (("--workers", "0"), "workers"),
         (("--grasps", "0"), "no grasps, motions or gaits"),
     ],
@@ -89,7 +108,7 @@ def test_bad_options_end_before_anything_is_made(
     words: tuple[str, ...], complaint: str, tmp_path: Path
 ) -> None:
     folder = tmp_path / "cache"
-    asked = ("states", "allegro_hand", "box", "-n", "5", *FEW, *words)
+    asked = ("dataset", "states", "allegro_hand", "box", "-n", "5", *FEW, *words)
     code, _, err = opposable(*asked, "--out", folder)
     assert code == 3, err
     assert complaint in err
@@ -97,7 +116,17 @@ def test_bad_options_end_before_anything_is_made(
 
 
 def test_a_format_that_cannot_hold_them_is_an_error_only_if_it_was_named(tmp_path: Path) -> None:
-    asked = ("states", "allegro_hand", "sphere:0.035", "-n", "2", *FEW, "--out", tmp_path / "cache")
+    asked = (
+        "dataset",
+        "states",
+        "allegro_hand",
+        "sphere:0.035",
+        "-n",
+        "2",
+        *FEW,
+        "--out",
+        tmp_path / "cache",
+    )
     code, out, _ = opposable(*asked)
     assert code == 0
     assert "no hora of sphere-0.035-s1" in " ".join(out.split())
@@ -107,7 +136,7 @@ def test_a_format_that_cannot_hold_them_is_an_error_only_if_it_was_named(tmp_pat
 
 
 def test_ctrl_c_keeps_what_there_is(tmp_path: Path) -> None:
-    words = ["states", "allegro_hand", "sphere:0.035", "-n", "100000", *FEW]
+    words = ["dataset", "states", "allegro_hand", "sphere:0.035", "-n", "100000", *FEW]
     running = subprocess.Popen(
         [sys.executable, "-c", "from sim.cli import main; main()", *words, "--out", "cache"],
         cwd=tmp_path,

@@ -361,7 +361,7 @@ def opposable(*arguments: str | Path) -> tuple[int, str, str]:
 @pytest.mark.usefixtures("drawing")
 def test_simulate_films(plan: GraspPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
-    code, out, err = opposable("simulate", tmp_path / "plan.json", "--video", tmp_path / "run.gif")
+    code, out, err = opposable("test", tmp_path / "plan.json", "--video", tmp_path / "run.gif")
     assert code == 0, err
     assert "run.gif (drawn by " in out
     assert len(film_in(tmp_path / "run.gif")[0]) > 40
@@ -369,9 +369,9 @@ def test_simulate_films(plan: GraspPlan, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("drawing")
 def test_plans_are_drawn_without_a_simulation(tmp_path: Path) -> None:
-    for command, sort in (("plan", ()), ("plan-motion", ("--angle", "20"))):
+    for command, sort in (("plan", ()), ("manipulate", ("--plan-only", "--rotate", "20"))):
         picture, film = tmp_path / f"{command}.png", tmp_path / f"{command}.webp"
-        films = ("--video", film) if command == "plan-motion" else ()
+        films = ("--video", film) if command == "manipulate" else ()
         code, out, err = opposable(
             *(command, "allegro_hand", "cylinder", *sort, "-o", tmp_path / "plan.json"),
             *("--picture", picture, "--arrows", *films),
@@ -387,12 +387,12 @@ def test_plans_are_drawn_without_a_simulation(tmp_path: Path) -> None:
 def test_bad_films_end_with_one_line(plan: GraspPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
     for command in (
-        ("simulate", tmp_path / "plan.json"),
+        ("test", tmp_path / "plan.json"),
         ("run", "allegro_hand", "box"),
         ("manipulate", "allegro_hand", "box"),
-        ("demo",),
-        ("plan-motion", "allegro_hand", "box"),
-        ("plan-gait", "allegro_hand", "box"),
+        ("manipulate", "--demo"),
+        ("manipulate", "--plan-only", "allegro_hand", "box"),
+        ("manipulate", "--plan-only", "--gait", "allegro_hand", "box"),
     ):
         code, _, err = opposable(*command, "--video", tmp_path / "run.avi")
         assert code == 3, command
@@ -400,6 +400,9 @@ def test_bad_films_end_with_one_line(plan: GraspPlan, tmp_path: Path) -> None:
         code, _, err = opposable(*command, "--video", tmp_path / "no" / "run.webp")
         assert code == 3, command
         assert "there is no folder" in err
-    code, _, err = opposable("test", tmp_path / "plan.json", "--video", "avi", "--out", tmp_path)
+    code, _, err = opposable(
+        *("test", tmp_path / "plan.json", "--protocol", "shake"),
+        *("--video", "avi", "--out", tmp_path),
+    )
     assert code == 3
     assert "give .mp4, .webp, .gif" in err

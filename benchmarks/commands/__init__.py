@@ -1,4 +1,4 @@
-"""Commands that measure: ``bench grasps``, ``synthesis``, ``control``, and others."""
+"""Commands that measure, behind ``python -m benchmarks``: ``grasps``, ``control``, and others."""
 
 from __future__ import annotations
 
@@ -20,37 +20,40 @@ from benchmarks.commands.touch import touch
 from benchmarks.commands.witness import witness
 from benchmarks.commands.zoo import zoo
 
-__all__ = ["register"]
+__all__ = ["app"]
 
 
-def register(app: typer.Typer, panel: str) -> None:
-    """Add the group ``bench`` to a panel of the help."""
-    bench = typer.Typer(help="Tables that repeat the project's figures.", no_args_is_help=True)
-    for command in (
-        grasps.grasps,
-        synthesis.synthesis,
-        synthesis.objectives,
-        best.best,
-        refine.refine,
-        grasps.walls,
-        grasps.metrics,
-        grasps.trials,
-        audit.audit,
-        synthesis.scaling,
-        control.forces,
-        control.control,
-        turns.motion,
-        turns.manipulate,
-        reality.reality,
-        control.physics,
-        touch.touch,
-        dexgraspbench.dexgraspbench,
-        exports.exports,
-        witness.witness,
-        episodes.episodes,
-        pages.pages,
-        zoo.zoo,
-        zoo.gallery,
-    ):
-        bench.command()(command)
-    app.add_typer(bench, name="bench", rich_help_panel=panel)
+app = typer.Typer(
+    help="Tables that repeat the project's figures.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+for command in (
+    grasps.grasps,
+    synthesis.synthesis,
+    synthesis.objectives,
+    best.best,
+    refine.refine,
+    grasps.walls,
+    grasps.metrics,
+    grasps.trials,
+    audit.audit,
+    synthesis.scaling,
+    control.forces,
+    control.control,
+    turns.motion,
+    turns.manipulate,
+    reality.reality,
+    control.physics,
+    touch.touch,
+    dexgraspbench.dexgraspbench,
+    exports.exports,
+    witness.witness,
+    episodes.episodes,
+    pages.pages,
+    zoo.zoo,
+    zoo.gallery,
+):
+    app.command()(command)

@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from benchmarks.commands.common import HandsArgument, NumberOption, ObjectsOption, ResultOptions
-from sim.cli.common import MuOption, SeedOption, errors_for_people, names
-from sim.cli.options import ObjectiveOption, with_options
+from sim.cli.common import errors_for_people
+from sim.cli.options import MuOption, ObjectiveOption, SeedOption, names, with_options
 
 
 @errors_for_people()

@@ -11,15 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from sim.cli.common import (
-    EXIT_INTERRUPTED,
-    JsonOption,
-    check_folder,
-    err,
-    heeding_ctrl_c,
-    out,
-    print_json,
-)
+from sim.cli.common import EXIT_INTERRUPTED, check_folder, err, heeding_ctrl_c, out, print_json
+from sim.cli.options import JsonOption
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -15,8 +15,9 @@ from benchmarks.commands.common import (
     ResultOptions,
     SamplesOption,
 )
-from sim.cli.common import RealityOption, SeedOption, errors_for_people, names, reality_of
-from sim.cli.options import with_options
+from sim.cli.common import errors_for_people
+from sim.cli.execution import reality_of
+from sim.cli.options import RealityOption, SeedOption, names, with_options
 
 SHAPES = f"{PRIMITIVES},mug,lbracket,torus,hammer,superquadric"
 

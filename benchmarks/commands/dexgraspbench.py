@@ -9,8 +9,8 @@ import typer
 from rich.markup import escape
 
 from benchmarks.commands.common import ResultOptions
-from sim.cli.common import err, errors_for_people, names, out, say
-from sim.cli.options import with_options
+from sim.cli.common import err, errors_for_people, out, say
+from sim.cli.options import names, with_options
 
 
 @errors_for_people()

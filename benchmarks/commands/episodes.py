@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from benchmarks.commands.common import BOTH_HANDS, BothHandsArgument, ObjectsOption, ResultOptions
-from sim.cli.common import EXIT_NO, SeedOption, errors_for_people, names
-from sim.cli.options import with_options
+from sim.cli.common import EXIT_NO, errors_for_people
+from sim.cli.options import SeedOption, names, with_options
 
 
 @errors_for_people()

@@ -17,17 +17,16 @@ from benchmarks.commands.common import (
     ResultOptions,
     SamplesOption,
 )
-from sim.cli.common import (
+from sim.cli.common import errors_for_people
+from sim.cli.execution import physics_of, reality_of
+from sim.cli.options import (
     PhysicsOption,
     RealityOption,
     SeedOption,
     SimMuOption,
-    errors_for_people,
     names,
-    physics_of,
-    reality_of,
+    with_options,
 )
-from sim.cli.options import with_options
 
 
 @errors_for_people()

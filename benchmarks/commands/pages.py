@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from benchmarks.commands.common import ResultOptions
-from sim.cli.common import SeedOption, errors_for_people, make_folder
-from sim.cli.options import with_options
+from sim.cli.common import errors_for_people, make_folder
+from sim.cli.options import SeedOption, with_options
 
 
 @errors_for_people()

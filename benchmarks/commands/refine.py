@@ -13,8 +13,8 @@ from benchmarks.commands.common import (
     ObjectsOption,
     ResultOptions,
 )
-from sim.cli.common import SeedOption, errors_for_people, names, numbers
-from sim.cli.options import with_options
+from sim.cli.common import errors_for_people
+from sim.cli.options import SeedOption, names, numbers, with_options
 
 MESHES = "lbracket,mug,torus,hammer,superquadric"
 

@@ -14,15 +14,17 @@ from benchmarks.commands.common import (
     ObjectsOption,
     ResultOptions,
 )
-from sim.cli.common import (
+from sim.cli.common import errors_for_people
+from sim.cli.options import (
+    AttemptsOption,
     FingersOption,
     JsonOption,
     MuOption,
+    RoundsOption,
     SeedOption,
-    errors_for_people,
     names,
+    with_options,
 )
-from sim.cli.options import AttemptsOption, RoundsOption, with_options
 
 
 @errors_for_people()

@@ -14,8 +14,8 @@ from benchmarks.commands.common import (
     ResultOptions,
     SamplesOption,
 )
-from sim.cli.common import SeedOption, errors_for_people, names
-from sim.cli.options import with_options
+from sim.cli.common import errors_for_people
+from sim.cli.options import SeedOption, names, with_options
 
 
 @errors_for_people()

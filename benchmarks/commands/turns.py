@@ -15,21 +15,22 @@ from benchmarks.commands.common import (
     ResultOptions,
     SamplesOption,
 )
-from sim.cli.common import (
+from sim.cli.common import errors_for_people
+from sim.cli.execution import estimate_of, physics_of, reality_of
+from sim.cli.options import (
+    NO_SHIFT,
     EstimateOption,
     FingersOption,
     PhysicsOption,
     RealityOption,
+    RotateOption,
     SeedOption,
+    ShiftOption,
     StandOption,
-    errors_for_people,
-    estimate_of,
+    movement,
     names,
-    physics_of,
-    reality_of,
+    with_options,
 )
-from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
-from sim.cli.options import with_options
 
 
 @errors_for_people()

@@ -10,15 +10,9 @@ from benchmarks.commands.common import (
     ObjectsOption,
     ResultOptions,
 )
-from sim.cli.common import (
-    PhysicsOption,
-    SeedOption,
-    SimMuOption,
-    errors_for_people,
-    names,
-    physics_of,
-)
-from sim.cli.options import with_options
+from sim.cli.common import errors_for_people
+from sim.cli.execution import physics_of
+from sim.cli.options import PhysicsOption, SeedOption, SimMuOption, names, with_options
 
 
 @errors_for_people()

@@ -137,8 +137,8 @@ def _warnings(row: Row) -> str:
     if row["joints"] is None:
         return ""
     if not row["warnings"]:
-        return "## Warnings\n\n`opposable check-hand` has none.\n"
-    lines = ["## Warnings\n", "What `opposable check-hand` says, and what to do:\n"]
+        return "## Warnings\n\n`opposable hands --check` has none.\n"
+    lines = ["## Warnings\n", "What `opposable hands --check` says, and what to do:\n"]
     lines += [
         f"- {w['level']}: {plain(w['what'])}.\n  *{plain(w['what_to_do'])}.*"
         for w in row["warnings"]

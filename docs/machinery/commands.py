@@ -10,8 +10,10 @@ from typing import Any
 import typer.main
 from sphinx.application import Sphinx
 
+from benchmarks.commands import app as benchmarks
 from machinery.write import write_pages
 from sim.cli import app as opposable
+from sim.cli.listing import RENAMED, Renamed
 
 FOLDER = Path(__file__).parent.parent / "reference" / "generated" / "commands"
 EXAMPLE = re.compile(r"^\s*(opposable .*)$", re.MULTILINE)
@@ -61,14 +63,35 @@ def leaves(command: Any, context: Any) -> Iterator[tuple[str, Any, Any]]:
         if hasattr(found, "list_commands"):
             group = panel(found, "Measure")
             yield from ((group, leaf, deeper) for _, leaf, deeper in leaves(found, inner))
-        elif not found.hidden:
-            yield panel(found, "Commands"), found, inner
+        else:
+            yield panel(found, "Measure"), found, inner
+
+
+SHOWN = {
+    "bench": "python -m benchmarks ...",
+    "extract": "opposable batch FOLDER --extract ROW",
+}
+"""New lines of which more changes than what stands before and behind the arguments."""
+
+
+def renamed() -> Iterator[str]:
+    """The lines that list names of commands that go with the next version."""
+    yield from ("Names that go with the next version, and what does the same:", "")
+    yield from (".. list-table::", "   :class: names", "")
+    for old, new in sorted({**RENAMED, "bench": Renamed(begin=())}.items()):
+        line = " ".join(["opposable", *new.begin, "...", *new.end])
+        yield f"   * - ``opposable {old}``"
+        yield f"     - ``{SHOWN.get(old, line)}``"
+    yield ""
 
 
 def commands() -> list[tuple[str, Any, Any]]:
-    """Every command of ours: (group, command, its context)."""
-    root: Any = typer.main.get_command(opposable)
-    return list(leaves(root, root.context_class(root, info_name="opposable")))
+    """Every command of ours, and those that measure: (group, command, its context)."""
+    found = []
+    for app, name in ((opposable, "opposable"), (benchmarks, "python -m benchmarks")):
+        root: Any = typer.main.get_command(app)
+        found += leaves(root, root.context_class(root, info_name=name))
+    return found
 
 
 def slug(group: str) -> str:
@@ -86,7 +109,7 @@ def pages() -> dict[str, str]:
     first += ["Exit codes: 0 done and good; 1 done, and the answer is no (no closure, object not"]
     first += ["held); 2 wrong usage; 3 bad input, an error that says what to do; 4 no grasp found;"]
     first += ["130 interrupted.", "", ".. toctree::", "   :maxdepth: 2", ""]
-    first += [f"   {slug(group)}" for group in groups]
+    first += [*(f"   {slug(group)}" for group in groups), "", *renamed()]
     written = {"index.rst": "\n".join([*first, ""])}
     for group, members in groups.items():
         lines = [group, "=" * len(group), ""]

@@ -62,8 +62,8 @@ FORMATS = (
     Format(
         "hand.toml",
         "hand",
-        "Describes a hand: what its model does not say. ``opposable describe`` proposes one and "
-        "``opposable check-hand`` says what is wrong with it.",
+        "Describes a hand: what its model does not say. ``opposable hands --describe`` proposes "
+        "one and ``opposable hands --check`` says what is wrong with it.",
         HandDescription,
         "toml",
         _hand("allegro_hand"),
@@ -104,7 +104,8 @@ FORMATS = (
         "Table of grasps",
         "grasp-table",
         "Poses and joints of grasps by names with units, here as JSON; NPZ and CSV have the same. "
-        "``opposable audit`` reads it, and ``opposable export --to table`` writes it.",
+        "``opposable refine --judge-only`` reads it, "
+        "and ``opposable export --to table`` writes it.",
         TableFile,
         "json",
         examples.grasp_table,
@@ -128,7 +129,7 @@ FORMATS = (
     Format(
         "Trial report",
         "report",
-        "What happened in a trial; ``opposable run`` and ``opposable simulate`` write it.",
+        "What happened in a trial; ``opposable run`` and ``opposable test`` write it.",
         ReportFile,
         "json",
         examples.report,
@@ -136,8 +137,8 @@ FORMATS = (
     Format(
         "Motion",
         "motion",
-        "A turn or translation in the hand on one set of contacts; ``opposable plan-motion`` "
-        "writes it.",
+        "A turn or translation in the hand on one set of contacts; ``opposable manipulate "
+        "--plan-only`` writes it.",
         MotionFile,
         "json",
         examples.motion,
@@ -145,7 +146,8 @@ FORMATS = (
     Format(
         "Gait",
         "gait",
-        "Strokes with relocations of single fingers; ``opposable plan-gait`` writes it.",
+        "Strokes with relocations of single fingers; ``opposable manipulate --plan-only --gait`` "
+        "writes it.",
         GaitFile,
         "json",
         examples.gait,
@@ -284,8 +286,9 @@ def pages() -> dict[str, str]:
     """Name of a file -> its text."""
     names = [*(form.file for form in FORMATS), "dataset"]
     first = ["File formats", "============", ""]
-    first += ["``opposable schema KIND`` prints the JSON Schema of what is JSON. Files say their"]
-    first += ["version; unknown fields, NaN and infinity are refused with the field's name. Units"]
+    first += ["``opposable export --schema KIND`` prints the JSON Schema of what is JSON."]
+    first += ["Files say their version; unknown fields, NaN and infinity are refused with the"]
+    first += ["field's name. Units"]
     first += ["are in the names: ``_m``, ``_N``, ``_rad``; the :doc:`glossary </glossary>` has the"]
     first += ["conventions.", "", ".. toctree::", "   :maxdepth: 1", ""]
     first += [f"   {name}" for name in names]

@@ -1,4 +1,4 @@
-"""Tables of measurements, from the files that ``opposable bench ... --out FILE`` writes.
+"""Tables of measurements, from the files that ``python -m benchmarks ... --out FILE`` writes.
 
 In a page a table is::
 

@@ -17,7 +17,7 @@ from machinery.write import write_pages
 DOCS = Path(__file__).parent.parent
 EXTRA = DOCS / "gallery" / "extra"
 """What goes into the site as it is: the entries' own pages, too large to be kept in the checkout;
-``opposable bench gallery --pages docs/gallery/extra/scenes`` makes them."""
+``python -m benchmarks gallery --pages docs/gallery/extra/scenes`` makes them."""
 
 
 def add_scenes(app: Sphinx, config: Config) -> None:

@@ -5,7 +5,7 @@ elsewhere on it, and every phase ends in a check: numbers, and a reason if it fa
 friction and place are not those that were planned for, since a plan that works for exact figures
 only is none. Prints the check of every phase, contact modes over the turn, and the lab's own
 questions with our answers: contacts, closure and epsilon before the lift and after the turn, the
-turn that was asked for and the one that was made. On the command line: opposable demo.
+turn that was asked for and the one that was made. On the command line: opposable manipulate --demo.
 """
 
 from __future__ import annotations

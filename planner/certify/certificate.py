@@ -31,7 +31,7 @@ SCHEMA_VERSION = 1
 
 BEST_CONTROL = (
     "  of the planned posture under the best control that its actuators allow, load added slowly;\n"
-    "  what a controller bears of it: opposable bench control --parts promise"
+    "  what a controller bears of it: python -m benchmarks control --parts promise"
 )
 """What breaking loads are proven for, said where they are printed."""
 

@@ -175,7 +175,7 @@ def check_postures(
             Finding(
                 level="error",
                 what=f"there is no posture {name!r}",
-                what_to_do=f"add a [postures.{name}] table; opposable describe proposes one",
+                what_to_do=f"add a [postures.{name}] table; hands --describe proposes one",
             )
         )
     if len(fingers) < 2:

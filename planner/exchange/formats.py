@@ -1,7 +1,7 @@
 """All file formats of other tools by name; a format is one module or folder, and one registration.
 
-A format reads grasps, writes plans, or both. ``opposable audit`` and ``opposable refine`` read
-whatever is registered here, ``opposable export`` writes it.
+A format reads grasps, writes plans, or both. ``opposable refine`` reads whatever is
+registered here, ``opposable export`` writes it.
 
 Grasps as a file of another tool tells them: poses and joints, of which nothing is verified.
 

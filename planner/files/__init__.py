@@ -1,37 +1,45 @@
-"""Files that people and other programmes read: plans, contacts, trajectories."""
+"""Files that people and other programmes read: plans, contacts, trajectories.
 
-from planner.files.data import PLAN_VERSION, PlanFile, TaskData, task_data, task_from_data
-from planner.files.json_csv import (
-    format_told,
-    plain_name,
-    plan_files,
-    read_json,
-    whole_file,
-    write_json,
-    write_trajectory,
-)
-from planner.files.movements import (
-    GaitFile,
-    ManipulationFile,
-    MotionFile,
-    given_manipulation,
-    read_gait,
-    read_manipulation,
-    read_motion,
-    write_gait,
-    write_manipulation,
-    write_motion,
-)
-from planner.files.plans import (
-    ContactsFile,
-    given_plan,
-    plan_from_dict,
-    plan_to_dict,
-    pose_of_plan,
-    read_contacts,
-    read_plan,
-    write_plan,
-)
+What is public here is loaded when it is first used: a plan needs no movement.
+"""
+
+from typing import TYPE_CHECKING
+
+from planner.system.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from planner.files.data import PLAN_VERSION, PlanFile, TaskData, task_data, task_from_data
+    from planner.files.json_csv import (
+        format_told,
+        plain_name,
+        plan_files,
+        read_json,
+        whole_file,
+        write_json,
+        write_trajectory,
+    )
+    from planner.files.movements import (
+        GaitFile,
+        ManipulationFile,
+        MotionFile,
+        given_manipulation,
+        read_gait,
+        read_manipulation,
+        read_motion,
+        write_gait,
+        write_manipulation,
+        write_motion,
+    )
+    from planner.files.plans import (
+        ContactsFile,
+        given_plan,
+        plan_from_dict,
+        plan_to_dict,
+        pose_of_plan,
+        read_contacts,
+        read_plan,
+        write_plan,
+    )
 
 __all__ = [
     "PLAN_VERSION",
@@ -65,3 +73,23 @@ __all__ = [
     "write_plan",
     "write_trajectory",
 ]
+
+_NAMES = {
+    "planner.files.data": "PLAN_VERSION PlanFile TaskData task_data task_from_data",
+    "planner.files.json_csv": (
+        "format_told plain_name plan_files read_json whole_file write_json write_trajectory"
+    ),
+    "planner.files.movements": (
+        "GaitFile ManipulationFile MotionFile given_manipulation read_gait read_manipulation "
+        "read_motion write_gait write_manipulation write_motion"
+    ),
+    "planner.files.plans": (
+        "ContactsFile given_plan plan_from_dict plan_to_dict pose_of_plan read_contacts read_plan "
+        "write_plan"
+    ),
+}
+"""Module -> the names that it defines."""
+
+__getattr__, __dir__ = lazy_names(
+    __name__, {name: home for home, names in _NAMES.items() for name in names.split()}
+)

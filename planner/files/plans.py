@@ -1,8 +1,8 @@
 """Plan files: versioned JSON that can be read without this package.
 
-The schema is the pydantic model ``PlanFile`` (``opposable schema plan`` prints it as JSON Schema).
-Reading checks the format, the version and the hand's digest, rebuilds the task, and recomputes
-contacts, forces and quality from the joints: a file that claims others is refused.
+The schema is the pydantic model ``PlanFile``; ``opposable export --schema plan`` prints it as JSON
+Schema. Reading checks the format, the version and the hand's digest, rebuilds the task, and
+recomputes contacts, forces and quality from the joints: a file that claims others is refused.
 
 Check of the figures in a plan file against its grasp.
 

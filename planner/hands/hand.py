@@ -286,5 +286,5 @@ class Hand:
         return in_notebook(self)
 
     def __repr__(self) -> str:
-        """One line; ``opposable inspect`` prints the rest."""
+        """One line; ``opposable hands`` prints the rest."""
         return f"<Hand: {self.name}, {self.nq} joints, fingers {', '.join(self.fingers)}>"

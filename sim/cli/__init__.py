@@ -1,4 +1,4 @@
-"""The command ``opposable``: thin; every subcommand imports what it needs when it runs.
+"""The command ``opposable``: thin; a command's module is imported when it is asked for.
 
 Exit codes: 0 done and good; 1 done, and the answer is no (no closure, object not held); 2 wrong
 usage; 3 bad input (an error that says what to do); 4 no grasp found; 130 interrupted.
@@ -8,20 +8,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from importlib import import_module
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from sim.cli.common import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_USAGE, err, out, say
-from sim.cli.listing import GROUPS, MEASURE, overview, register
+from sim.cli.common import EXIT_INTERRUPTED, EXIT_USAGE, out, say
+from sim.cli.listing import Opposable, overview
 
 __all__ = ["app", "main"]
 
 app = typer.Typer(
+    cls=Opposable,
     help="Plan a multi-finger grasp, execute it in MuJoCo, judge both by one analysis.",
-    epilog="Examples:\n" + "\n".join(f"  {group[0].example}" for group in GROUPS.values()),
     invoke_without_command=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -47,37 +45,8 @@ def _opposable(
     ] = False,
 ) -> None:
     if context.invoked_subcommand is None:
-        say(out, overview(app))
+        say(out, overview(str(app.info.help)))
         raise typer.Exit(EXIT_USAGE)
-
-
-CHECKOUT = Path(__file__).resolve().parents[2]
-"""Where this code lies; in a checkout the commands that measure lie beside it."""
-
-NEEDS_CHECKOUT = (
-    "[bold red]error:[/] measuring needs a checkout: clone the repository, run "
-    "`pip install -e .` in it, and repeat the command"
-)
-"""What ``bench`` answers in a wheel."""
-
-
-def _no_bench() -> None:
-    """Tables that repeat the project's figures (in a checkout only)."""
-    say(err, NEEDS_CHECKOUT)
-    raise typer.Exit(EXIT_BAD_INPUT)
-
-
-def _register_bench() -> None:
-    """Add the group ``bench``, or in a wheel one command that says where to find it."""
-    if (CHECKOUT / "pyproject.toml").is_file():
-        import_module("benchmarks.commands").register(app, MEASURE)
-        return
-    anything = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
-    app.command("bench", context_settings=anything, rich_help_panel=MEASURE)(_no_bench)
-
-
-register(app)
-_register_bench()
 
 
 def main(arguments: list[str] | None = None) -> None:

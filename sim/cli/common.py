@@ -1,22 +1,23 @@
-"""What all commands share: consoles, arguments, exit codes, errors for people."""
+"""What all commands share: consoles, exit codes, errors for people, Ctrl-C, files."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 EXIT_NO, EXIT_USAGE, EXIT_BAD_INPUT, EXIT_NOT_FOUND, EXIT_INTERRUPTED = 1, 2, 3, 4, 130
 """Done, and the answer is no; wrong usage; bad input; no grasp found; interrupted."""
@@ -24,176 +25,8 @@ EXIT_NO, EXIT_USAGE, EXIT_BAD_INPUT, EXIT_NOT_FOUND, EXIT_INTERRUPTED = 1, 2, 3,
 out = Console()
 err = Console(stderr=True)
 
-SCENE_PANEL, GRIP_PANEL, MOVEMENT_PANEL, SEARCH_PANEL, TRIAL_PANEL = (
-    "Object and surroundings",
-    "Hand and grip",
-    "Movement",
-    "Search",
-    "Trial",
-)
-"""Groups of options in the help of a command; what is in none is about output."""
-
-HandArgument = Annotated[
-    str,
-    typer.Argument(help="Its name, hand.toml, MJCF or URDF file.", metavar="HAND"),
-]
-ObjectArgument = Annotated[
-    str,
-    typer.Argument(
-        help="box, box:0.05x0.05x0.08 (m), part.stl*0.001, scene.xml#body; sphere, cylinder, "
-        "capsule, ellipsoid, mug, lbracket, torus, hammer, superquadric, knot, cup, bowl, tube...",
-        metavar="OBJECT",
-    ),
-]
-FingersOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Those that take part: thumb,index,ring",
-        metavar="NAMES",
-        rich_help_panel=GRIP_PANEL,
-    ),
-]
-SeedOption = Annotated[int, typer.Option(min=0, help="Same seed, same result.", metavar="N")]
-MuOption = Annotated[
-    float,
-    typer.Option(help="Sliding friction relied on (-).", metavar="MU", rich_help_panel=GRIP_PANEL),
-]
-StandOption = Annotated[
-    float,
-    typer.Option(
-        min=0.0,
-        help="Height of a stand under the object, m.",
-        metavar="M",
-        show_default=False,
-        rich_help_panel=SCENE_PANEL,
-    ),
-]
-MassOption = Annotated[
-    float | None,
-    typer.Option(help="Mass, kg; 0.1 if not given.", metavar="KG", rich_help_panel=SCENE_PANEL),
-]
-RepairOption = Annotated[
-    bool,
-    typer.Option(
-        "--repair",
-        help="Mend its mesh however much that changes.",
-        metavar="",
-        rich_help_panel=SCENE_PANEL,
-    ),
-]
-StrictOption = Annotated[
-    bool,
-    typer.Option(
-        "--strict",
-        help="Refuse a mesh that would be mended.",
-        metavar="",
-        rich_help_panel=SCENE_PANEL,
-    ),
-]
-TouchOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        help="Where it may be touched: z>0.01,x<0.02 (m).",
-        metavar="REGION",
-        rich_help_panel=SCENE_PANEL,
-    ),
-]
-AvoidOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        help="Where it must not be touched, likewise.",
-        metavar="REGION",
-        rich_help_panel=SCENE_PANEL,
-    ),
-]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print JSON for machines on stdout.", metavar="")
-]
-ViewOption = Annotated[
-    bool,
-    typer.Option(
-        "--view", help="Show it in MuJoCo's viewer.", metavar="", rich_help_panel=TRIAL_PANEL
-    ),
-]
-VerboseOption = Annotated[
-    bool,
-    typer.Option("--verbose", help="Print what explains the verdict too.", metavar=""),
-]
-VideoOption = Annotated[
-    Path | None,
-    typer.Option(help="Write a film here: run.mp4, run.webp or run.gif.", metavar="FILE"),
-]
-PictureOption = Annotated[
-    Path | None, typer.Option(help="Write a picture (PNG) here.", metavar="FILE")
-]
-ArrowsOption = Annotated[
-    bool,
-    typer.Option("--arrows", help="Draw contact forces into pictures and film.", metavar=""),
-]
-ControllerOption = Annotated[
-    str,
-    typer.Option(
-        help="feedforward: planned forces; impedance: a loop holds the object; policy:FILE.",
-        metavar="NAME",
-        rich_help_panel=TRIAL_PANEL,
-    ),
-]
-SimMuOption = Annotated[
-    float | None,
-    typer.Option(
-        help="Sliding friction in simulation (-).", metavar="MU", rich_help_panel=TRIAL_PANEL
-    ),
-]
-PhysicsOption = Annotated[
-    str,
-    typer.Option(
-        help="ours, mujoco-default, menagerie, dexgraspbench, or a TOML or JSON file.",
-        metavar="NAME",
-        rich_help_panel=TRIAL_PANEL,
-    ),
-]
-RealityOption = Annotated[
-    str,
-    typer.Option(
-        help="Errors: ideal, lab, rough, or a file.",
-        metavar="NAME",
-        rich_help_panel=TRIAL_PANEL,
-    ),
-]
-JointErrorOption = Annotated[
-    float | None,
-    typer.Option(
-        min=0.0,
-        help="Standard deviation of the encoders' errors, for which fingers get room; that of "
-        "--reality if not given.",
-        metavar="DEG",
-        rich_help_panel=GRIP_PANEL,
-    ),
-]
-
-RealitySeedOption = Annotated[
-    int | None,
-    typer.Option(
-        min=0, help="Of what --reality draws; 0.", metavar="N", rich_help_panel=TRIAL_PANEL
-    ),
-]
-EstimateOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Object's pose by: all, touch, contact, none.",
-        metavar="NAME",
-        rich_help_panel=TRIAL_PANEL,
-    ),
-]
-PadsOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Touch: exact, taxels, effort, binary.",
-        metavar="SENSE",
-        rich_help_panel=TRIAL_PANEL,
-    ),
-]
-PlanArgument = Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")]
+TABLE_WIDTH = 120
+"""Least width of wide tables, characters; a narrow terminal breaks their lines."""
 
 
 def say(console: Console, text: str) -> None:
@@ -201,158 +34,15 @@ def say(console: Console, text: str) -> None:
     console.print(text, highlight=False, soft_wrap=True)
 
 
-def names(text: str) -> list[str]:
-    """Names out of a comma-separated list; empty ones are dropped.
-
-    Raises:
-        TaskError: There is none.
-    """
-    from planner.errors import TaskError
-
-    found = [name.strip() for name in text.split(",") if name.strip()]
-    if not found:
-        raise TaskError(f"{text!r} holds no name; give names with commas between them")
-    return found
+def tell(*lines: str) -> None:
+    """Print plain sentences on stdout; nothing in them is markup."""
+    for line in lines:
+        say(out, escape(line))
 
 
-def numbers(option: str, text: str, count: int) -> list[float]:
-    """So many numbers with commas between them.
-
-    Raises:
-        TaskError: Something else.
-    """
-    from planner.errors import TaskError
-
-    wanted = "give one" if count == 1 else f"give {COUNTS[count]} with commas between them"
-    try:
-        values = [float(v) for v in text.split(",")]
-    except ValueError as error:
-        raise TaskError(f"{option} {text!r} holds something else than numbers; {wanted}") from error
-    if len(values) != count:
-        raise TaskError(f"{option} {text!r} has {len(values)} numbers; {wanted}")
-    if not all(math.isfinite(v) for v in values):
-        raise TaskError(f"{option} {text!r} is not finite; {wanted}")
-    return values
-
-
-COUNTS = ("none", "one", "two", "three", "four", "five", "six")
-"""Counts in words."""
-
-
-def physics_of(text: str, sim_mu: float | None = None) -> Any:
-    """Physics as ``--physics`` and ``--sim-mu`` give it.
-
-    Raises:
-        NotFoundError: There is no such preset.
-        FileFormatError: A file that cannot be read.
-        TaskError: A field that there is not, or a value out of range.
-    """
-    from sim.physics import PRESETS
-
-    found = PRESETS.given(text)
-    return found if sim_mu is None else replace(found, mu=sim_mu)
-
-
-def controller_of(name: str) -> Any:
-    """What ``--controller`` names: a name as it is, or what makes controllers of a policy.
-
-    Raises:
-        NotFoundError: No controller or policy has that name.
-        FileFormatError: A policy that cannot be read.
-    """
-    from sim.learning import named_driver
-
-    return named_driver(name)
-
-
-def check_policy(execution: Any, hand: Any, item: Callable[[], Any], degrees: float | None) -> None:
-    """Refuse another hand than a policy's, and say what else it was not trained for.
-
-    Call it before anything is planned; other controllers are for every hand.
-
-    Args:
-        execution: Options of an execution: ``controller``, ``physics``, ``sim_mu``, ``reality``
-            and ``pads``.
-        hand: Name or path of the hand, or the hand.
-        item: Gives the object.
-        degrees: Turn about the vertical that is asked for; None for another movement, or none.
-
-    Raises:
-        PlannerError: No such hand or object, or the policy is for another hand.
-    """
-    from sim.learning import PolicyMaker
-
-    driver = controller_of(execution.controller)
-    if not isinstance(driver, PolicyMaker):
-        return
-    from planner.hand_loading import load_hand
-
-    about = driver.policy.about
-    about.check(load_hand(hand) if isinstance(hand, str) else hand)
-    physics = physics_of(execution.physics, execution.sim_mu)
-    reality = reality_of(execution.reality, pads=execution.pads)
-    beyond = about.beyond(item(), degrees, physics, reality)
-    if beyond:
-        say(err, escape(beyond))
-
-
-def reckoning_with(request: Any, reality: str) -> Any:
-    """A request that reckons with the encoders of a reality, unless it says how far they are off.
-
-    Args:
-        request: Options of planning, with ``joint_error``.
-        reality: As ``reality_of`` takes it.
-
-    Raises:
-        PlannerError: See ``reality_of``.
-    """
-    if request.joint_error is not None:
-        return request
-    return replace(request, joint_error=math.degrees(reality_of(reality).encoder_offset))
-
-
-def reality_of(
-    text: str, seed: int | None = None, pads: str | None = None, *, draws: bool = False
-) -> Any:
-    """Reality as ``--reality``, ``--reality-seed`` and ``--pads`` give it.
-
-    Args:
-        text: Name of a preset, or a file.
-        seed: Of what is drawn; that of the reality if None.
-        pads: Sense of touch; that of the reality if None.
-        draws: Whether something is drawn without ``--reality`` too.
-
-    Raises:
-        NotFoundError: There is none of that name, or no such sense of touch.
-        FileFormatError: A file that cannot be read.
-        TaskError: A field that there is not, a value out of range, or a seed of nothing.
-    """
-    from planner.errors import TaskError
-    from sim.reality import REALITIES
-
-    found = REALITIES.given(text)
-    found = found if pads is None else replace(found, touch=pads)
-    if seed is None:
-        return found
-    if found.ideal and not draws:
-        raise TaskError(
-            f"--reality-seed {seed} seeds errors, and the reality {found.name!r} has none; give "
-            "--reality lab, rough or a file, or leave the seed out"
-        )
-    return found.seeded(seed)
-
-
-def estimate_of(name: str | None) -> str | None:
-    """Estimator as ``--estimate`` gives it.
-
-    Raises:
-        NotFoundError: There is none of that name.
-    """
-    from sim.estimation import check_estimator
-
-    if name is not None:
-        check_estimator(name)
-    return name
+def show_wide(table: Table) -> None:
+    """Print a table that does not fit into 80 columns."""
+    Console(width=max(out.width, TABLE_WIDTH)).print(table)
 
 
 def _leave(*_: object) -> None:
@@ -429,15 +119,50 @@ def heeding_ctrl_c(*, at_once: bool = True) -> Iterator[CtrlC]:
             signal.signal(number, handler)
 
 
+def _given(context: typer.Context) -> list[Any]:
+    """Parameters of a command that stand on the command line."""
+    return [
+        parameter
+        for parameter in context.command.params
+        if (source := context.get_parameter_source(parameter.name or "")) is not None
+        and source.name == "COMMANDLINE"
+    ]
+
+
+def refuse_given(
+    context: typer.Context,
+    why: str,
+    *,
+    kept: Collection[str] | None = None,
+    of: Collection[str] = (),
+) -> None:
+    """Refuse options that mean nothing beside another one.
+
+    Args:
+        context: Of the command.
+        why: What they mean nothing for, the beginning of the message.
+        kept: Names of the parameters that go with it; all others are refused.
+        of: Without ``kept``, the parameters that are refused.
+
+    Raises:
+        TaskError: One of them is given.
+    """
+    from planner.errors import TaskError
+
+    idle = [
+        p.opts[0] if p.param_type_name != "argument" else p.name.upper()
+        for p in _given(context)
+        if (p.name in of if kept is None else p.name not in kept)
+    ]
+    if idle:
+        raise TaskError(f"{why}; leave {', '.join(idle)} out")
+
+
 def told_command(context: typer.Context) -> str:
     """What the command line was told, as it can be typed again; defaults are left out."""
     words = context.command_path.split()
-    for parameter in context.command.params:
-        name = parameter.name or ""
-        source = context.get_parameter_source(name)
-        if source is None or source.name != "COMMANDLINE":
-            continue
-        value = context.params[name]
+    for parameter in _given(context):
+        value = context.params[parameter.name or ""]
         values = list(value) if isinstance(value, list | tuple) else [value]
         if parameter.param_type_name == "argument":
             words += [str(v) for v in values]
@@ -478,21 +203,22 @@ def _remove_empty_folders() -> None:
             _made.pop().rmdir()
 
 
-def check_folder(file: Path | None) -> None:
-    """Refuse a file in a folder that does not exist, before the work and not after it."""
+def check_folder(*files: Path | None) -> None:
+    """Refuse files in a folder that does not exist, before the work and not after it."""
     from planner.errors import FileFormatError
 
-    if file is None:
-        return
-    try:
-        has_folder, is_folder = file.parent.is_dir(), file.is_dir()
-    except (OSError, ValueError) as error:  # too long a name, a barred way, a null character
-        reason = getattr(error, "strerror", None) or error
-        raise FileFormatError(f"cannot write {file}: {reason}; give another name") from error
-    if not has_folder:
-        raise FileFormatError(f"cannot write {file}: there is no folder {file.parent}; make it")
-    if is_folder:
-        raise FileFormatError(f"cannot write {file}: it is a folder; name a file")
+    for file in files:
+        if file is None:
+            continue
+        try:
+            has_folder, is_folder = file.parent.is_dir(), file.is_dir()
+        except (OSError, ValueError) as error:  # too long a name, a barred way, a null character
+            reason = getattr(error, "strerror", None) or error
+            raise FileFormatError(f"cannot write {file}: {reason}; give another name") from error
+        if not has_folder:
+            raise FileFormatError(f"cannot write {file}: there is no folder {file.parent}; make it")
+        if is_folder:
+            raise FileFormatError(f"cannot write {file}: it is a folder; name a file")
 
 
 def keep_inputs(output: Path | None, *inputs: Path | None) -> None:
@@ -517,11 +243,11 @@ def check_films(*files: Path | None) -> None:
         FileFormatError: A folder that does not exist.
         TaskError: A film of an unknown kind, or one that needs a package.
     """
-    from sim.looking.film import check_video
+    check_folder(*files)
+    if files[-1] is not None:
+        from sim.looking.film import check_video
 
-    for file in files:
-        check_folder(file)
-    check_video(files[-1])
+        check_video(files[-1])
 
 
 def exit_for(report: Any) -> None:

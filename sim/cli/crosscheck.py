@@ -2,83 +2,50 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
 
-from sim.cli.common import (
-    EXIT_NO,
-    JsonOption,
-    SeedOption,
-    check_folder,
-    errors_for_people,
-    out,
-    print_json,
-    say,
-)
+from sim.cli.common import EXIT_NO, check_folder, out, print_json, say, tell
+from sim.cli.options import JsonOption, SeedOption, argument, command, flag, option
 
-TOLERANCES, READER_PANEL = "Tolerances", "Pinocchio's own reader"
+TOLERANCES, READER = "Tolerances", "Pinocchio's own reader"
 """Groups of options in the help."""
 
 
-@errors_for_people()
+@dataclass(frozen=True, kw_only=True)
+class ToleranceOptions:
+    """How far the models may differ, as in ``sim.crosscheck.Tolerances``."""
+
+    kinematics: Annotated[float, option("Of poses, m and rad.", "TOL", TOLERANCES)] = 1e-10
+    dynamics: Annotated[float, option("Of forces, relative.", "TOL", TOLERANCES)] = 1e-9
+    parameters: Annotated[float, option("Of masses, limits, ..., relative.", "TOL", TOLERANCES)] = (
+        1e-9
+    )
+    distance: Annotated[float, option("Of distances, m.", "TOL", TOLERANCES)] = 2e-6
+    normal: Annotated[float, option("Of normals, rad.", "TOL", TOLERANCES)] = 1e-3
+
+
+@command
 def crosscheck(
-    model: Annotated[
-        str, typer.Argument(help="MJCF or URDF file, or a hand's name.", metavar="MODEL")
-    ],
-    against: Annotated[
-        str | None,
-        typer.Option(help="Another model, compared part by part.", metavar="MODEL"),
-    ] = None,
+    model: Annotated[str, argument("MJCF or URDF file, or a hand's name.", "MODEL")],
+    against: Annotated[str | None, option("Another model, compared part by part.", "MODEL")] = None,
     same: Annotated[
-        list[str] | None,
-        typer.Option(help="MINE=OTHER: a part's name there; repeatable.", metavar="NAMES"),
+        list[str] | None, option("MINE=OTHER: a part's name there; repeatable.", "NAMES")
     ] = None,
     seed: SeedOption = 0,
-    configurations: Annotated[
-        int,
-        typer.Option(min=1, help="Random configurations.", metavar="N"),
-    ] = 20,
-    kinematics: Annotated[
-        float, typer.Option(help="Of poses, m and rad.", metavar="TOL", rich_help_panel=TOLERANCES)
-    ] = 1e-10,
-    dynamics: Annotated[
-        float, typer.Option(help="Of forces, relative.", metavar="TOL", rich_help_panel=TOLERANCES)
-    ] = 1e-9,
-    parameters: Annotated[
-        float,
-        typer.Option(
-            help="Of masses, limits, ..., relative.", metavar="TOL", rich_help_panel=TOLERANCES
-        ),
-    ] = 1e-9,
-    distance: Annotated[
-        float, typer.Option(help="Of distances, m.", metavar="TOL", rich_help_panel=TOLERANCES)
-    ] = 2e-6,
-    normal: Annotated[
-        float, typer.Option(help="Of normals, rad.", metavar="TOL", rich_help_panel=TOLERANCES)
-    ] = 1e-3,
-    own_reader: Annotated[
-        bool,
-        typer.Option(
-            help="Ask it too, in a child process.", metavar="", rich_help_panel=READER_PANEL
-        ),
-    ] = True,
+    configurations: Annotated[int, option("Random configurations.", "N", min=1)] = 20,
+    *,
+    tolerances: ToleranceOptions,
+    own_reader: Annotated[bool, option("Ask it too, in a child process.", "", READER)] = True,
     judge_reader: Annotated[
-        bool,
-        typer.Option(
-            "--judge-reader",
-            help="Its mistakes count too.",
-            metavar="",
-            rich_help_panel=READER_PANEL,
-        ),
+        bool, flag("--judge-reader", "Its mistakes count too.", READER)
     ] = False,
-    timeout: Annotated[
-        float,
-        typer.Option(min=0.1, help="Its time, s.", metavar="S", rich_help_panel=READER_PANEL),
-    ] = 60.0,
-    output: Annotated[Path | None, typer.Option("--out", "-o", help="Write JSON here.")] = None,
+    timeout: Annotated[float, option("Its time, s.", "S", READER, min=0.1)] = 60.0,
+    output: Annotated[Path | None, option("Write JSON here.", "FILE", None, "--out", "-o")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check a model: MuJoCo against Pinocchio, coal, another model.
@@ -90,33 +57,17 @@ def crosscheck(
     from sim.crosscheck import crosscheck as check
 
     check_folder(output)
-    tolerances = Tolerances(
-        kinematics=kinematics,
-        dynamics=dynamics,
-        parameters=parameters,
-        distance=distance,
-        normal=normal,
-    )
     pairs = _pairs(same or [], against)
+    common: dict[str, Any] = {
+        "seed": seed,
+        "n_configurations": configurations,
+        "tolerances": Tolerances(**vars(tolerances)),
+    }
     if against is None:
-        report = check(
-            model,
-            seed=seed,
-            n_configurations=configurations,
-            tolerances=tolerances,
-            own_reader=own_reader,
-            judge_reader=judge_reader,
-            timeout=timeout,
-        )
+        reader = {"own_reader": own_reader, "judge_reader": judge_reader, "timeout": timeout}
+        report = check(model, **common, **reader)
     else:
-        report = compare_models(
-            model,
-            against,
-            names=pairs,
-            seed=seed,
-            n_configurations=configurations,
-            tolerances=tolerances,
-        )
+        report = compare_models(model, against, names=pairs, **common)
     if output is not None:
         write_json(report.to_dict(), output)
     if as_json:
@@ -128,9 +79,8 @@ def crosscheck(
             if column.failure:
                 say(out, f"[red]{escape(column.name)}:[/] {escape(column.failure)}")
             for note in column.notes:
-                say(out, escape(f"{column.name}: {note}"))
-        for note in report.notes:
-            say(out, escape(note))
+                tell(f"{column.name}: {note}")
+        tell(*report.notes)
         missing = [c.name for c in report.columns if c.failure and not c.judged]
         without = f", without {escape(' and '.join(missing))}" if missing else ""
         agree = f"[green]all judged quantities agree[/]{without}"

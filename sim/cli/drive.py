@@ -7,22 +7,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.markup import escape
 
 from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NO,
+    check_folder,
+    err,
+    heeding_ctrl_c,
+    keep_inputs,
+    out,
+    print_json,
+    tell,
+)
+from sim.cli.execution import controller_of
+from sim.cli.options import (
     ControllerOption,
     JsonOption,
     PlanArgument,
-    err,
-    errors_for_people,
-    heeding_ctrl_c,
-    keep_inputs,
+    command,
+    flag,
     names,
-    out,
-    print_json,
-    say,
+    option,
 )
 from sim.cli.reading import one_plan
 
@@ -36,48 +41,32 @@ RATE_HZ = 100.0
 """Rate of the loop unless another is asked for."""
 
 
-@errors_for_people()
+@command
 def drive(
     plan_file: PlanArgument,
     interface: Annotated[
         str | None,
-        typer.Option(
+        option(
+            "module:factory or file.py:factory; a simulated hand if not given.",
+            "NAME",
+            None,
             "--hand-interface",
-            help="module:factory or file.py:factory; a simulated hand if not given.",
-            metavar="NAME",
         ),
     ] = None,
     controller: ControllerOption = "feedforward",
     rate: Annotated[
-        float | None,
-        typer.Option(help="Rate of the loop, Hz; 100, or that of the log.", metavar="HZ"),
+        float | None, option("Rate of the loop, Hz; 100, or that of the log.", "HZ")
     ] = None,
-    log: Annotated[
-        Path | None, typer.Option(help="Readings and commands (.npz).", metavar="FILE")
-    ] = None,
-    replay: Annotated[
-        Path | None, typer.Option(help="A log in place of a hand.", metavar="FILE")
-    ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Read, compute, write nothing.", metavar="")
-    ] = False,
-    assume: Annotated[
-        str | None,
-        typer.Option(help="Planned, not read: object_pose,touch.", metavar="NAMES"),
-    ] = None,
+    log: Annotated[Path | None, option("Readings and commands (.npz).", "FILE")] = None,
+    replay: Annotated[Path | None, option("A log in place of a hand.", "FILE")] = None,
+    dry_run: Annotated[bool, flag("--dry-run", "Read, compute, write nothing.")] = False,
+    assume: Annotated[str | None, option("Planned, not read: object_pose,touch.", "NAMES")] = None,
     max_rate: Annotated[
-        float | None, typer.Option(help="Fastest change of a command, rad/s.", metavar="RAD/S")
+        float | None, option("Fastest change of a command, rad/s.", "RAD/S")
     ] = None,
-    on_stop: Annotated[
-        str, typer.Option(help="At an emergency: torque-off, or hold.", metavar="NAME")
-    ] = "torque-off",
-    check: Annotated[
-        bool,
-        typer.Option("--check-joints", help="Move every joint a little instead.", metavar=""),
-    ] = False,
-    fast: Annotated[
-        bool, typer.Option("--fast", help="Simulate as fast as can be.", metavar="")
-    ] = False,
+    on_stop: Annotated[str, option("At an emergency: torque-off, or hold.", "NAME")] = "torque-off",
+    check: Annotated[bool, flag("--check-joints", "Move every joint a little instead.")] = False,
+    fast: Annotated[bool, flag("--fast", "Simulate as fast as can be.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Execute a plan on a hand in real time, or on a simulated one.
@@ -88,7 +77,6 @@ def drive(
         from contextlib import closing
 
         from planner.errors import NotFoundError, TaskError
-        from sim.cli.common import check_folder, controller_of
         from sim.controllers import controller_for
         from sim.real_hand import (
             CommandLimits,
@@ -140,7 +128,7 @@ def drive(
                     print_json({"loop": ran.to_dict(), "joints": rows})
                 else:
                     out.print(checks_table(checks))
-                    say(out, escape(str(ran)))
+                    tell(str(ran))
                 _leave(ran, good=not faults)
                 return
             if isinstance(used.hand, SimulatedHand):
@@ -266,11 +254,11 @@ def _tell(ran: LoopReport, judged: TrialReport | None, used: _Used, as_json: boo
     out.print(ran)
     if judged is not None:
         said = f"{judged.reason}: {judged.verdict.detail}" if judged.reason else "held"
-        say(out, escape(f"simulated object: {said}"))
+        tell(f"simulated object: {said}")
     if compared is not None:
-        say(out, escape(f"replayed: {compared}"))
+        tell(f"replayed: {compared}")
         if used.hand.log.plan is None:
-            say(out, "the log is of version 1, which does not say of which plan it is")
+            tell("the log is of version 1, which does not say of which plan it is")
 
 
 def _leave(ran: LoopReport, *, good: bool) -> None:

@@ -1,4 +1,4 @@
-"""The command ``export``: plans and batches into files of other tools."""
+"""The command ``export``: plans and batches into files of other tools; schemas of our own."""
 
 from __future__ import annotations
 
@@ -10,17 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.markup import escape
 
-from sim.cli.common import (
-    JsonOption,
-    err,
-    errors_for_people,
-    heeding_ctrl_c,
-    keep_inputs,
-    names,
-    out,
-    print_json,
-    say,
-)
+from sim.cli.common import err, heeding_ctrl_c, keep_inputs, out, print_json, say, tell
+from sim.cli.options import JsonOption, argument, command, flag, names, option
 from sim.cli.reading import renaming
 
 if TYPE_CHECKING:
@@ -29,97 +20,71 @@ if TYPE_CHECKING:
 FORMATS_OF_SIM = ("sim.scene_export",)
 """Modules of ``sim`` that register a format when they are imported: those that need a scene."""
 
-FRAMES_PANEL, CHOICE_PANEL = "Names in the file", "Out of a batch"
+FRAMES, CHOICE = "Names in the file", "Out of a batch"
 """Groups of options in the help."""
 
 
-@errors_for_people()
+@command
 def export(
     sources: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Plan files, folders of plan files or of batches.", metavar="PLAN_OR_BATCH"
-        ),
+        argument("Plan files, folders of plan files or of batches.", "PLAN_OR_BATCH"),
     ] = None,
-    to: Annotated[str, typer.Option(help="A format; --list shows them.", metavar="FORMAT")] = "",
+    to: Annotated[str, option("A format; --list shows them.", "FORMAT")] = "",
     output: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="The file, or the folder of some formats."),
+        option("The file, or the folder of some formats.", "PATH", None, "--out", "-o"),
     ] = None,
     objects: Annotated[
-        str | None,
-        typer.Option(
-            help="Objects by label, comma separated.", metavar="NAMES", rich_help_panel=CHOICE_PANEL
-        ),
+        str | None, option("Objects by label, comma separated.", "NAMES", CHOICE)
     ] = None,
     n: Annotated[
         int | None,
-        typer.Option(
-            "-n",
-            "--number",
-            min=1,
-            help="The first N grasps of each object.",
-            metavar="N",
-            rich_help_panel=CHOICE_PANEL,
-        ),
+        option("The first N grasps of each object.", "N", CHOICE, "-n", "--number", min=1),
     ] = None,
     rename: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Our name of a joint = its driver's: FFJ4=rh_FFJ4; or a TOML or YAML file.",
-            metavar="OLD=NEW",
-            rich_help_panel=FRAMES_PANEL,
+        option(
+            "Our name of a joint = its driver's: FFJ4=rh_FFJ4; or a TOML or YAML file.",
+            "OLD=NEW",
+            FRAMES,
         ),
     ] = None,
     by: Annotated[
         str,
-        typer.Option(
-            help="joints, or actuators: one number for joints that one motor moves.",
-            metavar="WHAT",
-            rich_help_panel=FRAMES_PANEL,
-        ),
+        option("joints, or actuators: one number for joints that one motor moves.", "WHAT", FRAMES),
     ] = "joints",
     object_frame: Annotated[
-        str,
-        typer.Option(
-            help="Frame of the object; its name if not given.",
-            metavar="NAME",
-            rich_help_panel=FRAMES_PANEL,
-        ),
+        str, option("Frame of the object; its name if not given.", "NAME", FRAMES)
     ] = "",
     hand_frame: Annotated[
-        str,
-        typer.Option(
-            help="Frame of the hand; its body's name if not given.",
-            metavar="NAME",
-            rich_help_panel=FRAMES_PANEL,
-        ),
+        str, option("Frame of the hand; its body's name if not given.", "NAME", FRAMES)
     ] = "",
     base_body: Annotated[
         str,
-        typer.Option(
-            help="Body of the hand whose pose is written; the base if not given.",
-            metavar="BODY",
-            rich_help_panel=FRAMES_PANEL,
-        ),
+        option("Body of the hand whose pose is written; the base if not given.", "BODY", FRAMES),
     ] = "",
     world_frame: Annotated[
-        str,
-        typer.Option(
-            help="Write poses in the world, under this name.",
-            metavar="NAME",
-            rich_help_panel=FRAMES_PANEL,
-        ),
+        str, option("Write poses in the world, under this name.", "NAME", FRAMES)
     ] = "",
-    listed: Annotated[
-        bool, typer.Option("--list", help="Show the formats and what each loses.", metavar="")
-    ] = False,
+    listed: Annotated[bool, flag("--list", "Show the formats and what each loses.")] = False,
+    schema: Annotated[
+        str | None,
+        option(
+            "Print the JSON Schema of our own files: plan, motion, gait, manipulation, report, "
+            "manipulation-report, contacts or grasp-table.",
+            "KIND",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write plans as files of other tools: Isaac, ROS 2 and others.
 
     The output is written whole or not at all. What a format cannot carry is refused.
     """
+    if schema is not None:
+        _print_schema(schema)
+        return
     from planner.errors import TaskError
     from planner.exchange import Writing, export_plans
     from planner.exchange.export import check_export
@@ -130,7 +95,9 @@ def export(
         _show_formats(as_json)
         return
     if not sources or not to or output is None:
-        raise typer.BadParameter("give plans or a batch, --to FORMAT and -o PATH; or --list")
+        raise typer.BadParameter(
+            "give plans or a batch, --to FORMAT and -o PATH; or --list, or --schema KIND"
+        )
     writing = Writing(
         rename=renaming(rename or []),
         by=by,
@@ -157,11 +124,10 @@ def export(
         )
         return
     plural = "s" if done.count > 1 else ""
-    say(out, escape(f"{done.count} plan{plural} written to {output} as {done.format}"))
-    for note in done.notes:
-        say(out, escape(f"  {note}"))
+    tell(f"{done.count} plan{plural} written to {output} as {done.format}")
+    tell(*(f"  {note}" for note in done.notes))
     if done.lost:
-        say(out, escape(f"not in it: {done.lost}"))
+        tell(f"not in it: {done.lost}")
 
 
 def _read(
@@ -203,5 +169,34 @@ def _show_formats(as_json: bool) -> None:
         able = " and ".join(verb for verb in ("reads", "writes") if row[verb])
         moves = ", movements too" if row["movements"] else ""
         say(out, f"[bold]{row['name']}[/] ({able}{moves}): {escape(row['title'])}")
-        say(out, escape(f"  {', '.join(row['suffixes']) or 'a folder'}"))
-        say(out, escape(f"  not in it: {row['loses'] or 'nothing'}"))
+        tell(f"  {', '.join(row['suffixes']) or 'a folder'}")
+        tell(f"  not in it: {row['loses'] or 'nothing'}")
+
+
+def _print_schema(kind: str) -> None:
+    """The JSON Schema of plans, reports, contact lists and tables.
+
+    Raises:
+        NotFoundError: There is no file of that kind.
+    """
+    from pydantic import BaseModel
+
+    from planner.errors import NotFoundError
+    from planner.exchange.table_forms import TableFile
+    from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
+    from sim.manipulation import ManipulationReportFile
+    from sim.report_file import ReportFile
+
+    models: dict[str, type[BaseModel]] = {
+        "plan": PlanFile,
+        "motion": MotionFile,
+        "gait": GaitFile,
+        "manipulation": ManipulationFile,
+        "report": ReportFile,
+        "manipulation-report": ManipulationReportFile,
+        "contacts": ContactsFile,
+        "grasp-table": TableFile,
+    }
+    if kind not in models:
+        raise NotFoundError("schema", kind, models)
+    print_json(models[kind].model_json_schema())

@@ -1,4 +1,4 @@
-"""Commands that plan and execute: ``run``, ``plan``, ``simulate``."""
+"""Commands that plan a grasp: ``run``, ``plan``."""
 
 from __future__ import annotations
 
@@ -7,31 +7,21 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 
-from sim.cli.common import (
-    SEARCH_PANEL,
+from sim.cli.common import check_folder, exit_for, make_folder, out, print_json, tell, told_command
+from sim.cli.execution import TrialOptions
+from sim.cli.options import (
+    SEARCH,
     ArrowsOption,
     HandArgument,
     JsonOption,
     ObjectArgument,
     PictureOption,
-    PlanArgument,
-    check_folder,
-    check_policy,
-    errors_for_people,
-    exit_for,
-    keep_inputs,
-    make_folder,
-    out,
-    print_json,
-    reckoning_with,
-    say,
-    told_command,
+    command,
+    flag,
+    option,
 )
-from sim.cli.options import BestOptions, TrialOptions, with_options
-from sim.cli.reading import one_plan
-from sim.cli.several import numbered, plans_table
+from sim.cli.search import BestOptions, numbered, plans_table
 
 LONGEST_NAME = 60
 """Characters of an object in a folder's name."""
@@ -43,14 +33,13 @@ def _folder_name(item: Any) -> str:
     return item.name if "/" in spec or len(spec) > LONGEST_NAME else spec.replace(":", "-")
 
 
-@errors_for_people()
-@with_options
+@command
 def run(
     context: typer.Context,
     hand: HandArgument,
     object: ObjectArgument,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder for plan, report, its page and picture.")
+        Path | None, option("Folder for plan, report, its page and picture.", None, None, "--out")
     ] = None,
     *,
     request: BestOptions,
@@ -69,8 +58,8 @@ def run(
     if out_dir is not None:
         make_folder(out_dir)
     execute = trial.trial()
-    check_policy(trial, hand, lambda: parse_object(object), None)
-    plan = reckoning_with(request, trial.reality).plan(hand, object)
+    trial.check_policy(hand, lambda: parse_object(object), None)
+    plan = trial.reckoned(request).plan(hand, object)
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
     make_folder(folder)
@@ -78,7 +67,7 @@ def run(
         (folder / old).unlink(missing_ok=True)
     write_plan(plan, folder / "plan.json")
     if not as_json and trial.verbose:
-        say(out, escape(str(plan)))
+        tell(str(plan))
     report = replace(execute(plan, folder / "held.png"), command=told_command(context))
     write_report(report.to_dict(), folder / "report.json")
     report.save_html(folder / "report.html")
@@ -88,34 +77,23 @@ def run(
         trial.show(report)
         picture = "held.png" if report.picture else f"no picture: {report.picture_reason}"
         page = folder / "report.html"
-        say(out, escape(f"open in a browser: {page} (beside plan.json, report.json; {picture})"))
+        tell(f"open in a browser: {page} (beside plan.json, report.json; {picture})")
     exit_for(report)
 
 
-@errors_for_people()
-@with_options
+@command
 def plan(
     hand: HandArgument,
     object: ObjectArgument,
     output: Annotated[
-        Path, typer.Option("--out", "-o", help="The plan file; of several, NAME-1.json and so on.")
+        Path,
+        option("The plan file; of several, NAME-1.json and so on.", None, None, "--out", "-o"),
     ] = Path("plan.json"),
     picture: PictureOption = None,
     arrows: ArrowsOption = False,
-    n: Annotated[
-        int,
-        typer.Option(
-            "-n", "--number", min=1, help="Grasps.", metavar="N", rich_help_panel=SEARCH_PANEL
-        ),
-    ] = 1,
+    n: Annotated[int, option("Grasps.", "N", SEARCH, "-n", "--number", min=1)] = 1,
     diverse: Annotated[
-        bool,
-        typer.Option(
-            "--diverse",
-            help="Of more that are found, the N that differ most.",
-            metavar="",
-            rich_help_panel=SEARCH_PANEL,
-        ),
+        bool, flag("--diverse", "Of more that are found, the N that differ most.", SEARCH)
     ] = False,
     *,
     request: BestOptions,
@@ -123,75 +101,27 @@ def plan(
 ) -> None:
     """Plan a grasp, or several, and write it to a file."""
     from planner.files import plan_to_dict, write_plan
-    from sim.manipulation.drawing import draw_grasp
 
-    check_folder(output)
-    check_folder(picture)
-    if n > 1 or diverse:
-        found_several = request.several(hand, object, n, diverse=diverse)
-        files = numbered(output, len(found_several))
-        for plan, file in zip(found_several, files, strict=True):
-            write_plan(plan, file)
-        if picture is not None:
-            drawings = numbered(picture, len(found_several))
-            for plan, drawing in zip(found_several, drawings, strict=True):
-                draw_grasp(plan, drawing, arrows=arrows)
-        if as_json:
-            print_json({"plans": [plan_to_dict(plan) for plan in found_several]})
-        else:
-            out.print(plans_table(found_several, files))
-        return
-    found = request.plan(hand, object)
-    write_plan(found, output)
-    drawn = "" if picture is None else draw_grasp(found, picture, arrows=arrows)
-    if as_json:
-        print_json(plan_to_dict(found))
+    check_folder(output, picture)
+    many = n > 1 or diverse
+    if many:
+        found = request.several(hand, object, n, diverse=diverse)
     else:
-        say(out, escape(str(found)))
-        say(out, escape(f"written to {output}"))
-        if drawn:
-            say(out, escape(drawn))
+        found = [request.plan(hand, object)]
+    files = numbered(output, len(found)) if many else [output]
+    for plan, file in zip(found, files, strict=True):
+        write_plan(plan, file)
+    drawn = ""
+    if picture is not None:
+        from sim.manipulation.drawing import draw_grasp
 
-
-@errors_for_people()
-@with_options
-def simulate(
-    context: typer.Context,
-    plan_file: PlanArgument,
-    report_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            help="Report (JSON), its page (HTML) beside it; .html: the page only.",
-            metavar="FILE",
-        ),
-    ] = None,
-    picture: PictureOption = None,
-    *,
-    trial: TrialOptions,
-    as_json: JsonOption = False,
-) -> None:
-    """Execute a plan file in MuJoCo and judge whether it holds."""
-    from sim.report_file import PAGE_SUFFIXES, write_report
-
-    check_folder(report_file)
-    check_folder(picture)
-    keep_inputs(report_file, plan_file)
-    plan = one_plan(plan_file)
-    check_policy(trial, plan.task.hand, lambda: plan.task.object, None)
-    report = replace(trial.trial()(plan, picture), command=told_command(context))
-    page = None if report_file is None else report_file.with_suffix(".html")
-    if report_file is not None and report_file.suffix.lower() in PAGE_SUFFIXES:
-        page = report_file
-    elif report_file is not None:
-        write_report(report.to_dict(), report_file)
-    if page is not None:
-        report.save_html(page)
+        drawings = numbered(picture, len(found)) if many else [picture]
+        for plan, drawing in zip(found, drawings, strict=True):
+            drawn = draw_grasp(plan, drawing, arrows=arrows)
     if as_json:
-        print_json(report.to_dict())
+        data = [plan_to_dict(plan) for plan in found]
+        print_json({"plans": data} if many else data[0])
+    elif many:
+        out.print(plans_table(found, files))
     else:
-        trial.show(report, picture=picture is not None)
-        if page is not None:
-            say(out, escape(f"open in a browser: {page}"))
-    exit_for(report)
+        tell(str(found[0]), f"written to {output}", *filter(None, [drawn]))

@@ -1,4 +1,4 @@
-"""Commands about hands: ``hands``, ``describe``, ``check-hand``."""
+"""The command ``hands``: which there are, what one is made of, checks, proposals for models."""
 
 from __future__ import annotations
 
@@ -10,52 +10,114 @@ from rich.markup import escape
 
 from sim.cli.common import (
     EXIT_NO,
-    HandArgument,
-    JsonOption,
     check_folder,
     err,
-    errors_for_people,
     out,
     print_json,
+    refuse_given,
     say,
+    tell,
 )
+from sim.cli.options import JsonOption, argument, command, flag, option
+
+DESCRIBING = {"output", "base_body", "force"}
+"""Parameters of ``--describe`` alone."""
 
 
-@errors_for_people()
-def hands() -> None:
+@command
+def hands(
+    context: typer.Context,
+    hand: Annotated[
+        str | None,
+        argument(
+            "A name, hand.toml, MJCF or URDF file, or PACKAGE:NAME; all names if not given.",
+            "[HAND]",
+        ),
+    ] = None,
+    check: Annotated[
+        bool, flag("--check", "What the planner sees of it, and what is in its way.")
+    ] = False,
+    describe: Annotated[
+        bool, flag("--describe", "Propose a hand.toml for a model, a reason for each line.")
+    ] = False,
+    output: Annotated[
+        Path | None,
+        option("Write the hand.toml here instead of printing.", "FILE", None, "--out", "-o"),
+    ] = None,
+    base_body: Annotated[
+        str | None, option("With --describe: body that is the root of the hand.", "NAME")
+    ] = None,
+    force: Annotated[bool, flag("--force", "Overwrite the hand.toml.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """List hands; show one's joints, actuators, tips, masses.
+
+    With --check: exit code 1 if something forbids planning.
+    """
+    from planner.errors import TaskError
+
+    if hand is None:
+        refuse_given(context, "options are about a hand; name one", kept=("hand", "as_json"))
+        _names(as_json)
+    elif describe:
+        if check or as_json:
+            raise TaskError("--describe writes a hand.toml; leave --check and --json out")
+        _describe(hand, output, base_body, force)
+    else:
+        refuse_given(context, "only --describe writes a hand.toml", of=DESCRIBING)
+        (_check if check else _inspect)(hand, as_json)
+
+
+def _names(as_json: bool) -> None:
     """Hands that ship, and hands in packages of others."""
     from planner.errors import PlannerError
     from planner.hands.catalog import find_hand, foreign_hand_names, hand_names
 
-    for name in hand_names():
-        say(out, name)
+    there = dict.fromkeys(hand_names(), True)
     for name in foreign_hand_names():
         try:
             find_hand(name)
-            say(out, name)
+            there[name] = True
         except PlannerError:
-            say(out, f"{name} [dim](its package is not installed)[/]")
+            there[name] = False
+    if as_json:
+        print_json({"hands": [{"name": n, "installed": i} for n, i in there.items()]})
+        return
+    for name, installed in there.items():
+        say(out, name if installed else f"{name} [dim](its package is not installed)[/]")
 
 
-@errors_for_people()
-def describe(
-    model: Annotated[
-        str,
-        typer.Argument(
-            help="A model: MJCF or URDF file, or PACKAGE:NAME (see opposable hands).",
-            metavar="MODEL",
-        ),
-    ],
-    output: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Write a hand.toml instead of printing.")
-    ] = None,
-    name: Annotated[str | None, typer.Option(help="What to call the hand.")] = None,
-    base_body: Annotated[
-        str | None, typer.Option(help="Body that is the root of the hand.", metavar="NAME")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.", metavar="")] = False,
-) -> None:
-    """Propose a hand.toml from a model, a reason for each line."""
+def _inspect(hand: str, as_json: bool) -> None:
+    """What a hand is made of."""
+    from planner.hand_loading import load_hand
+    from sim.cli.hand_tables import hand_tables, inspect_hand
+
+    loaded = load_hand(hand)
+    if as_json:
+        print_json(inspect_hand(loaded))
+    else:
+        for table in hand_tables(loaded):
+            out.print(table)
+
+
+def _check(hand: str, as_json: bool) -> None:
+    """What the planner sees of a hand."""
+    from planner.describe import check_hand
+    from planner.hand_loading import load_hand
+    from sim.cli.hand_tables import print_check
+
+    with err.status(f"checking {escape(hand)} ..."):
+        report = check_hand(load_hand(hand))
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        print_check(report, out)
+    if not report.ok:
+        raise typer.Exit(EXIT_NO)
+
+
+def _describe(model: str, output: Path | None, base_body: str | None, force: bool) -> None:
+    """A proposal of a hand.toml."""
     from planner.describe import description_text, propose, write_proposal
     from planner.errors import FileFormatError
     from planner.hand_loading import load_hand
@@ -66,7 +128,7 @@ def describe(
         if file.exists() and not force:
             raise FileFormatError(f"{file} exists already; name another file, or give --force")
     with err.status(f"reading {escape(model)}: kinematics, tips, collisions ..."):
-        proposal = propose(model, name=name, base_body=base_body)
+        proposal = propose(model, base_body=base_body)
     if output is None:
         text = description_text(
             proposal.description, Path.cwd(), proposal.reasons, proposal.open_questions
@@ -76,24 +138,7 @@ def describe(
     write_proposal(proposal, output, overwrite=force)
     for question in proposal.open_questions:
         say(err, f"[bold]to do:[/] {escape(question)}")
-    say(out, escape(f"wrote {output}; now: opposable check-hand {output}"))
+    tell(f"wrote {output}; now: opposable hands {output} --check")
     picture = output.with_suffix(".png")
     picture.write_bytes(postures_picture(load_hand(output)))
-    say(out, escape(f"its postures are drawn in {picture}"))
-
-
-@errors_for_people()
-def check_hand(hand: HandArgument, as_json: JsonOption = False) -> None:
-    """What the planner sees of a hand, and what is in its way."""
-    from planner.describe import check_hand as check
-    from planner.hand_loading import load_hand
-    from sim.cli.inspection import print_check
-
-    with err.status(f"checking {escape(hand)} ..."):
-        report = check(load_hand(hand))
-    if as_json:
-        print_json(report.to_dict())
-    else:
-        print_check(report, out)
-    if not report.ok:
-        raise typer.Exit(EXIT_NO)
+    tell(f"its postures are drawn in {picture}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,21 +14,25 @@ from rich.table import Table
 
 from sim.cli.common import (
     EXIT_INTERRUPTED,
+    err,
+    heeding_ctrl_c,
+    out,
+    print_json,
+    say,
+    tell,
+    told_command,
+)
+from sim.cli.execution import physics_of, reality_of
+from sim.cli.options import (
     HandArgument,
     JsonOption,
     PhysicsOption,
     RealityOption,
     SeedOption,
-    err,
-    errors_for_people,
-    heeding_ctrl_c,
+    argument,
+    command,
     names,
-    out,
-    physics_of,
-    print_json,
-    reality_of,
-    say,
-    told_command,
+    option,
 )
 from sim.progress import ProgressBar
 from sim.tables import table_of
@@ -36,30 +41,32 @@ if TYPE_CHECKING:
     from sim.learning import Progress as Made
 
 
-@errors_for_people()
+@dataclass(frozen=True, kw_only=True)
+class CourseOptions:
+    """How long and by which senses is learnt, as in ``sim.learning.Course``."""
+
+    plans: Annotated[int, option("Plans to learn from.", "N", min=1)] = 40
+    demonstrations: Annotated[
+        int, option("Episodes of round 0.", "N", None, "-n", "--demonstrations", min=1)
+    ] = 40
+    rounds: Annotated[int, option("Rounds in which the policy drives.", "N", min=0)] = 3
+    episodes: Annotated[int, option("Episodes of each.", "N", min=1)] = 20
+    senses: Annotated[str, option("Of joints,touch,targets,plan,clock,object.", "NAMES")] = (
+        "touch,clock,object"
+    )
+
+
+@command
 def learn(
     context: typer.Context,
     hand: HandArgument,
-    objects: Annotated[
-        str, typer.Argument(help="As `plan` takes it; a..b is a range, m.", metavar="OBJECT")
-    ],
+    objects: Annotated[str, argument("As `plan` takes it; a..b is a range, m.", "OBJECT")],
     folder: Annotated[
-        Path, typer.Option("--out", help="Folder; a training begun there goes on.", metavar="DIR")
+        Path, option("Folder; a training begun there goes on.", "DIR", None, "--out")
     ] = Path("runs/learn"),
-    rotate: Annotated[float, typer.Option(help="Turn, degrees.", metavar="DEG")] = 90.0,
-    senses: Annotated[
-        str, typer.Option(help="Of joints,touch,targets,plan,clock,object.", metavar="NAMES")
-    ] = "touch,clock,object",
-    plans: Annotated[int, typer.Option(min=1, help="Plans to learn from.", metavar="N")] = 40,
-    demonstrations: Annotated[
-        int,
-        typer.Option("-n", "--demonstrations", min=1, help="Episodes of round 0.", metavar="N"),
-    ] = 40,
-    rounds: Annotated[
-        int, typer.Option(min=0, help="Rounds in which the policy drives.", metavar="N")
-    ] = 3,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each.", metavar="N")] = 20,
-    epochs: Annotated[int, typer.Option(min=1, help="Of the fit of a round.", metavar="N")] = 16,
+    rotate: Annotated[float, option("Turn, degrees.", "DEG")] = 90.0,
+    *,
+    asked: CourseOptions,
     seed: SeedOption = 0,
     physics: PhysicsOption = "ours",
     reality: RealityOption = "lab",
@@ -83,14 +90,7 @@ def learn(
         physics=physics_of(physics),
         seed=seed,
     )
-    course = Course(
-        plans=plans,
-        demonstrations=demonstrations,
-        rounds=rounds,
-        episodes=episodes,
-        epochs=epochs,
-        senses=tuple(names(senses)),
-    )
+    course = Course(**{**vars(asked), "senses": tuple(names(asked.senses))})
     with heeding_ctrl_c(), _Bar(err, ticks=True) as bar:
         try:
             learned = train(
@@ -104,13 +104,10 @@ def learn(
         print_json(told)
         return
     out.print(_table(told))
-    say(out, escape(f"written to {folder}: policy.npz, progress.csv, curves.png"))
-    say(
-        out,
-        escape(
-            f"to use it: opposable manipulate {hand} OBJECT --rotate {rotate:g} --reality "
-            f"{reality} --controller policy:{folder / 'policy.npz'}"
-        ),
+    tell(
+        f"written to {folder}: policy.npz, progress.csv, curves.png",
+        f"to use it: opposable manipulate {hand} OBJECT --rotate {rotate:g} --reality {reality} "
+        f"--controller policy:{folder / 'policy.npz'}",
     )
 
 

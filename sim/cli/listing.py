@@ -1,35 +1,23 @@
-"""The commands in groups, in the order in which one would use them, each with an example.
+"""The commands of ``opposable`` in groups, and the names that they had before.
 
-The only place where a command of ``opposable`` is registered: a new one is a line of ``GROUPS``.
+The only place where a command is registered: a new one is a line of ``GROUPS``. Its module is
+imported when the command is asked for, so that none pays for another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import typer
+from rich.markup import escape
+from typer.core import TyperGroup
 
-from sim.cli.audit import audit
-from sim.cli.batch import batch, extract
-from sim.cli.certify import certify
-from sim.cli.creep import creep
-from sim.cli.crosscheck import crosscheck
-from sim.cli.drive import drive
-from sim.cli.episodes import episodes
-from sim.cli.export import export
-from sim.cli.forces import forces
-from sim.cli.grasp import plan, run, simulate
-from sim.cli.hands import check_hand, describe, hands
-from sim.cli.learn import learn
-from sim.cli.look import analyse, inspect, schema
-from sim.cli.manipulation import demo, manipulate
-from sim.cli.motion import plan_gait, plan_motion
-from sim.cli.refine import refine
-from sim.cli.states import states
-from sim.cli.test import test
-from sim.cli.view import view
+from sim.cli.common import EXIT_BAD_INPUT, err, say
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,89 +25,138 @@ class Listed:
     """A command as it is listed.
 
     Attributes:
-        call: What it does; its name with dashes is the command's.
+        name: Of the command; two words for one that stands under another.
         example: A line that can be typed as it stands.
+        module: Where it is defined, in ``sim.cli``.
     """
 
-    call: Callable[..., Any]
+    name: str
     example: str
+    module: str
 
     @property
-    def name(self) -> str:
-        """The command's name."""
-        return self.call.__name__.replace("_", "-")
+    def call(self) -> Callable[..., Any]:
+        """What it does."""
+        name = self.name.split()[-1]
+        function: Callable[..., Any] = getattr(import_module(f"sim.cli.{self.module}"), name)
+        return function
 
 
-MEASURE = "Measure"
-"""The group that ``bench`` is in, too."""
+def _listed(name: str, arguments: str, module: str = "") -> Listed:
+    """A command with its example; its module is called like it unless another is named."""
+    example = f"opposable {name} {arguments}".strip()
+    return Listed(name=name, example=example, module=module or name.split()[0])
+
 
 GROUPS: dict[str, tuple[Listed, ...]] = {
     "Grasp": (
-        Listed(call=run, example="opposable run shadow_hand box"),
-        Listed(call=plan, example="opposable plan shadow_hand box -o plan.json"),
-        Listed(call=simulate, example="opposable simulate plan.json -o report.json"),
-        Listed(call=test, example="opposable test plan.json --protocol shake"),
-        Listed(call=drive, example="opposable drive plan.json --rate 100 --log run.npz"),
+        _listed("run", "shadow_hand box", "grasp"),
+        _listed("plan", "shadow_hand box -o plan.json", "grasp"),
+        _listed("test", "plan.json -o report.json"),
+        _listed("view", "plan.json -o plan.html"),
     ),
     "In-hand": (
-        Listed(call=demo, example="opposable demo --out runs/demo"),
-        Listed(
-            call=manipulate,
-            example="opposable manipulate allegro_hand cylinder:0.03x0.08 --rotate 45",
-        ),
-        Listed(
-            call=plan_motion,
-            example="opposable plan-motion allegro_hand cylinder:0.03x0.08 --angle 30",
-        ),
-        Listed(
-            call=plan_gait,
-            example="opposable plan-gait shadow_hand cylinder:0.03x0.10 --angle 180",
-        ),
-        Listed(
-            call=learn,
-            example="opposable learn allegro_hand cylinder:0.03x0.08 -n 2 --rounds 0",
-        ),
+        _listed("manipulate", "allegro_hand cylinder:0.03x0.08 --rotate 45"),
+        _listed("learn", "allegro_hand cylinder:0.03x0.08 -n 2 --rounds 0"),
     ),
-    "Look": (Listed(call=view, example="opposable view plan.json -o plan.html"),),
-    "Forces and certificates": (
-        Listed(call=analyse, example="opposable analyse plan.json"),
-        Listed(call=forces, example="opposable forces plan.json"),
-        Listed(call=certify, example="opposable certify plan.json --samples 100"),
+    "Analysis": (
+        _listed("analyse", "plan.json --forces"),
+        _listed("certify", "plan.json --samples 100", "analyse"),
     ),
     "Data": (
-        Listed(call=batch, example="opposable batch allegro_hand box mug -n 20"),
-        Listed(call=extract, example="opposable extract grasps 0 -o first.json"),
-        Listed(call=states, example="opposable states allegro_hand cylinder:0.03x0.08 -n 500"),
-        Listed(call=schema, example="opposable schema plan"),
+        _listed("batch", "allegro_hand box mug -n 20"),
+        _listed("export", "plan.json --to ros2-grasp -o g.yaml"),
+        _listed("refine", "plan.json --out refined"),
+        _listed("dataset states", "allegro_hand cylinder:0.03x0.08 -n 500"),
+        _listed("dataset episodes", "plan.json -o episodes --video"),
     ),
-    "Exchange": (
-        Listed(call=export, example="opposable export plan.json --to ros2-grasp -o g.yaml"),
-        Listed(call=audit, example="opposable audit plan.json"),
-        Listed(call=refine, example="opposable refine plan.json --out refined"),
-        Listed(call=episodes, example="opposable episodes plan.json -o episodes --video"),
+    "Hands": (
+        _listed("hands", "shadow_hand"),
+        _listed("crosscheck", "my_hand.xml"),
+        _listed("drive", "plan.json --rate 100 --log run.npz"),
     ),
-    "Models": (
-        Listed(call=describe, example="opposable describe my_hand.xml -o hand.toml"),
-        Listed(call=check_hand, example="opposable check-hand hand.toml"),
-        Listed(call=hands, example="opposable hands"),
-        Listed(call=inspect, example="opposable inspect shadow_hand"),
-        Listed(call=crosscheck, example="opposable crosscheck my_hand.xml"),
-    ),
-    MEASURE: (Listed(call=creep, example="opposable creep plan.json --physics menagerie"),),
 }
 """Title of a group -> its commands; the first example is the group's."""
 
+UNDER = {"dataset": "Data sets to learn from: stable states, episodes."}
+"""Commands that hold others -> what they are."""
 
-def register(app: typer.Typer) -> None:
-    """Add the commands, each with its group and its example."""
-    for title, commands in GROUPS.items():
-        for listed in commands:
-            app.command(
-                listed.name,
-                help=flowing(listed.call.__doc__ or ""),
-                epilog=f"Example: {listed.example}",
-                rich_help_panel=title,
-            )(listed.call)
+
+def _popped(words: list[str], *names: str) -> str | None:
+    """The value of an option, taken out of the words; None where it is not given."""
+    for at, word in enumerate(words):
+        name, sign, value = word.partition("=")
+        if name in names:
+            if sign:
+                del words[at]
+                return value
+            value = words[at + 1] if at + 1 < len(words) else ""
+            del words[at : at + 2]
+            return value
+    return None
+
+
+def _turn(default: str) -> Callable[[list[str]], list[str]]:
+    """``plan-motion`` and ``plan-gait``: --angle and --axis are --rotate, friction is believed."""
+
+    def words(given: list[str]) -> list[str]:
+        given = [*given]
+        axis, angle = _popped(given, "--axis"), _popped(given, "--angle")
+        turn = f"{axis or 'z'}:{angle or default}"
+        mu = [] if any(w.split("=")[0] == "--mu" for w in given) else ["--mu", "0.5"]
+        return [*given, "--rotate", turn, *mu]
+
+    return words
+
+
+def _row(given: list[str]) -> list[str]:
+    """``extract FOLDER ROW``: the second argument is the value of an option."""
+    given = [*given]
+    file = _popped(given, "--out", "-o")
+    output = [] if file is None else ["-o", file]
+    return [*given[:1], *(["--extract"] if len(given) > 1 else []), *given[1:], *output]
+
+
+def _same(given: list[str]) -> list[str]:
+    return given
+
+
+@dataclass(frozen=True, kw_only=True)
+class Renamed:
+    """A command that has another name now.
+
+    Attributes:
+        begin: The words in its place.
+        words: What becomes of the words behind it.
+        end: Words behind those.
+    """
+
+    begin: tuple[str, ...]
+    words: Callable[[list[str]], list[str]] = _same
+    end: tuple[str, ...] = ()
+
+    def line(self, given: list[str]) -> list[str]:
+        """The words that do the same."""
+        return [*self.begin, *self.words(given), *self.end]
+
+
+RENAMED: dict[str, Renamed] = {
+    "simulate": Renamed(begin=("test",)),
+    "creep": Renamed(begin=("test",), end=("--protocol", "creep")),
+    "demo": Renamed(begin=("manipulate", "--demo")),
+    "plan-motion": Renamed(begin=("manipulate",), words=_turn("max"), end=("--plan-only",)),
+    "plan-gait": Renamed(begin=("manipulate",), words=_turn("0"), end=("--plan-only", "--gait")),
+    "forces": Renamed(begin=("analyse",), end=("--forces",)),
+    "extract": Renamed(begin=("batch",), words=_row),
+    "schema": Renamed(begin=("export", "--schema"), words=lambda given: given or ["plan"]),
+    "audit": Renamed(begin=("refine",), end=("--judge-only",)),
+    "inspect": Renamed(begin=("hands",)),
+    "check-hand": Renamed(begin=("hands",), end=("--check",)),
+    "describe": Renamed(begin=("hands",), end=("--describe",)),
+    "states": Renamed(begin=("dataset", "states")),
+    "episodes": Renamed(begin=("dataset", "episodes")),
+}
+"""Names that go with the next version -> what does the same."""
 
 
 def flowing(text: str) -> str:
@@ -127,13 +164,121 @@ def flowing(text: str) -> str:
     return "\n\n".join(" ".join(part.split()) for part in text.split("\n\n")).strip()
 
 
-def overview(app: typer.Typer) -> str:
+def _made(title: str, *commands: Listed) -> Any:
+    """A command as Typer runs it, or a group of them."""
+    made = typer.Typer(
+        add_completion=False,
+        help=UNDER.get(commands[0].name.split()[0]),
+        no_args_is_help=len(commands) > 1,
+    )
+    for listed in commands:
+        call = listed.call
+        made.command(
+            listed.name.split()[-1],
+            help=flowing(call.__doc__ or ""),
+            epilog=f"Example: {listed.example}",
+            rich_help_panel=title,
+        )(call)
+    command: Any = typer.main.get_command(made)
+    command.name, command.rich_help_panel = commands[0].name.split()[0], title
+    return command
+
+
+class Commands(Mapping[str, Any]):
+    """Names -> commands, each made when it is asked for; old names stand for the new ones."""
+
+    def __init__(self) -> None:
+        """None is made yet."""
+        self._listed: dict[str, list[tuple[str, Listed]]] = {}
+        for title, commands in GROUPS.items():
+            for listed in commands:
+                self._listed.setdefault(listed.name.split()[0], []).append((title, listed))
+        self._known: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        """The command.
+
+        Raises:
+            KeyError: There is none.
+        """
+        if name == "bench":
+            return measuring()
+        if name in RENAMED:
+            name = RENAMED[name].begin[0]
+        if name not in self._known:
+            found = self._listed[name]
+            self._known[name] = _made(found[0][0], *(listed for _, listed in found))
+        return self._known[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of today."""
+        return iter(self._listed)
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self._listed)
+
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+"""Where this code lies; in a checkout the measurements lie beside it."""
+
+NEEDS_CHECKOUT = (
+    "[bold red]error:[/] measuring is `python -m benchmarks NAME` in a checkout: clone the "
+    "repository, run `pip install -e .` in it, and repeat the command"
+)
+"""What ``bench`` answers in a wheel."""
+
+
+def measuring() -> Any:
+    """The commands of ``python -m benchmarks``.
+
+    Raises:
+        Exit: They are not there, as in a wheel.
+    """
+    if not (CHECKOUT / "pyproject.toml").is_file():
+        say(err, NEEDS_CHECKOUT)
+        raise typer.Exit(EXIT_BAD_INPUT)
+    return typer.main.get_command(import_module("benchmarks.commands").app)
+
+
+class Opposable(TyperGroup):
+    """The commands of ``opposable``; old names do the same, and say the new line."""
+
+    def __init__(self, **attributes: Any) -> None:
+        """As Typer makes it."""
+        super().__init__(**attributes)
+        self.commands: Any = Commands()
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The names of today, in the order in which one would use them."""
+        return list(self.commands)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Name, command and what is left of the words; an old name becomes the new line."""
+        old = args[0]
+        if old == "bench":
+            group = self.commands[old]
+            self._tell(ctx, args, ["python", "-m", "benchmarks", *args[1:]])
+            return old, group, args[1:]
+        if old in RENAMED:
+            args = RENAMED[old].line(args[1:])
+            self._tell(ctx, [old], ["opposable", *args])
+        return super().resolve_command(ctx, args)
+
+    @staticmethod
+    def _tell(ctx: Any, old: list[str], new: list[str]) -> None:
+        if not ctx.resilient_parsing:
+            text = f"`opposable {old[0]}` goes with the next version; write: {shlex.join(new)}"
+            say(err, escape(text))
+
+
+def overview(title: str) -> str:
     """What ``opposable`` alone prints: the groups with their commands and an example of each."""
     width = 2 + max(map(len, GROUPS))
-    lines = [str(app.info.help), ""]
-    for title, commands in GROUPS.items():
-        there = [c.name for c in commands] + ["bench"] * (title == MEASURE)
-        lines.append(f"{title:<{width}}{', '.join(there)}")
+    lines = [title, ""]
+    for group, commands in GROUPS.items():
+        names = dict.fromkeys(c.name.split()[0] for c in commands)
+        lines.append(f"{group:<{width}}{', '.join(names)}")
         lines.append(f"{'':<{width}}[dim]{commands[0].example}[/]")
     more = "A line on each: opposable --help. All options: opposable COMMAND --help"
     return "\n".join([*lines, "", more])

@@ -1,92 +1,153 @@
-"""Options that several commands share: a dataclass per group, one option for each of its fields.
+"""Options that commands share, each declared once: its type, help text, unit and group.
 
-A command that takes such a group as a parameter stands under ``@with_options``::
+A command takes a group of options, a dataclass, as a parameter; each of its fields is an option::
 
-    @errors_for_people()
-    @with_options
+    @command
     def plan(hand: HandArgument, *, request: PlanOptions) -> None: ...
 """
 
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
-from rich.markup import escape
 
-from sim.cli.common import (
-    SEARCH_PANEL,
-    ArrowsOption,
-    ControllerOption,
-    EstimateOption,
-    PadsOption,
-    PhysicsOption,
-    RealityOption,
-    RealitySeedOption,
-    SeedOption,
-    SimMuOption,
-    VerboseOption,
-    VideoOption,
-    ViewOption,
-    check_films,
-    controller_of,
-    err,
-    estimate_of,
-    heeding_ctrl_c,
-    numbers,
-    out,
-    physics_of,
-    reality_of,
-    say,
-)
-from sim.cli.task_options import TaskOptions
-
-if TYPE_CHECKING:
-    from planner.plan import GraspPlan
-    from planner.search import Attempt
-    from planner.synthesis.options import SynthesisOptions
-    from sim.report import TrialReport
+from sim.cli.common import errors_for_people
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
-AttemptsOption = Annotated[
-    int,
-    typer.Option(
-        min=1, help="Attempts before giving up.", metavar="N", rich_help_panel=SEARCH_PANEL
+SCENE, GRIP, MOVEMENT, SEARCH, TRIAL = (
+    "Object and surroundings",
+    "Hand and grip",
+    "Movement",
+    "Search",
+    "Trial",
+)
+"""Groups of options in the help of a command; what is in none is about output."""
+
+
+def option(
+    help: str, metavar: str | None = None, panel: str | None = None, *names: str, **more: Any
+) -> Any:
+    """An option as Typer takes it.
+
+    Args:
+        help: What it is, with its unit.
+        metavar: What stands for its value.
+        panel: Group in the help.
+        names: On the command line; "--" and the parameter's name if there is none.
+        more: Further arguments of ``typer.Option``, such as ``min``.
+    """
+    return typer.Option(*names, help=help, metavar=metavar, rich_help_panel=panel, **more)
+
+
+def flag(name: str, help: str, panel: str | None = None) -> Any:
+    """An option without a value."""
+    return option(help, "", panel, name)
+
+
+def argument(help: str, metavar: str) -> Any:
+    """An argument as Typer takes it."""
+    return typer.Argument(help=help, metavar=metavar)
+
+
+HAND = "Its name, hand.toml, MJCF or URDF file."
+OBJECT = (
+    "box, box:0.05x0.05x0.08 (m), part.stl*0.001, scene.xml#body; sphere, cylinder, capsule, "
+    "ellipsoid, mug, lbracket, torus, hammer, superquadric, knot, cup, bowl, tube..."
+)
+HandArgument = Annotated[str, argument(HAND, "HAND")]
+ObjectArgument = Annotated[str, argument(OBJECT, "OBJECT")]
+ObjectsArgument = Annotated[list[str], argument("Objects as `plan` takes them.", "OBJECT...")]
+PlanArgument = Annotated[Path, argument("A plan file.", "PLAN")]
+
+MassOption = Annotated[float | None, option("Mass, kg; 0.1 if not given.", "KG", SCENE)]
+StandOption = Annotated[
+    float,
+    option("Height of a stand under the object, m.", "M", SCENE, min=0.0, show_default=False),
+]
+FingersOption = Annotated[
+    str | None, option("Those that take part: thumb,index,ring", "NAMES", GRIP)
+]
+MuOption = Annotated[float, option("Sliding friction relied on (-).", "MU", GRIP)]
+JointErrorOption = Annotated[
+    float | None,
+    option(
+        "Standard deviation of the encoders' errors, for which fingers get room; that of "
+        "--reality if not given.",
+        "DEG",
+        GRIP,
+        min=0.0,
     ),
 ]
-GraspAttemptsOption = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        help="Attempts before giving up; 100 if not given.",
-        metavar="N",
-        rich_help_panel=SEARCH_PANEL,
+
+NO_SHIFT, USUAL_TURN = "0,0,0", "z:90"
+"""What is done if nothing is said: no translation, and this turn where there is no translation."""
+
+RotateOption = Annotated[
+    str | None,
+    option(
+        f"Axis (world) and degrees: y:30, 0,0,1:30; {USUAL_TURN} if neither this nor --shift is "
+        "given.",
+        "TURN",
+        MOVEMENT,
     ),
 ]
+ShiftOption = Annotated[
+    str, option("Translation in the hand, m, world.", "X,Y,Z", MOVEMENT, show_default=False)
+]
+
+SeedOption = Annotated[int, option("Same seed, same result.", "N", min=0)]
+AttemptsOption = Annotated[int, option("Attempts before giving up.", "N", SEARCH, min=1)]
 ObjectiveOption = Annotated[
     str,
-    typer.Option(
-        help="epsilon, min_weight, task, robustness, torque, manipulability, limits; several "
-        "with weights: epsilon:1,torque:0.5; or none.",
-        metavar="NAMES",
-        rich_help_panel=SEARCH_PANEL,
+    option(
+        "epsilon, min_weight, task, robustness, torque, manipulability, limits; several with "
+        "weights: epsilon:1,torque:0.5; or none.",
+        "NAMES",
+        SEARCH,
     ),
 ]
 RoundsOption = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        help="Rounds of work on the objectives.",
-        metavar="N",
-        rich_help_panel=SEARCH_PANEL,
+    int | None, option("Rounds of work on the objectives.", "N", SEARCH, min=0)
+]
+WorkersOption = Annotated[int, option("Processes; -1 for one per core.", "N")]
+
+ControllerOption = Annotated[
+    str,
+    option(
+        "feedforward: planned forces; impedance: a loop holds the object; policy:FILE.",
+        "NAME",
+        TRIAL,
     ),
 ]
+SimMuOption = Annotated[float | None, option("Sliding friction in simulation (-).", "MU", TRIAL)]
+PhysicsOption = Annotated[
+    str,
+    option(
+        "ours, mujoco-default, menagerie, dexgraspbench, or a TOML or JSON file.", "NAME", TRIAL
+    ),
+]
+RealityOption = Annotated[str, option("Errors: ideal, lab, rough, or a file.", "NAME", TRIAL)]
+RealitySeedOption = Annotated[int | None, option("Of what --reality draws; 0.", "N", TRIAL, min=0)]
+EstimateOption = Annotated[
+    str | None, option("Object's pose by: all, touch, contact, none.", "NAME", TRIAL)
+]
+PadsOption = Annotated[str | None, option("Touch: exact, taxels, effort, binary.", "SENSE", TRIAL)]
+ViewOption = Annotated[bool, flag("--view", "Show it in MuJoCo's viewer.", TRIAL)]
+VideoOption = Annotated[
+    Path | None, option("Write a film here: run.mp4, run.webp or run.gif.", "FILE")
+]
+PictureOption = Annotated[Path | None, option("Write a picture (PNG) here.", "FILE")]
+ArrowsOption = Annotated[bool, flag("--arrows", "Draw contact forces into pictures and film.")]
+VerboseOption = Annotated[bool, flag("--verbose", "Print what explains the verdict too.")]
+JsonOption = Annotated[bool, flag("--json", "Print JSON for machines on stdout.")]
 
 
 def with_options(command: Command) -> Command:
@@ -123,279 +184,87 @@ def with_options(command: Command) -> Command:
     return stated_as
 
 
-def _refuse_our_file(object: str) -> None:
-    """Say which command takes a plan or report that was given as the object.
+def command(function: Command) -> Command:
+    """A command: its groups of options spread out, its errors for people."""
+    return errors_for_people()(with_options(function))
+
+
+def names(text: str) -> list[str]:
+    """Names out of a comma-separated list; empty ones are dropped.
 
     Raises:
-        TaskError: It is one.
+        TaskError: There is none.
     """
-    if not object.lower().endswith(".json"):
-        return
-    from planner.errors import TaskError, shown
-    from sim.viewing.target import Target
+    from planner.errors import TaskError
 
-    kind = Target(object).format
-    if kind == "opposable-plan":
-        raise TaskError(f"{object} is a plan file, not an object: opposable simulate {object}")
-    if kind.startswith("opposable-"):
+    found = [name.strip() for name in text.split(",") if name.strip()]
+    if not found:
+        raise TaskError(f"{text!r} holds no name; give names with commas between them")
+    return found
+
+
+COUNTS = ("none", "one", "two", "three", "four", "five", "six")
+"""Counts in words."""
+
+
+def numbers(option: str, text: str, count: int) -> list[float]:
+    """So many numbers with commas between them.
+
+    Raises:
+        TaskError: Something else.
+    """
+    from planner.errors import TaskError
+
+    wanted = "give one" if count == 1 else f"give {COUNTS[count]} with commas between them"
+    try:
+        values = [float(v) for v in text.split(",")]
+    except ValueError as error:
+        raise TaskError(f"{option} {text!r} holds something else than numbers; {wanted}") from error
+    if len(values) != count:
+        raise TaskError(f"{option} {text!r} has {len(values)} numbers; {wanted}")
+    if not all(math.isfinite(v) for v in values):
+        raise TaskError(f"{option} {text!r} is not finite; {wanted}")
+    return values
+
+
+Vector = tuple[float, float, float]
+
+AXES: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+def movement(rotate: str | None, shift: str) -> tuple[Vector, float, Vector]:
+    """Axis (3,), world, degrees and translation (3,), m, world, of --rotate and --shift together.
+
+    Degrees are infinite for "max", the largest turn that there is.
+
+    Raises:
+        TaskError: They hold something else.
+    """
+    x, y, z = numbers("--shift", shift, 3)
+    if rotate is None:
+        rotate = "z:0" if any((x, y, z)) else USUAL_TURN
+    return (*_turn(rotate), (x, y, z))
+
+
+def _turn(text: str) -> tuple[Vector, float]:
+    """Axis and degrees of a turn.
+
+    Raises:
+        TaskError: Something else.
+    """
+    from planner.errors import TaskError
+
+    axis, colon, degrees = text.rpartition(":")
+    if not colon:
+        axis = "z"
+    if "," in axis:
+        x, y, z = numbers("--rotate", axis, 3)
+        vector: Vector = (x, y, z)
+    elif axis in AXES:
+        vector = AXES[axis]
+    else:
         raise TaskError(
-            f"{object} is of format {shown(kind)}, not an object: opposable view {object}"
+            f"--rotate {text!r} names no axis; give x, y or z and degrees: y:30, a vector and "
+            "degrees: 0,0,1:30, or degrees about z alone: 90"
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlanOptions(TaskOptions):
-    """What ``run``, ``plan`` and ``batch`` are asked for: the same options make the same task."""
-
-    seed: SeedOption = 0
-    max_attempts: GraspAttemptsOption = None
-    max_cpu_s: Annotated[
-        float | None,
-        typer.Option(
-            help="CPU seconds before giving up.", metavar="S", rich_help_panel=SEARCH_PANEL
-        ),
-    ] = None
-    objective: ObjectiveOption = "epsilon"
-    task_wrench: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="For objective task: fx,fy,fz,tx,ty,tz, N and N m, object's axes; repeatable.",
-            metavar="W",
-            rich_help_panel=SEARCH_PANEL,
-        ),
-    ] = None
-    rounds: RoundsOption = None
-
-    def synthesis(self) -> SynthesisOptions:
-        """Options of synthesis.
-
-        Raises:
-            TaskError: A wrench is not made of six numbers, or they are not those of an objective.
-            NotFoundError: An objective that does not exist.
-        """
-        from planner.synthesis.options import SynthesisOptions
-
-        wrenches = [numbers("--task-wrench", text, 6) for text in self.task_wrench or ()]
-        options = SynthesisOptions(
-            objective=self.objective, task_wrenches=tuple(tuple(row) for row in wrenches)
-        )
-        return options if self.rounds is None else replace(options, rounds=self.rounds)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BestOptions(PlanOptions):
-    """What ``run`` and ``plan`` are asked for beside that: which of several grasps."""
-
-    best_of: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Grasps to find, of which the best is taken.",
-            metavar="N",
-            rich_help_panel=SEARCH_PANEL,
-        ),
-    ] = None
-    keep: Annotated[
-        str,
-        typer.Option(
-            help="first, or best: the best within --max-attempts or --max-cpu-s.",
-            metavar="NAME",
-            rich_help_panel=SEARCH_PANEL,
-        ),
-    ] = "first"
-    metric: Annotated[
-        str | None,
-        typer.Option(
-            help="By what the best is chosen, as --objective; that one if not given.",
-            metavar="NAMES",
-            rich_help_panel=SEARCH_PANEL,
-        ),
-    ] = None
-
-    def plan(self, hand: str, object: str) -> GraspPlan:
-        """Plan with a spinner that counts attempts, and tells the best value, on stderr.
-
-        Raises:
-            PlannerError: Bad input; a file of ours in place of the object is told what takes it.
-            NoGraspFoundError: No attempt found a grasp.
-            KeyboardInterrupt: Ctrl-C before anything was found; later it ends a search for the best
-                with what it has.
-        """
-        from planner.errors import NoGraspFoundError
-        from planner.search import DEFAULT_MAX_ATTEMPTS, plan_grasp
-        from sim.cli.low_objects import advice_for_low, advice_for_size, said_of_low
-
-        _refuse_our_file(object)
-        options, task = self.synthesis(), self.task(hand, object)
-        compares = self.best_of is not None or self.keep != "first"
-        title = f"planning: {task.hand.name}, {task.object.name} ..."
-        with heeding_ctrl_c(at_once=not compares) as check, err.status(title) as status:
-
-            def show(attempt: Attempt[GraspPlan]) -> bool:
-                outcome = escape(str(attempt.failure or "found")[:70])
-                best = "" if attempt.best is None or not compares else f", best {attempt.best:.4g}"
-                status.update(f"planning: attempt {attempt.index + 1}{best}: {outcome}")
-                if check.pressed and compares and attempt.best is not None:
-                    return True
-                check()
-                return False
-
-            try:
-                plan = plan_grasp(
-                    task,
-                    seed=self.seed,
-                    max_attempts=self.max_attempts,
-                    max_cpu_s=self.max_cpu_s,
-                    best_of=self.best_of,
-                    keep=self.keep,
-                    metric=self.metric,
-                    options=options,
-                    progress=show,
-                )
-            except NoGraspFoundError as error:
-                standing = None if self.at is not None and self.at.count(",") > 1 else self.pose
-                if self.stand or standing is None:
-                    raise
-                status.update("planning: whether it would be found if the object stood higher ...")
-                advice = advice_for_low(
-                    task,
-                    pose=standing,
-                    options=options,
-                    seed=self.seed,
-                    max_attempts=self.max_attempts or DEFAULT_MAX_ATTEMPTS,
-                    progress=show,
-                )
-                if advice is not None:
-                    raise said_of_low(error, task, advice) from error
-                if task.object.touch is not None or self.max_cpu_s is not None:
-                    raise
-                status.update("planning: whether another pose or size would be grasped ...")
-                advice = advice_for_size(
-                    task,
-                    pose=standing,
-                    options=options,
-                    seed=self.seed,
-                    max_attempts=self.max_attempts or DEFAULT_MAX_ATTEMPTS,
-                    progress=show,
-                )
-                if advice is None:
-                    raise
-                raise NoGraspFoundError(f"{error}. {advice}", error.attempts) from error
-        best = plan.record.best
-        if check.pressed and best is not None:
-            say(
-                err,
-                f"interrupted: the best of {best.found} found in {plan.record.attempts} attempts "
-                "is kept",
-            )
-        return plan
-
-    def several(self, hand: str, object: str, n: int, *, diverse: bool) -> list[GraspPlan]:
-        """Plan several grasps, with a spinner; Ctrl-C ends it with what was found.
-
-        Raises:
-            PlannerError: Bad input, or options of a single grasp.
-            NoGraspFoundError: No attempt found a grasp.
-            KeyboardInterrupt: Ctrl-C before anything was found.
-        """
-        from planner.batch import plan_several
-        from planner.errors import TaskError
-
-        _refuse_our_file(object)
-        if self.best_of is not None or self.keep != "first":
-            raise TaskError(
-                f"--best-of and --keep choose one grasp, and {n} are asked for; leave one out"
-            )
-        options, task = self.synthesis(), self.task(hand, object)
-        title = f"planning: {task.hand.name}, {task.object.name} ..."
-        found = 0
-        with heeding_ctrl_c(at_once=False) as check, err.status(title) as status:
-
-            def show(attempt: Attempt[GraspPlan]) -> bool:
-                nonlocal found
-                found += attempt.plan is not None
-                if check.pressed and not found:
-                    check()
-                status.update(f"planning: attempt {attempt.index + 1}: {found} found")
-                return check.pressed
-
-            return plan_several(
-                task,
-                n,
-                diverse=diverse,
-                seed=self.seed,
-                max_attempts=self.max_attempts,
-                max_cpu_s=self.max_cpu_s,
-                metric=self.metric,
-                options=options,
-                progress=show,
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrialOptions:
-    """How ``run`` and ``simulate`` execute a plan."""
-
-    sim_mu: SimMuOption = None
-    physics: PhysicsOption = "ours"
-    reality: RealityOption = "ideal"
-    reality_seed: RealitySeedOption = None
-    estimate: EstimateOption = None
-    pads: PadsOption = None
-    controller: ControllerOption = "feedforward"
-    view: ViewOption = False
-    video: VideoOption = None
-    arrows: ArrowsOption = False
-    verbose: VerboseOption = False
-
-    def show(self, report: TrialReport, *, picture: bool = False) -> None:
-        """Print a report: verdict and contacts, with ``--verbose`` what explains them too.
-
-        Args:
-            report: What happened.
-            picture: Whether a picture was asked for by name, so that its file is told.
-        """
-        out.print(report)
-        if self.verbose:
-            for line in report.details():
-                out.print(line)
-        if report.drawn and (self.verbose or self.video or picture):
-            say(out, escape(report.drawn))
-
-    def trial(self) -> Callable[[GraspPlan, Path | None], TrialReport]:
-        """What executes a plan, with a progress bar on stderr, and draws it.
-
-        Raises:
-            PlannerError: A controller or physics that there is not, no display to view on, or a
-                video that cannot be written; bad input ends before anything is planned.
-        """
-        from rich.progress import Progress
-
-        from sim.looking.viewer import check_display
-        from sim.trial import simulate
-
-        driver = controller_of(self.controller)
-        physics = physics_of(self.physics, self.sim_mu)
-        reality = reality_of(self.reality, self.reality_seed, self.pads)
-        estimator = estimate_of(self.estimate)
-        if self.view:
-            check_display()
-        check_films(self.video)
-
-        def execute(plan: GraspPlan, picture: Path | None) -> TrialReport:
-            with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
-                bar = progress.add_task("simulating", total=1.0)
-                return simulate(
-                    plan,
-                    physics=physics,
-                    reality=reality,
-                    estimator=estimator,
-                    controller=driver,
-                    progress=lambda share: progress.update(bar, completed=share),
-                    view=self.view,
-                    picture=picture,
-                    video=self.video,
-                    arrows=self.arrows,
-                )
-
-        return execute
+    return vector, math.inf if degrees == "max" else numbers("--rotate", degrees, 1)[0]

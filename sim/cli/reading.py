@@ -1,25 +1,23 @@
 """What commands read: plans of ours, in files and folders, and grasps in files of other tools.
 
-``ReadingOptions`` is what ``audit`` and ``refine`` are told of another tool's file.
+``ReadingOptions`` is what ``refine`` is told of another tool's file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from sim.cli.common import names
+from sim.cli.options import flag, names, option
 
 if TYPE_CHECKING:
     from planner.exchange.audit import GraspFile
     from planner.exchange.formats import Reading
     from planner.plan import GraspPlan
 
-READING_PANEL = "What the file does not say"
+READING = "What the file does not say"
 """Group of options in the help."""
 
 UNITS = {"m": 1.0, "mm": 1e-3}
@@ -27,7 +25,6 @@ UNITS = {"m": 1.0, "mm": 1e-3}
 
 ORDERS = ("wxyz", "xyzw")
 """Of a quaternion."""
-
 
 MOVEMENTS = ("opposable-motion", "opposable-gait", "opposable-manipulation")
 """Formats of plans that are movements."""
@@ -37,51 +34,22 @@ MOVEMENTS = ("opposable-motion", "opposable-gait", "opposable-manipulation")
 class ReadingOptions:
     """What a file of another tool does not say of itself."""
 
-    format: Annotated[
-        str | None, typer.Option(help="By its content if not given.", metavar="NAME")
-    ] = None
-    only: Annotated[
-        str, typer.Option(help="Only grasps whose object's name has this in it.", metavar="TEXT")
-    ] = ""
+    format: Annotated[str | None, option("By its content if not given.", "NAME")] = None
+    only: Annotated[str, option("Only grasps whose object's name has this in it.", "TEXT")] = ""
     joint_names: Annotated[
-        str | None,
-        typer.Option(
-            help="In the order of the file, comma separated.",
-            metavar="NAMES",
-            rich_help_panel=READING_PANEL,
-        ),
+        str | None, option("In the order of the file, comma separated.", "NAMES", READING)
     ] = None
     by_number: Annotated[
-        bool,
-        typer.Option(
-            "--by-number",
-            help="Joints are in the order of the hand.",
-            metavar="",
-            rich_help_panel=READING_PANEL,
-        ),
+        bool, flag("--by-number", "Joints are in the order of the hand.", READING)
     ] = False
     rename: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Its name=ours: rh_FFJ4=FFJ4; or TOML, YAML.",
-            metavar="OLD=NEW",
-            rich_help_panel=READING_PANEL,
-        ),
+        option("Its name=ours: rh_FFJ4=FFJ4; or TOML, YAML.", "OLD=NEW", READING),
     ] = None
-    quaternion: Annotated[
-        str | None,
-        typer.Option(help="Its order.", metavar="wxyz|xyzw", rich_help_panel=READING_PANEL),
-    ] = None
-    unit: Annotated[
-        str | None, typer.Option(help="Of lengths.", metavar="m|mm", rich_help_panel=READING_PANEL)
-    ] = None
+    quaternion: Annotated[str | None, option("Its order.", "wxyz|xyzw", READING)] = None
+    unit: Annotated[str | None, option("Of lengths.", "m|mm", READING)] = None
     base_body: Annotated[
-        str,
-        typer.Option(
-            help="Body of the hand whose pose the file gives.",
-            metavar="BODY",
-            rich_help_panel=READING_PANEL,
-        ),
+        str, option("Body of the hand whose pose the file gives.", "BODY", READING)
     ] = ""
 
     def open(self, file: Path) -> GraspFile:
@@ -103,13 +71,13 @@ class ReadingOptions:
         from planner.errors import TaskError, shown
         from planner.exchange.formats import Reading
 
-        for option, value, allowed in (
+        for name, value, allowed in (
             ("--quaternion", self.quaternion, ORDERS),
             ("--unit", self.unit, tuple(UNITS)),
         ):
             if value is not None and value not in allowed:
                 raise TaskError(
-                    f"{option} {shown(value)} is none of {', '.join(allowed)}; give one of them"
+                    f"{name} {shown(value)} is none of {', '.join(allowed)}; give one of them"
                 )
         return Reading(
             by_number=self.by_number,
@@ -179,32 +147,6 @@ def one_plan(path: Path) -> GraspPlan:
             "export --to ros2-trajectory writes its joints over time"
         )
     return read_plan(files[0])
-
-
-def refuse_beside_ours(context: typer.Context, file: Path, kept: Collection[str]) -> None:
-    """Refuse options about hand, object and surroundings, where a file of ours brings them.
-
-    Args:
-        context: Of the command.
-        file: The file or folder of ours.
-        kept: Names of the parameters that go with it.
-
-    Raises:
-        TaskError: Others are given.
-    """
-    from planner.errors import TaskError
-
-    given = [
-        parameter.opts[0]
-        for parameter in context.command.params
-        if parameter.name not in kept
-        and (source := context.get_parameter_source(parameter.name or "")) is not None
-        and source.name == "COMMANDLINE"
-    ]
-    if given:
-        raise TaskError(
-            f"{file} brings hand, object and surroundings; leave {', '.join(given)} out"
-        )
 
 
 def renaming(given: Sequence[str]) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""The command ``refine``."""
+"""The command ``refine``: given hand poses judged, and brought to the nearest verified grasps."""
 
 from __future__ import annotations
 
@@ -9,27 +9,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 
 from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NO,
     EXIT_NOT_FOUND,
-    SCENE_PANEL,
-    SEARCH_PANEL,
-    JsonOption,
     err,
-    errors_for_people,
     heeding_ctrl_c,
     make_folder,
-    out,
     print_json,
+    refuse_given,
     say,
+    show_wide,
+    tell,
 )
-from sim.cli.options import with_options
-from sim.cli.reading import ReadingOptions, listed_plans, our_kind, refuse_beside_ours
-from sim.cli.task_options import TaskOptions
+from sim.cli.judge import check_rows, judge, sets_of_ours, sets_of_theirs
+from sim.cli.options import SCENE, JsonOption, argument, command, flag, option
+from sim.cli.reading import ReadingOptions, listed_plans, our_kind
+from sim.cli.tasks import TaskOptions
 from sim.progress import ProgressBar
 
 if TYPE_CHECKING:
@@ -40,10 +38,10 @@ if TYPE_CHECKING:
     from planner.spatial import SE3, FloatArray
     from planner.task import GraspTask
 
-TABLE_WIDTH = 120
-"""Width of the table, characters."""
+JUDGING = {"approach", "simulate"}
+"""Parameters of ``--judge-only`` alone."""
 
-KEPT = ("file", "folder", "clamp", "workers", "as_json")
+KEPT = {"file", "output", "workers", "as_json", "judge_only", *JUDGING}
 """Parameters that go with plans of ours, which bring the rest."""
 
 SHOWN = 50
@@ -54,14 +52,9 @@ SHOWN = 50
 class GivenTaskOptions(TaskOptions):
     """The task of given grasps: most are made without a table."""
 
-    table: Annotated[
-        str,
-        typer.Option(
-            help="Height of the table's top, m, or none.",
-            metavar="Z|none",
-            rich_help_panel=SCENE_PANEL,
-        ),
-    ] = "none"
+    table: Annotated[str, option("Height of the table's top, m, or none.", "Z|none", SCENE)] = (
+        "none"
+    )
 
 
 @dataclass(frozen=True)
@@ -74,49 +67,41 @@ class _Given:
     q: FloatArray
 
 
-@errors_for_people()
-@with_options
+@command
 def refine(
     context: typer.Context,
-    file: Annotated[
-        Path,
-        typer.Argument(help="Grasps; a plan, a folder of them, a batch.", metavar="FILE"),
-    ],
+    file: Annotated[Path, argument("Grasps; a plan, a folder of them, a batch.", "FILE")],
     hand: Annotated[
-        str | None,
-        typer.Option(
-            help="Name, hand.toml, MJCF, URDF; else that of FILE.",
-            metavar="HAND",
-        ),
+        str | None, option("Name, hand.toml, MJCF, URDF; else that of FILE.", "HAND")
     ] = None,
     object: Annotated[
-        str | None,
-        typer.Option(
-            help="As `plan` does, at scale 1; else that of FILE.",
-            metavar="OBJECT",
+        str | None, option("As `plan` does, at scale 1; else that of FILE.", "OBJECT")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        option(
+            "Folder for plans and refined.json; of --judge-only rows, .csv or .parquet.",
+            "PATH",
+            None,
+            "--out",
+            "-o",
         ),
     ] = None,
-    folder: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for plans and refined.json.", metavar="DIR")
-    ] = Path("refined"),
+    judge_only: Annotated[
+        bool, flag("--judge-only", "Judge them as they are, by the verdict on our own.")
+    ] = False,
+    approach: Annotated[
+        bool, flag("--approach", "With --judge-only: ask for a straight way in, too.")
+    ] = False,
+    simulate: Annotated[
+        bool, flag("--simulate", "With --judge-only: execute every grasp, too.")
+    ] = False,
+    workers: Annotated[
+        int | None, option("Processes, -1 for one per core; 1, with --judge-only -1.", "N")
+    ] = None,
     *,
     reading: ReadingOptions,
     request: GivenTaskOptions,
-    clamp: Annotated[
-        bool,
-        typer.Option(
-            "--clamp",
-            help="Joints beyond limits count as given there.",
-            metavar="",
-            rich_help_panel=SEARCH_PANEL,
-        ),
-    ] = False,
-    workers: Annotated[
-        int,
-        typer.Option(
-            help="Processes; -1 for one per core.", metavar="N", rich_help_panel=SEARCH_PANEL
-        ),
-    ] = 1,
     as_json: JsonOption = False,
 ) -> None:
     """Bring given hand poses to the nearest verified grasps.
@@ -125,19 +110,56 @@ def refine(
     and object; other files need --hand and --object. Fingers are found from the poses if
     --fingers does not name them. What is brought back is written as plan files. Exit code 0 if all
     are, 1 if some are not, 4 if none is.
+
+    With --judge-only they stay as they are: exit code 0 if every grasp passes, 1 if not.
+    """
+    kind = None if reading.format is not None else our_kind(file)
+    if kind is not None:
+        why = f"{file} brings hand, object and surroundings"
+        refuse_given(context, why, kept=KEPT)
+    if judge_only:
+        check_rows(output, file)
+        judge(
+            sets_of_theirs(file, hand, object, reading, request)
+            if kind is None
+            else sets_of_ours(file, kind),
+            fingers_told=kind is not None or request.fingers is not None,
+            approach=approach,
+            simulate=simulate,
+            workers=(1 if kind in ("plan", "plans") else -1) if workers is None else workers,
+            output=output,
+            as_json=as_json,
+        )
+        return
+    refuse_given(context, "only --judge-only judges", of=JUDGING)
+    assumed: Sequence[str] = ()
+    if kind is None:
+        assumed, given = _poses(file, hand, object, reading, request)
+    elif kind == "batch":
+        given = list(_of_batch(file))
+    else:
+        given = [_of_plan(one) for one in listed_plans([file])]
+    _refine(file, given, assumed, output or Path("refined"), workers or 1, as_json)
+
+
+def _refine(
+    file: Path,
+    given: Sequence[_Given],
+    assumed: Sequence[str],
+    folder: Path,
+    workers: int,
+    as_json: bool,
+) -> None:
+    """Refine poses, write plans as they come and the rows at the end.
+
+    Raises:
+        FileFormatError: The folder holds something.
+        Exit: Not all were brought back, or it was interrupted.
     """
     from planner.batch import refine_grasps
     from planner.errors import FileFormatError
     from planner.files import write_json, write_plan
 
-    kind = None if reading.format is not None else our_kind(file)
-    if kind is not None:
-        refuse_beside_ours(context, file, KEPT)
-        assumed: Sequence[str] = ()
-        plans = [] if kind == "batch" else listed_plans([file])
-        given = [_of_plan(one) for one in plans] if plans else list(_of_batch(file))
-    else:
-        assumed, given = _poses(file, hand, object, reading, request)
     if folder.is_dir() and any(folder.iterdir()):
         raise FileFormatError(
             f"{folder} exists already and is not empty; name another folder with --out, since "
@@ -146,15 +168,11 @@ def refine(
     make_folder(folder)
     rows: dict[int, dict[str, Any]] = {}
     complete = False
-    with (
-        heeding_ctrl_c() as check,
-        ProgressBar(err, quiet=as_json) as bar,
-    ):
+    with heeding_ctrl_c() as check, ProgressBar(err, quiet=as_json) as bar:
         bar.show("refining", 0, len(given))
         results = refine_grasps(
             [one.task for one in given],
             [(one.T_world_base, one.q) for one in given],
-            clamp=clamp,
             workers=workers,
         )
         try:
@@ -310,21 +328,18 @@ def _report(
 def _show(report: dict[str, Any], folder: Path) -> None:
     """A table for people, and what was noted."""
     rows = report["grasps"]
-    Console(width=max(out.width, TABLE_WIDTH)).print(_table(rows[:SHOWN]))
+    show_wide(_table(rows[:SHOWN]))
     if len(rows) > SHOWN:
-        say(out, escape(f"... and {len(rows) - SHOWN} more, all in {folder / 'refined.json'}"))
+        tell(f"... and {len(rows) - SHOWN} more, all in {folder / 'refined.json'}")
     for row in rows[:SHOWN]:
         for text in (row["reason"], *row["notes"]):
             if text:
-                say(out, escape(f"{row['name']}: {text}"))
+                tell(f"{row['name']}: {text}")
     for sentence in report["assumed"]:
-        say(out, escape(f"taken for granted: {sentence}"))
-    say(
-        out,
-        escape(
-            f"{report['found']} of {report['total']} brought back; written to {folder}: "
-            f"{'a plan file for each, ' if report['found'] else ''}refined.json"
-        ),
+        tell(f"taken for granted: {sentence}")
+    tell(
+        f"{report['found']} of {report['total']} brought back; written to {folder}: "
+        f"{'a plan file for each, ' if report['found'] else ''}refined.json"
     )
 
 

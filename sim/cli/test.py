@@ -1,52 +1,85 @@
-"""The command ``test``."""
+"""The command ``test``: plans executed in MuJoCo, held as they are or under a protocol."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 
 from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NO,
-    ControllerOption,
-    EstimateOption,
-    JsonOption,
-    PadsOption,
-    PhysicsOption,
-    RealityOption,
-    RealitySeedOption,
-    SeedOption,
-    controller_of,
+    check_folder,
     err,
-    errors_for_people,
-    estimate_of,
+    exit_for,
     heeding_ctrl_c,
+    keep_inputs,
     make_folder,
     out,
-    physics_of,
     print_json,
-    reality_of,
+    refuse_given,
     say,
+    show_wide,
+    tell,
     told_command,
 )
-from sim.cli.reading import listed_plans
+from sim.cli.execution import TrialOptions, physics_of
+from sim.cli.options import (
+    JsonOption,
+    PictureOption,
+    SeedOption,
+    WorkersOption,
+    command,
+    option,
+)
+from sim.cli.reading import listed_plans, one_plan
 
 if TYPE_CHECKING:
     from planner.plan import GraspPlan
     from sim.protocols import ProtocolReport
 
+HOLD, CREEP = "hold", "creep"
+"""The protocols of one plan: whether it holds, and how fast what it holds creeps."""
+
 PAGES = ("none", "failures", "all")
 """Of which trials pages are written."""
 
-TABLE_WIDTH = 120
-"""Width of the table, characters."""
+PROTOCOLS = "Protocols"
+"""Group of options in the help."""
+
+OF_HOLD = {"picture", "view", "arrows", "verbose"}
+OF_CREEP = {"budget"}
+OF_TRIALS = {"only", "workers", "pages", "seed"}
+OF_EXECUTION = {
+    *("sim_mu", "reality", "reality_seed", "estimate", "pads", "controller"),
+    *("video", "output"),
+}
+"""Parameters that mean something for some protocols alone: for ``hold``, for ``creep``, for those
+of many trials, and for all but ``creep``."""
 
 
-@errors_for_people()
+@dataclass(frozen=True, kw_only=True)
+class TestOptions(TrialOptions):
+    """How plans are executed; a protocol of many trials makes many films."""
+
+    __test__ = False  # pytest would collect it
+
+    physics: Annotated[
+        str | None,
+        option(
+            "ours, mujoco-default (of creep), menagerie, dexgraspbench, or a file.", "NAME", "Trial"
+        ),
+    ] = None
+    video: Annotated[
+        str | None, option("Film: run.mp4, .webp, .gif; of many trials mp4, webp or gif.", "FILE")
+    ] = None
+
+
+@command
 def test(
     context: typer.Context,
     plans: Annotated[
@@ -54,41 +87,189 @@ def test(
     ],
     protocol: Annotated[
         str,
-        typer.Option(
-            help="dexgraspbench, forces, shake, robust, drake, reality, pushes, or all.",
-            metavar="NAME",
+        option(
+            "hold, creep, dexgraspbench, forces, shake, robust, drake, reality, pushes, or all.",
+            "NAME",
         ),
-    ] = "all",
-    controller: ControllerOption = "feedforward",
-    physics: PhysicsOption = "ours",
-    reality: RealityOption = "ideal",
-    reality_seed: RealitySeedOption = None,
-    estimate: EstimateOption = None,
-    pads: PadsOption = None,
+    ] = HOLD,
+    output: Annotated[
+        Path | None,
+        option(
+            "Of hold: report (JSON), its page (HTML) beside it; .html: the page only. Else a "
+            "folder for reports and trials.csv.",
+            "PATH",
+            None,
+            "--out",
+            "-o",
+        ),
+    ] = None,
+    picture: PictureOption = None,
+    budget: Annotated[float, option("Largest creep that is wanted, mm/s.", "V", PROTOCOLS)] = 0.1,
     only: Annotated[
-        list[str] | None, typer.Option(help='Only trials of this name: "force +z".', metavar="NAME")
+        list[str] | None, option('Only trials of this name: "force +z".', "NAME", PROTOCOLS)
     ] = None,
-    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.", metavar="N")] = -1,
-    folder: Annotated[
-        Path, typer.Option("--out", help="Folder for reports and trials.csv.", metavar="DIR")
-    ] = Path("runs/test"),
-    pages: Annotated[
-        str,
-        typer.Option(help="Pages: none, failures, all."),
-    ] = "none",
+    pages: Annotated[str, option("Pages: none, failures, all.", "WHICH", PROTOCOLS)] = "none",
+    workers: WorkersOption = -1,
     seed: SeedOption = 0,
-    video: Annotated[
-        str | None,
-        typer.Option(help="Film every trial into --out: mp4, webp or gif."),
-    ] = None,
+    *,
+    trial: TestOptions,
     as_json: JsonOption = False,
 ) -> None:
-    r"""Test plans in MuJoCo by protocols: pushes, shaking, errors.
+    r"""Test plans in MuJoCo: held, pushed, shaken, with errors.
+
+    The protocol "hold" executes a plan and judges whether the object is held. "creep" measures how
+    fast a held object creeps and tries what would slow it; by default in MuJoCo's own physics.
+    "all" leaves out hold, creep, reality (of lab), pushes, drake
+    (pip install "opposable\[drake]"), and what a hand cannot take.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
-    rest in every direction. "all" leaves out reality (of lab), pushes, drake (pip install
-    "opposable\[drake]"), and what a hand cannot take.
+    rest in every direction; of creep if it keeps to the budget.
     """
+    idle = OF_CREEP | OF_TRIALS if protocol == HOLD else OF_HOLD | OF_CREEP
+    if protocol == CREEP:
+        idle = OF_HOLD | OF_TRIALS | OF_EXECUTION
+    refuse_given(context, f"--protocol {protocol} takes other options", of=idle)
+    if protocol == CREEP:
+        _creep(plans, trial.physics or "mujoco-default", budget, as_json)
+        return
+    trial = replace(trial, physics=trial.physics or "ours")
+    if protocol == HOLD:
+        _hold(plans, output, picture, trial, told_command(context), as_json)
+        return
+    asked = _Asked(
+        protocol=protocol,
+        only=only or (),
+        pages=pages,
+        workers=workers,
+        folder=output or Path("runs/test"),
+        seed=seed,
+        command=told_command(context),
+        as_json=as_json,
+    )
+    _trials(plans, asked, trial)
+
+
+def _hold(
+    plans: Sequence[Path],
+    output: Path | None,
+    picture: Path | None,
+    options: TestOptions,
+    command: str,
+    as_json: bool,
+) -> None:
+    """Execute each plan as it is; files belong to a single one."""
+    from planner.errors import TaskError
+    from sim.report_file import PAGE_SUFFIXES, write_report
+
+    video = None if options.video is None else Path(options.video)
+    check_folder(output, picture)
+    files = listed_plans(plans)
+    if len(files) > 1 and any((output, picture, video)):
+        raise TaskError(
+            f"--out, --picture and --video are of one plan, and {len(files)} are given; leave them "
+            "out, or give one plan"
+        )
+    keep_inputs(output, *files)
+    loaded = [one_plan(file) for file in files]
+    trial = TrialOptions(**{**vars(options), "video": video})
+    for plan in loaded:
+        trial.check_policy(plan.task.hand, lambda plan=plan: plan.task.object, None)
+    execute = trial.trial()
+    reports = []
+    for file, plan in zip(files, loaded, strict=True):
+        report = replace(execute(plan, picture), command=command)
+        reports.append(report)
+        page = None if output is None else output.with_suffix(".html")
+        if output is not None and output.suffix.lower() in PAGE_SUFFIXES:
+            page = output
+        elif output is not None:
+            write_report(report.to_dict(), output)
+        if page is not None:
+            report.save_html(page)
+        if not as_json:
+            if len(files) > 1:
+                tell(f"{file}:")
+            trial.show(report, picture=picture is not None)
+            if page is not None:
+                tell(f"open in a browser: {page}")
+        if report.reason == "interrupted":
+            break
+    if as_json:
+        data = [report.to_dict() for report in reports]
+        print_json(data[0] if len(files) == 1 else {"reports": data})
+    for report in reversed(reports):  # an interrupted one is the last
+        exit_for(report)
+
+
+def _creep(plans: Sequence[Path], physics: str, budget: float, as_json: bool) -> None:
+    """How fast a held object creeps, and what to do about it.
+
+    Each change is tried and made larger until the creep that is measured keeps to the budget.
+    """
+    from planner.errors import TaskError
+    from sim.protocols.creep import measure_creep, sized_remedies
+
+    files = listed_plans(plans)
+    if len(files) > 1:
+        raise TaskError(f"--protocol creep takes one plan, and {len(files)} are given; give one")
+    plan, computed = one_plan(files[0]), physics_of(physics)
+    if not 0 < budget < float("inf"):
+        raise TaskError(f"--budget is {budget:g}; give a finite speed > 0 in mm/s")
+    with err.status(f"creep: {plan.task.hand.name}, {plan.task.object.name} ..."):
+        seen = measure_creep(plan, computed)
+        slow = seen.measured <= 1e-3 * budget
+        tried = () if slow else sized_remedies(plan, computed, seen, 1e-3 * budget)
+    data: dict[str, Any] = {
+        "physics": computed.to_dict(),
+        "budget_mm_s": budget,
+        "within_budget": slow,
+        **_speeds(seen),
+        "changes": [{"what": t.remedy.what, "enough": t.enough, **_speeds(t.creep)} for t in tried],
+    }
+    if as_json:
+        print_json(data)
+    else:
+        tell(f"physics: {computed}", f"creep: {_told(data)}; {budget:g} mm/s are wanted")
+        for change in data["changes"]:
+            enough = "enough" if change["enough"] else "not enough"
+            tell(f"  {enough}: {change['what']}: {_told(change)}")
+    if not slow:
+        raise typer.Exit(EXIT_NO)
+
+
+def _speeds(seen: Any) -> dict[str, Any]:
+    return {
+        "creep_mm_s": 1e3 * seen.measured,
+        "formula_mm_s": 1e3 * seen.predicted,
+        "formula_however_firm_mm_s": 1e3 * seen.least,
+        "lost": seen.lost,
+    }
+
+
+def _told(speeds: dict[str, Any]) -> str:
+    """Measured and computed speeds in words."""
+    formula = f"by the formula at least {speeds['formula_however_firm_mm_s']:.2g} without noslip"
+    if speeds["lost"]:
+        return f"lost ({speeds['lost']}); {formula}"
+    return f"{speeds['creep_mm_s']:.2g} mm/s; {formula}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """What the protocols of many trials are asked for."""
+
+    protocol: str
+    only: Sequence[str]
+    pages: str
+    workers: int
+    folder: Path
+    seed: int
+    command: str
+    as_json: bool
+
+
+def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
+    """Run protocols of many trials on every plan; reports as they come."""
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
     from sim.looking.backend import why_not
@@ -103,18 +284,16 @@ def test(
         write_csv,
     )
 
-    driver = controller_of(controller)  # bad input ends here
-    if pages not in PAGES:
-        raise NotFoundError("choice of pages", pages, PAGES)
-    draws = protocol == "reality"  # from those of a laboratory where none are named
-    computed = physics_of(physics)
-    errors = reality_of(reality, reality_seed, pads, draws=draws)
-    estimator = estimate_of(estimate)
-    ending = "" if video is None else f".{video}"
+    if asked.pages not in PAGES:  # bad input ends here
+        raise NotFoundError("choice of pages", asked.pages, PAGES)
+    # the protocol draws from the errors of a laboratory where none are named
+    parts = options.parts(draws=asked.protocol == "reality")
+    ending = "" if options.video is None else f".{options.video.rpartition('.')[2]}"
     check_video(f"film{ending}" if ending else None)
-    asked = IN_ALL if protocol == "all" else [protocol]
-    trials = trials_of(asked, only or (), Settings(), seed)
+    every = asked.protocol == "all"
+    trials = trials_of(IN_ALL if every else [asked.protocol], asked.only, Settings(), asked.seed)
     loaded = [(path, read_plan(path)) for path in listed_plans(plans)]
+    folder = asked.folder
     make_folder(folder)
     if ending and (reason := why_not()):
         say(err, escape(f"no films: {reason}"))
@@ -125,7 +304,7 @@ def test(
     with heeding_ctrl_c() as check:
         for number, (path, plan) in enumerate(loaded):
             for name, some in trials.items():
-                if protocol == "all" and (reason := unsuitable(name, plan.task)):
+                if every and (reason := unsuitable(name, plan.task)):
                     skipped.append({"plan": str(path), "protocol": name, "reason": reason})
                     say(err, f"skipped: {escape(f'{path}: {reason}')}")
                     continue
@@ -133,12 +312,9 @@ def test(
                 report = run_protocol(
                     plan,
                     name,
-                    controller=driver,
-                    physics=computed,
-                    reality=errors,
-                    estimator=estimator,
-                    seed=seed,
-                    workers=workers,
+                    **parts,
+                    seed=asked.seed,
+                    workers=asked.workers,
                     only=some,
                     name=str(path),
                     file=folder / f"{stem}.jsonl",
@@ -149,12 +325,10 @@ def test(
                 reports.append(report)
                 write_json(report.to_dict(), folder / f"{stem}.json")
                 write_csv(reports, folder / "trials.csv")
-                if pages != "none":
-                    command = told_command(context)
-                    written += _write_pages(report, plan, folder / stem, pages, command)
-                if not as_json:
-                    # a narrow terminal breaks its lines
-                    Console(width=max(out.width, TABLE_WIDTH)).print(protocol_table(report))
+                if asked.pages != "none":
+                    written += _write_pages(report, plan, folder / stem, asked)
+                if not asked.as_json:
+                    show_wide(protocol_table(report))
                     out.print(report)
                 if not report.complete:
                     break
@@ -162,14 +336,14 @@ def test(
                 break
     if not reports:
         raise TaskError("nothing was tested: no plan's hand can take a protocol that was asked for")
-    if as_json:
+    if asked.as_json:
         print_json({"reports": [report.summary() for report in reports], "skipped": skipped})
     else:
         films = f", {len(list(folder.glob(f'*{ending}')))} films" if ending else ""
-        say(out, escape(f"written to {folder}: a report per plan and protocol, trials.csv{films}"))
-        if pages != "none":
+        tell(f"written to {folder}: a report per plan and protocol, trials.csv{films}")
+        if asked.pages != "none":
             first = f", the first is {written[0]}" if written else ""
-            say(out, escape(f"pages to open in a browser: {len(written)}{first}"))
+            tell(f"pages to open in a browser: {len(written)}{first}")
     if not all(report.complete for report in reports):
         say(err, "interrupted; what was done is kept")
         raise typer.Exit(EXIT_INTERRUPTED)
@@ -177,9 +351,7 @@ def test(
         raise typer.Exit(EXIT_NO)
 
 
-def _write_pages(
-    report: ProtocolReport, plan: GraspPlan, stem: Path, which: str, command: str
-) -> list[Path]:
+def _write_pages(report: ProtocolReport, plan: GraspPlan, stem: Path, asked: _Asked) -> list[Path]:
     """Write a page for every trial, or for those that were not held; the files."""
     from planner.files import plain_name
     from planner.pages.page import write_page
@@ -188,11 +360,10 @@ def _write_pages(
     written = []
     for outcome in report.outcomes:
         moved = outcome.recording is not None and len(outcome.recording) > 0
-        if not moved or (
-            which == "failures" and ((outcome.held and not outcome.other_grasp) or outcome.grows)
-        ):
+        fine = (outcome.held and not outcome.other_grasp) or outcome.grows
+        if not moved or (asked.pages == "failures" and fine):
             continue
         path = stem.with_name(f"{stem.name}-{outcome.index:03d}-{plain_name(outcome.name)}.html")
-        write_page(outcome_page(report, outcome, plan, command), path)
+        write_page(outcome_page(report, outcome, plan, asked.command), path)
         written.append(path)
     return written

@@ -5,52 +5,37 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from rich.markup import escape
 
-from sim.cli.common import check_folder, err, errors_for_people, out, say
+from sim.cli.common import check_folder, err, say, tell
+from sim.cli.options import argument, command, flag, option
 
 
-@errors_for_people()
+@command
 def view(
     what: Annotated[
         str,
-        typer.Argument(
-            help="A hand, an object or mesh, a plan, motion, gait or manipulation file, a report, "
-            "or the folder of a batch or run.",
-            metavar="WHAT",
+        argument(
+            "A hand, an object or mesh, a plan, motion, gait or manipulation file, a report, or "
+            "the folder of a batch or run.",
+            "WHAT",
         ),
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--out", "-o", help="Write the page here, no more; not for a dataset.", metavar="FILE"
-        ),
+        option("Write the page here, no more; not for a dataset.", "FILE", None, "--out", "-o"),
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Serve on this port; 0: any free one.", metavar="PORT"),
+        option("Serve on this port; 0: any free one.", "PORT", min=0, max=65535),
     ] = None,
-    no_open: Annotated[
-        bool, typer.Option("--no-open", help="Serve, and open no browser.", metavar="")
-    ] = False,
-    alternatives: Annotated[
-        int, typer.Option(min=0, help="Of a plan: other grasps of its task.", metavar="N")
-    ] = 0,
+    alternatives: Annotated[int, option("Of a plan: other grasps of its task.", "N", min=0)] = 0,
     touch: Annotated[
-        list[str] | None,
-        typer.Option(help="Of an object: where to touch it, z>0.01 (m).", metavar="REGION"),
+        list[str] | None, option("Of an object: where to touch it, z>0.01 (m).", "REGION")
     ] = None,
-    avoid: Annotated[
-        list[str] | None, typer.Option(help="Where not to touch it.", metavar="REGION")
-    ] = None,
-    repair: Annotated[
-        bool,
-        typer.Option("--repair", help="Mend a mesh however much that changes.", metavar=""),
-    ] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Refuse a mesh that would be mended.", metavar="")
-    ] = False,
+    avoid: Annotated[list[str] | None, option("Where not to touch it.", "REGION")] = None,
+    repair: Annotated[bool, flag("--repair", "Mend a mesh however much that changes.")] = False,
+    strict: Annotated[bool, flag("--strict", "Refuse a mesh that would be mended.")] = False,
 ) -> None:
     """Show a hand, object, plan, run or dataset in the browser.
 
@@ -81,5 +66,5 @@ def view(
         shown = kind.shown(target, options)
     for warning in warnings_of(shown):
         say(err, f"[yellow]{escape(warning)}[/]")
-    opening = Opening(out=output, port=port, open=not no_open)
-    show(shown, opening, lambda line: say(out, escape(line)))
+    opening = Opening(out=output, port=port)
+    show(shown, opening, tell)

@@ -23,6 +23,7 @@ time alone, and y* is its length then.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -30,9 +31,11 @@ from scipy.interpolate import CubicSpline
 
 from planner.errors import TaskError
 from planner.kinematics.state import HandState
-from planner.motion import Knot, MotionPlan
 from planner.spatial import SE3, FloatArray, signed_twist
 from sim.controllers.reference import Target
+
+if TYPE_CHECKING:
+    from planner.motion import Knot, MotionPlan
 
 RATE = 1.1
 """Default largest rate of the turn, rad/s: 90 degrees in 1.6 s with the ramps."""

@@ -11,6 +11,9 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
+EXACT = "exact"
+"""Name of the sense of touch without error."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TouchReading:

@@ -85,7 +85,7 @@ def compiled(model: Any) -> Source:
         return source
     note = (
         f"{worst_inertia(impossible)}: correct it in the model, or, for a hand, write "
-        "inertia_from_geometry under [repair] in its hand.toml (opposable describe does)"
+        "inertia_from_geometry under [repair] in its hand.toml (opposable hands --describe does)"
     )
     return replace(source, notes=(*source.notes, note))
 

@@ -1,8 +1,8 @@
 """Trials of turns to learn from: plans over a range of objects, and conditions that are drawn.
 
-The conditions are those of ``opposable bench manipulate``: mass, friction, where the object really
-stands, and a push during the turn. The planner knows the size, the largest mass and the least
-friction.
+The conditions are those of ``python -m benchmarks manipulate``: mass, friction, where the object
+really stands, and a push during the turn. The planner knows the size, the largest mass and the
+least friction.
 """
 
 from __future__ import annotations

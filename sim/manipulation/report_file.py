@@ -67,7 +67,7 @@ else:
 class ManipulationReportFile(StrictData):
     """A manipulation report as JSON; ``plan``, ``recording`` and ``command`` as in ``ReportFile``.
 
-    The plan is that of its own file (``opposable schema manipulation``).
+    The plan is that of its own file (``opposable export --schema manipulation``).
     """
 
     format: Literal["opposable-manipulation-report"] = "opposable-manipulation-report"

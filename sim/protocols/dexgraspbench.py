@@ -9,7 +9,7 @@ friction is 0.6 and 0.02 m, contacts of 4 dimensions, impratio 10, two noslip it
 hand that begins more than 10 mm inside the object or itself fails. The world is that of
 ``sim.protocols.dexgraspbench_scene``; hand, pieces and squeeze are those of the export of a batch.
 
-``opposable bench dexgraspbench`` compares the verdicts with those of the benchmark itself.
+``python -m benchmarks dexgraspbench`` compares the verdicts with those of the benchmark itself.
 """
 
 from __future__ import annotations

@@ -1,5 +1,8 @@
 """Reality: errors of sensors, drives and object that planner and controller do not know."""
 
+from typing import TYPE_CHECKING
+
+from planner.system.lazy_names import lazy_names
 from sim.reality.drawn import Drawn, drawn_numbers, draws_in_words
 from sim.reality.errors import (
     IDEAL,
@@ -11,7 +14,9 @@ from sim.reality.errors import (
     named_reality,
     register_reality,
 )
-from sim.reality.trial import RealityOfTrial
+
+if TYPE_CHECKING:
+    from sim.reality.trial import RealityOfTrial
 
 __all__ = [
     "IDEAL",
@@ -27,3 +32,6 @@ __all__ = [
     "named_reality",
     "register_reality",
 ]
+
+# a trial without errors needs none of it, nor of touch
+__getattr__, __dir__ = lazy_names(__name__, {"RealityOfTrial": "sim.reality.trial"})

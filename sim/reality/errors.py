@@ -19,8 +19,8 @@ from typing import Any, TypeAlias
 from planner.arrays import checked_number
 from planner.errors import NotFoundError, TaskError, shown
 from planner.plain import finite
+from sim.controllers.touch import EXACT
 from sim.presets import Presets
-from sim.tactile import EXACT, check_touch
 
 IDEAL = "ideal"
 """Name of the reality without errors."""
@@ -131,7 +131,10 @@ class Reality:
             raise TaskError(f"reality: seed is {shown(self.seed)}; give an integer >= 0")
         if not (isinstance(self.name, str) and self.name):
             raise TaskError(f"reality: name is {shown(self.name)}; give a text")
-        check_touch(self.touch)
+        if self.touch != EXACT:
+            from sim.tactile import check_touch
+
+            check_touch(self.touch)
         given: dict[str, Any] = dict(self.numbers)  # dataclasses check no types
         for name, value in given.items():
             checked_number(f"reality: {name}", value, least=0.0, error=TaskError)

@@ -1,5 +1,6 @@
 """Tactile pads: arrays of taxels, what follows from their images, and cheaper senses of touch."""
 
+from sim.controllers.touch import EXACT
 from sim.tactile.binary import BinarySense
 from sim.tactile.effort import EffortSense
 from sim.tactile.estimate import ContactEstimate, ContactEstimator, FrictionWatch
@@ -13,7 +14,6 @@ from sim.tactile.exact import (
 )
 from sim.tactile.layout import TaxelArray, TaxelLayout, Texture, default_array
 from sim.tactile.senses import (
-    EXACT,
     TOUCH_SENSES,
     ExactSense,
     TouchContext,

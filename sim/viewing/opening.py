@@ -53,7 +53,7 @@ def show(shown: Shown, opening: Opening, say: Callable[[str], None]) -> None:
             raise FileFormatError(
                 f"cannot write {opening.out}: a dataset is shown by a local server, which makes "
                 "its pages as they are asked for; leave --out away, or take one grasp out of it "
-                "with opposable extract"
+                "with opposable batch --extract"
             )
         _write(shown, opening.out)
         say(f"wrote {opening.out}")

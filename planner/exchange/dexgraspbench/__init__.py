@@ -3,7 +3,7 @@
 Read from https://github.com/JYChen18/DexGraspBench at commit 1e7a5a6 (2025-06-05): ``src/task/
 eval_func/base.py`` for the keys of a grasp and of an object's ``simplified.json``, ``src/util/
 hand_util.py`` for the order of qpos and for how qpos becomes ctrl, ``config/hand`` for the keys of
-a hand. ``opposable bench dexgraspbench`` runs that evaluation on an export.
+a hand. ``python -m benchmarks dexgraspbench`` runs that evaluation on an export.
 """
 
 from planner.exchange.dexgraspbench.export import (

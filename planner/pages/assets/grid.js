@@ -345,7 +345,7 @@ class Grid {
       if (v[name] !== null && v[name] !== undefined && v[name] !== "") line(table, name, `${said(v[name])} ${this.rows.units[name] || ""}`);
     }
     element("p", "dim", body, "as a plan file: ");
-    element("code", "", body.lastChild, `opposable extract FOLDER ${details.row}`);
+    element("code", "", body.lastChild, `opposable batch FOLDER --extract ${details.row}`);
   }
 
   async drawInto(places) {

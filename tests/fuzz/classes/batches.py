@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from planner.batch import GraspSet
-from sim.cli.batch_report import batch_summary
+from sim.cli.batch import batch_summary
 
 from ..hostile import changed_json, damaged
 from ..samples import Samples
@@ -35,7 +35,7 @@ def case(rng: Random, samples: Samples) -> Callable[[], object] | list[str]:
     else:
         _change_rows(path, rng)
     if rng.random() < 0.2:
-        return ["extract", "b", str(rng.randrange(5))]
+        return ["batch", "b", "--extract", str(rng.randrange(5))]
     if rng.random() < 0.1:
         return ["batch", "allegro_hand", "sphere", "-n", "4", "--workers", "1", "--out", "b"]
     return _read

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from random import Random
 
-from ..hostile import changed_json, damaged, number_text
+from ..hostile import changed_json, damaged
 from ..samples import Samples
 
 
@@ -32,6 +32,4 @@ def case(rng: Random, samples: Samples) -> list[str]:
         content = b"[" * 200_000
     Path("contacts.json").write_bytes(content)
     command = ["analyse", "contacts.json"]
-    if rng.random() < 0.2:
-        command += ["--edges", number_text(rng)]
     return [*command, "--json"] if rng.random() < 0.3 else command

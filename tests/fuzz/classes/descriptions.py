@@ -9,8 +9,8 @@ from ..hostile import damaged, replaced_numbers
 from ..samples import Samples
 
 COMMANDS = (
-    ["check-hand", "hand.toml"],
-    ["inspect", "hand.toml"],
+    ["hands", "hand.toml", "--check"],
+    ["hands", "hand.toml"],
     ["plan", "hand.toml", "sphere", "--max-attempts", "1", "--rounds", "0"],
 )
 

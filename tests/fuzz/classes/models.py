@@ -8,7 +8,12 @@ from random import Random
 from ..hostile import damaged, number_text, replaced_numbers
 from ..samples import Samples
 
-COMMANDS = ("check-hand", "inspect", "describe", "crosscheck")
+COMMANDS: tuple[tuple[str, list[str]], ...] = (
+    ("hands", ["--check"]),
+    ("hands", []),
+    ("hands", ["--describe"]),
+    ("crosscheck", ["--no-own-reader", "--configurations", "1"]),
+)
 
 
 def case(rng: Random, samples: Samples) -> list[str]:
@@ -23,8 +28,7 @@ def case(rng: Random, samples: Samples) -> list[str]:
         content = damaged(content, rng)
     path = Path("hand.urdf" if urdf else "hand.xml")
     path.write_bytes(content)
-    command = rng.choice(COMMANDS)
-    more = ["--no-own-reader", "--configurations", "1"] if command == "crosscheck" else []
+    command, more = rng.choice(COMMANDS)
     return [command, str(path), *more]
 
 

@@ -11,23 +11,22 @@ from ..samples import Samples
 
 PLAN = ["plan", "allegro_hand", "sphere", "--max-attempts", "1", "--rounds", "0"]
 BATCH = ["batch", "allegro_hand", "sphere", "-n", "1", "--max-attempts", "1", "--workers", "1"]
-TEST = ["test", "plan.json", "--only", "force +z", "--workers", "1"]
-MOTION = ["plan-motion", "allegro_hand", "cylinder", "--max-attempts", "1", "--angle", "3"]
-GAIT = ["plan-gait", "allegro_hand", "cylinder", "--max-attempts", "1", "--angle", "3"]
+TEST = ["test", "plan.json", "--protocol", "forces", "--only", "force +z", "--workers", "1"]
+TURN = ["manipulate", "allegro_hand", "cylinder", "--plan-only", "--max-attempts", "1"]
+MOTION, GAIT = [*TURN, "--rotate", "3"], [*TURN, "--gait", "--rotate", "3"]
 
 OPTIONS: tuple[tuple[list[str], tuple[str, ...]], ...] = (
     (PLAN, ("--mu", "--mass", "--density", "--stand", "--seed", "--pose", "--rounds")),
     (PLAN, ("--max-attempts", "--max-cpu-s", "--objective", "--task-wrench", "--touch")),
     (PLAN, ("--avoid", "--fingers", "--out", "--best-of", "--keep", "--metric", "-n")),
     (BATCH, ("--mu", "--mass", "--seed", "--workers", "-n", "--max-attempts")),
-    (BATCH, ("--out", "--backend")),
-    (["forces", "plan.json"], ("--edges", "--tolerance", "--rate", "--solvers", "--steps")),
-    (["analyse", "plan.json"], ("--edges",)),
-    (["certify", "plan.json", "--max-points", "3"], ("--edges", "--width", "--samples", "--seed")),
-    (["simulate", "plan.json"], ("--mu", "--controller")),
+    (BATCH, ("--out",)),
+    (["analyse", "plan.json", "--forces"], ("--rate", "--solvers", "--steps")),
+    (["certify", "plan.json"], ("--samples", "--seed")),
+    (["test", "plan.json"], ("--sim-mu", "--controller")),
     (TEST, ("--workers", "--seed", "--only", "--protocol", "--out")),
-    (MOTION, ("--axis", "--shift", "--path-tolerance", "--mu", "--mass", "--seed", "--best-of")),
-    (GAIT, ("--axis", "--shift", "--mu", "--mass", "--seed")),
+    (MOTION, ("--rotate", "--shift", "--mu", "--mass", "--seed", "--best-of")),
+    (GAIT, ("--rotate", "--shift", "--mu", "--mass", "--seed")),
     (["crosscheck", "allegro_hand", "--no-own-reader", "--configurations", "1"],
      ("--kinematics", "--dynamics", "--distance", "--seed", "--timeout", "--normal")),
 )  # fmt: skip

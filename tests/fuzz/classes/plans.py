@@ -11,9 +11,9 @@ from ..samples import Samples
 
 COMMANDS = (
     ["analyse", "plan.json"],
-    ["forces", "plan.json"],
-    ["certify", "plan.json", "--max-points", "5"],
-    ["simulate", "plan.json"],
+    ["analyse", "plan.json", "--forces"],
+    ["certify", "plan.json"],
+    ["test", "plan.json"],
 )
 
 

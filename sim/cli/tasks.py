@@ -1,4 +1,7 @@
-"""Options that say what is to be grasped, where, by which fingers: those of a ``GraspTask``."""
+"""What is to be grasped, where, by which fingers: options, and how objects and places are written.
+
+Lengths are m, angles degrees.
+"""
 
 from __future__ import annotations
 
@@ -6,24 +9,22 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from rich.markup import escape
 
-from sim.cli.common import (
-    GRIP_PANEL,
-    SCENE_PANEL,
-    AvoidOption,
+from sim.cli.common import err, say
+from sim.cli.options import (
+    GRIP,
+    SCENE,
     FingersOption,
     JointErrorOption,
     MassOption,
     MuOption,
-    RepairOption,
     StandOption,
-    StrictOption,
-    TouchOption,
+    flag,
     names,
     numbers,
+    option,
 )
-from sim.cli.places import object_of, obstacle_of, pose_of, table_of
 
 if TYPE_CHECKING:
     from planner.forces import ExpectedLoad
@@ -31,13 +32,107 @@ if TYPE_CHECKING:
     from planner.objects import GraspObject
     from planner.regions import TouchRegion
     from planner.spatial import SE3
-    from planner.task import GraspTask
+    from planner.task import GraspTask, Obstacle
 
 PLACE, POSITION, POSE = 2, 3, 6
-"""Numbers of ``--at``: a place on the table, a position, a pose."""
+"""Numbers of a place on the table, a position, a pose."""
+
+POSE_FORM = "x,y,z or x,y,z,roll,pitch,yaw"
+"""How a pose is written: m in the world, and degrees about the world's fixed axes x, y, z."""
+
+OBSTACLE_FORM = "box:XxYxZ@x,y,z or box:XxYxZ@x,y,z,roll,pitch,yaw"
+"""How an obstacle is written: full extents and pose of its centre."""
 
 GRAVITY = "0,0,-9.81"
 """Gravity if nothing is said, m/s2, world."""
+
+
+def pose_of(option: str, text: str) -> SE3:
+    """A pose: R = Rz(yaw) Ry(pitch) Rx(roll); no rotation if only a position is given.
+
+    Args:
+        option: Where the text was given, for messages.
+        text: As ``POSE_FORM`` says.
+
+    Raises:
+        TaskError: Something else than three or six finite numbers.
+    """
+    import numpy as np
+    import pinocchio as pin
+
+    from planner.errors import TaskError
+    from planner.spatial import SE3
+
+    count = text.count(",") + 1
+    if count not in (POSITION, POSE):
+        raise TaskError(
+            f"{option} {text!r} has {count} numbers; give {POSE_FORM}, in m and degrees"
+        )
+    values = numbers(option, text, count)
+    roll, pitch, yaw = (math.radians(v) for v in (values[POSITION:] or (0.0, 0.0, 0.0)))
+    return SE3(pin.rpy.rpyToMatrix(roll, pitch, yaw), np.array(values[:POSITION]))
+
+
+def obstacle_of(text: str, number: int) -> Obstacle:
+    """A fixed box.
+
+    Args:
+        text: As ``OBSTACLE_FORM`` says.
+        number: Which one, from 1; its name in messages.
+
+    Raises:
+        TaskError: Another shape, or something else than sizes > 0 and a pose.
+    """
+    import numpy as np
+
+    from planner.errors import TaskError
+    from planner.objects import parse_object
+    from planner.shapes import Box
+    from planner.task import Obstacle
+
+    what, at, pose = text.partition("@")
+    box = parse_object(what).shape if at else None
+    if not isinstance(box, Box):
+        raise TaskError(
+            f"--obstacle {text!r} is not a box with a place; give {OBSTACLE_FORM}, in m and "
+            "degrees; several boxes stand for another shape"
+        )
+    return Obstacle(
+        name=f"obstacle {number}",
+        size=np.array(box.size),
+        T_world_obstacle=pose_of("--obstacle", pose),
+    )
+
+
+def table_of(text: str) -> float | None:
+    """Height of the table's top, m; None for no table.
+
+    Raises:
+        TaskError: Neither a finite number nor ``none``.
+    """
+    from planner.errors import TaskError
+
+    if text.strip().lower() == "none":
+        return None
+    try:
+        return numbers("--table", text, 1)[0]
+    except TaskError as error:
+        raise TaskError(f"{error}, the height of its top in m, or none for no table") from error
+
+
+def object_of(spec: str, **options: Any) -> GraspObject:
+    """As ``parse_object``; a line on stderr says what of a mesh was mended.
+
+    Raises:
+        PlannerError: An unknown name, or something that cannot be.
+    """
+    from planner.objects import parse_object
+
+    item = parse_object(spec, **options)
+    if item.mended:
+        file = escape(spec.rpartition("/")[2])
+        say(err, f"[yellow]{file}: {escape(item.mended)}; --strict refuses instead[/]")
+    return item
 
 
 def _refuse_swapped(hand: str, object: str) -> None:
@@ -58,96 +153,52 @@ def _refuse_swapped(hand: str, object: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskOptions:
-    """What ``run``, ``plan`` and ``batch`` are told of object, surroundings and hand."""
+    """What commands that plan take of object, surroundings and hand."""
 
-    pose: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help="Which of its stable poses it stands in.",
-            metavar="N",
-            rich_help_panel=SCENE_PANEL,
-        ),
-    ] = 0
+    pose: Annotated[int, option("Which of its stable poses it stands in.", "N", SCENE, min=0)] = 0
     at: Annotated[
         str | None,
-        typer.Option(
-            help="x,y where it stands, or x,y,z of its centre, m[,roll,pitch,yaw, degrees].",
-            metavar="POSE",
-            rich_help_panel=SCENE_PANEL,
+        option(
+            "x,y where it stands, or x,y,z of its centre, m[,roll,pitch,yaw, degrees].",
+            "POSE",
+            SCENE,
         ),
     ] = None
     mass: MassOption = None
-    density: Annotated[
-        float | None,
-        typer.Option(
-            help="kg/m3, instead of its mass.", metavar="RHO", rich_help_panel=SCENE_PANEL
-        ),
+    density: Annotated[float | None, option("kg/m3, instead of its mass.", "RHO", SCENE)] = None
+    repair: Annotated[bool, flag("--repair", "Mend its mesh however much that changes.", SCENE)] = (
+        False
+    )
+    strict: Annotated[bool, flag("--strict", "Refuse a mesh that would be mended.", SCENE)] = False
+    touch: Annotated[
+        list[str] | None, option("Where it may be touched: z>0.01,x<0.02 (m).", "REGION", SCENE)
     ] = None
-    repair: RepairOption = False
-    strict: StrictOption = False
-    touch: TouchOption = None
-    avoid: AvoidOption = None
-    table: Annotated[
-        str,
-        typer.Option(
-            help="Height of the table's top, m, or none.",
-            metavar="Z|none",
-            rich_help_panel=SCENE_PANEL,
-        ),
-    ] = "0"
+    avoid: Annotated[
+        list[str] | None, option("Where it must not be touched, likewise.", "REGION", SCENE)
+    ] = None
+    table: Annotated[str, option("Height of the table's top, m, or none.", "Z|none", SCENE)] = "0"
     stand: StandOption = 0.0
     obstacle: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Fixed box:XxYxZ@POSE; repeatable.",
-            metavar="BOX",
-            rich_help_panel=SCENE_PANEL,
-        ),
+        list[str] | None, option("Fixed box:XxYxZ@POSE; repeatable.", "BOX", SCENE)
     ] = None
-    gravity: Annotated[
-        str, typer.Option(help="In m/s2.", metavar="X,Y,Z", rich_help_panel=SCENE_PANEL)
-    ] = GRAVITY
+    gravity: Annotated[str, option("In m/s2.", "X,Y,Z", SCENE)] = GRAVITY
     fingers: FingersOption = None
     mu: MuOption = 0.5
     mu_torsion: Annotated[
-        float | None,
-        typer.Option(
-            help="Soft contacts with this torsional friction, m.",
-            metavar="M",
-            rich_help_panel=GRIP_PANEL,
-        ),
+        float | None, option("Soft contacts with this torsional friction, m.", "M", GRIP)
     ] = None
-    grip_force: Annotated[
-        float | None,
-        typer.Option(
-            help="Least normal force of a finger, N.", metavar="N", rich_help_panel=GRIP_PANEL
-        ),
-    ] = None
+    grip_force: Annotated[float | None, option("Least normal force of a finger, N.", "N", GRIP)] = (
+        None
+    )
     expect_load: Annotated[
-        str | None,
-        typer.Option(
-            help="Grip for a load in any direction: N or N,Nm.",
-            metavar="LOAD",
-            rich_help_panel=GRIP_PANEL,
-        ),
+        str | None, option("Grip for a load in any direction: N or N,Nm.", "LOAD", GRIP)
     ] = None
     joint_error: JointErrorOption = None
-    base: Annotated[
-        str | None,
-        typer.Option(
-            help="Fixed pose of the hand's base, as --at.",
-            metavar="POSE",
-            rich_help_panel=GRIP_PANEL,
-        ),
-    ] = None
+    base: Annotated[str | None, option("Fixed pose of the hand's base, as --at.", "POSE", GRIP)] = (
+        None
+    )
     wrist: Annotated[
-        str | None,
-        typer.Option(
-            help="free, or where its joints are held, degrees.",
-            metavar="ANGLES",
-            rich_help_panel=GRIP_PANEL,
-        ),
+        str | None, option("free, or where its joints are held, degrees.", "ANGLES", GRIP)
     ] = None
 
     def task(self, hand: Hand | str, object: str) -> GraspTask:
@@ -157,9 +208,7 @@ class TaskOptions:
             PlannerError: An unknown name, or something that cannot be.
         """
         from planner.hand_loading import load_hand
-        from planner.motion.manipulation import on_stand
         from planner.task import GraspTask
-        from sim.manipulation import settled
 
         if isinstance(hand, str):
             _refuse_swapped(hand, object)
@@ -193,6 +242,9 @@ class TaskOptions:
         )
         if not self.stand:
             return task
+        from planner.motion.manipulation import on_stand
+        from sim.manipulation import settled
+
         task = settled(on_stand(task, self.stand))
         return replace(task, obstacles=(*task.obstacles, *obstacles))
 

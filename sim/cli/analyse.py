@@ -1,22 +1,23 @@
-"""The command ``forces``: the force problem of a plan, and solvers side by side on it."""
+"""Commands about contacts and forces of a plan: ``analyse``, ``certify``."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.markup import escape
 
-from sim.cli.common import (
-    EXIT_NO,
+from sim.cli.common import EXIT_NO, out, print_json, refuse_given, tell
+from sim.cli.options import (
     JsonOption,
     PlanArgument,
-    errors_for_people,
+    SeedOption,
+    argument,
+    command,
+    flag,
     names,
-    out,
-    print_json,
-    say,
+    option,
 )
 from sim.cli.reading import one_plan
 
@@ -26,35 +27,67 @@ if TYPE_CHECKING:
 GAP_WRENCHES = 24
 """Wrenches, evenly out of the sequence, on which pyramids are set beside the cone."""
 
+FORCES = "With --forces"
+"""Group of options in the help."""
 
-@errors_for_people()
-def forces(
-    plan_file: PlanArgument,
+
+@command
+def analyse(
+    context: typer.Context,
+    file: Annotated[Path, argument("A plan file or a list of contacts (JSON).", "FILE")],
+    forces: Annotated[
+        bool, flag("--forces", "The force problem of a plan, and its answer.")
+    ] = False,
     solvers: Annotated[
-        str | None, typer.Option(help="Compare solvers: all, or daqp,osqp,... by name.")
+        str | None, option("Compare solvers: all, or daqp,osqp,... by name.", "NAMES", FORCES)
     ] = None,
     steps: Annotated[
-        int, typer.Option(min=1, help="Programmes in the sequence that solvers are compared on.")
+        int,
+        option("Programmes in the sequence that solvers are compared on.", "N", FORCES, min=1),
     ] = 1000,
-    tolerance: Annotated[float, typer.Option(help="Asked of the solvers, N.")] = 1e-6,
     rate: Annotated[
         float | None,
-        typer.Option(min=1.0, help="Steps per second of the sequence; at once unless given."),
+        option("Steps per second of the sequence; at once unless given.", "HZ", FORCES, min=1.0),
     ] = None,
-    edges: Annotated[int, typer.Option(min=3, help="Sides of the friction pyramids.")] = 8,
     gaps: Annotated[
-        bool,
-        typer.Option(
-            "--gaps", help="Set pyramids beside the round cone (needs clarabel).", metavar=""
-        ),
+        bool, flag("--gaps", "Set pyramids beside the round cone (needs clarabel).", FORCES)
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Contact forces of a plan: problem, answer, solvers compared.
+    """Force closure, epsilon, min-weight; contact forces.
 
-    Solvers meet a sequence: the weight turned through all directions, and a pulsating push. Exit
-    code 1 if the forces do not exist, or a solver missed forces that do.
+    With --forces: the force problem of a plan, its answer, and solvers side by side on a sequence:
+    the weight turned through all directions, and a pulsating push.
+
+    Exit code 1 without force closure, or with --forces if the forces do not exist, or a solver
+    missed forces that do.
     """
+    if forces:
+        _forces(file, solvers, steps, rate, gaps, as_json)
+        return
+    refuse_given(context, "only --forces compares solvers", of=("solvers", "steps", "rate", "gaps"))
+    from planner.files import read_contacts
+    from planner.quality import analyse as analyse_contacts
+
+    contacts, length = read_contacts(file)
+    report = analyse_contacts(contacts, length=length)
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        out.print(str(report), highlight=False)
+    if not report.closure.closed:
+        raise typer.Exit(EXIT_NO)
+
+
+def _forces(
+    file: Path,
+    solvers: str | None,
+    steps: int,
+    rate: float | None,
+    gaps: bool,
+    as_json: bool,
+) -> None:
+    """The force problem of a plan, and solvers side by side on it."""
     import numpy as np
 
     from planner.arrays import checked_number
@@ -62,14 +95,13 @@ def forces(
     from planner.forces import compare_solvers, cone_gaps, distribute_forces, turning_wrenches
     from planner.verification.grasp import force_arguments
 
-    checked_number("--tolerance", tolerance, above=0.0, error=TaskError)
     checked_number("--rate", 1.0 if rate is None else rate, above=0.0, error=TaskError)
-    plan = one_plan(plan_file)
+    plan = one_plan(file)
     given: dict[str, Any] = dict(
         force_arguments(plan.task, plan.contacts, plan.T_world_base, plan.q)
     )
     weight = float(np.linalg.norm(given["wrench"][:3]))
-    solution = distribute_forces(plan.contacts, edges=edges, **given)
+    solution = distribute_forces(plan.contacts, **given)
     data: dict[str, Any] = {"found": solution.found, "reason": solution.reason}
     texts = [str(solution.problem), _answer(solution)]
     failed = not solution.found
@@ -79,9 +111,7 @@ def forces(
             plan.contacts,
             wrenches,
             solvers=None if solvers == "all" else names(solvers),
-            tolerance=tolerance,
             period=1.0 / rate if rate else 0.0,
-            edges=edges,
             **{key: value for key, value in given.items() if key != "wrench"},
         )
         failed = failed or any(r.failed for r in report.records)
@@ -96,7 +126,7 @@ def forces(
         data["forces"] = solution.forces.tolist() if solution.found else None
         print_json(data)
     else:
-        say(out, escape("\n\n".join(texts)))
+        tell("\n\n".join(texts))
     if failed:
         raise typer.Exit(EXIT_NO)
 
@@ -130,3 +160,29 @@ def _gap_table(gaps: tuple[PyramidGap, ...]) -> str:
             f"{g.median_N:>10.3f}{g.worst_N:>9.3f}{g.median_cost:>+12.1%}{g.worst_cost:>+11.1%}"
         )
     return "\n".join(lines)
+
+
+@command
+def certify(
+    plan_file: PlanArgument,
+    samples: Annotated[
+        int, option("Random errors of every kind to try within its promise.", "N", min=0)
+    ] = 0,
+    seed: SeedOption = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Prove which loads and which errors a plan withstands.
+
+    Loads are those of the planned posture under the best control that the actuators allow.
+
+    Exit code 0 if the grasp is closed and no sample contradicts a promise, else with 1.
+    """
+    from planner.certify import certify as prove
+
+    certificate = prove(one_plan(plan_file), samples=samples, seed=seed)
+    if as_json:
+        print_json(certificate.as_dict())
+    else:
+        tell(str(certificate))
+    if not certificate.closed or any(t.lost for t in certificate.tolerances):
+        raise typer.Exit(EXIT_NO)

@@ -1,0 +1,228 @@
+"""How a plan is executed in MuJoCo: the options, and what they name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.markup import escape
+
+from sim.cli.common import check_films, err, out, say, tell
+from sim.cli.options import (
+    ArrowsOption,
+    ControllerOption,
+    EstimateOption,
+    PadsOption,
+    PhysicsOption,
+    RealityOption,
+    RealitySeedOption,
+    SimMuOption,
+    VerboseOption,
+    VideoOption,
+    ViewOption,
+)
+
+if TYPE_CHECKING:
+    from planner.plan import GraspPlan
+    from sim.report import TrialReport
+
+POLICY = "policy:"
+"""What the name of a learned controller begins with."""
+
+
+def physics_of(text: str, sim_mu: float | None = None) -> Any:
+    """Physics as ``--physics`` and ``--sim-mu`` give it.
+
+    Raises:
+        NotFoundError: There is no such preset.
+        FileFormatError: A file that cannot be read.
+        TaskError: A field that there is not, or a value out of range.
+    """
+    from sim.physics import PRESETS
+
+    found = PRESETS.given(text)
+    return found if sim_mu is None else replace(found, mu=sim_mu)
+
+
+def controller_of(name: str) -> Any:
+    """What ``--controller`` names: a name as it is, or what makes controllers of a policy.
+
+    Raises:
+        NotFoundError: No controller or policy has that name.
+        FileFormatError: A policy that cannot be read.
+    """
+    from sim.controllers import CONTROLLERS
+
+    if not name or name in CONTROLLERS:
+        return name or None
+    from sim.learning import named_driver
+
+    return named_driver(name)
+
+
+def reality_of(
+    text: str, seed: int | None = None, pads: str | None = None, *, draws: bool = False
+) -> Any:
+    """Reality as ``--reality``, ``--reality-seed`` and ``--pads`` give it.
+
+    Args:
+        text: Name of a preset, or a file.
+        seed: Of what is drawn; that of the reality if None.
+        pads: Sense of touch; that of the reality if None.
+        draws: Whether something is drawn without ``--reality`` too.
+
+    Raises:
+        NotFoundError: There is none of that name, or no such sense of touch.
+        FileFormatError: A file that cannot be read.
+        TaskError: A field that there is not, a value out of range, or a seed of nothing.
+    """
+    from planner.errors import TaskError
+    from sim.reality import REALITIES
+
+    found = REALITIES.given(text)
+    found = found if pads is None else replace(found, touch=pads)
+    if seed is None:
+        return found
+    if found.ideal and not draws:
+        raise TaskError(
+            f"--reality-seed {seed} seeds errors, and the reality {found.name!r} has none; give "
+            "--reality lab, rough or a file, or leave the seed out"
+        )
+    return found.seeded(seed)
+
+
+def estimate_of(name: str | None) -> str | None:
+    """Estimator as ``--estimate`` gives it.
+
+    Raises:
+        NotFoundError: There is none of that name.
+    """
+    if name is not None:
+        from sim.estimation import check_estimator
+
+        check_estimator(name)
+    return name
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExecutionOptions:
+    """What drives the fingers, and in which physics and sensor errors."""
+
+    sim_mu: SimMuOption = None
+    physics: PhysicsOption = "ours"
+    reality: RealityOption = "ideal"
+    reality_seed: RealitySeedOption = None
+    estimate: EstimateOption = None
+    pads: PadsOption = None
+    controller: ControllerOption = "feedforward"
+    view: ViewOption = False
+    video: VideoOption = None
+    arrows: ArrowsOption = False
+
+    def parts(self, *, draws: bool = False) -> dict[str, Any]:
+        """Arguments of an execution: controller, physics, reality and estimator.
+
+        Raises:
+            PlannerError: One of them that there is not.
+        """
+        return {
+            "controller": controller_of(self.controller),
+            "physics": physics_of(self.physics, self.sim_mu),
+            "reality": reality_of(self.reality, self.reality_seed, self.pads, draws=draws),
+            "estimator": estimate_of(self.estimate),
+        }
+
+    def check_policy(self, hand: Any, item: Callable[[], Any], degrees: float | None) -> None:
+        """Refuse another hand than a policy's, and say what else it was not trained for.
+
+        Call it before anything is planned; other controllers are for every hand.
+
+        Args:
+            hand: Name or path of the hand, or the hand.
+            item: Gives the object.
+            degrees: Turn about the vertical that is asked for; None for another movement, or none.
+
+        Raises:
+            PlannerError: No such hand or object, or the policy is for another hand.
+        """
+        if not self.controller.startswith(POLICY):
+            return
+        from planner.hand_loading import load_hand
+
+        about = controller_of(self.controller).policy.about
+        about.check(load_hand(hand) if isinstance(hand, str) else hand)
+        physics = physics_of(self.physics, self.sim_mu)
+        reality = reality_of(self.reality, pads=self.pads)
+        if beyond := about.beyond(item(), degrees, physics, reality):
+            say(err, escape(beyond))
+
+    def reckoned(self, request: Any) -> Any:
+        """A request that reckons with the encoders of the reality, unless it says how far off.
+
+        Args:
+            request: Options of planning, with ``joint_error``.
+
+        Raises:
+            PlannerError: See ``reality_of``.
+        """
+        if request.joint_error is not None:
+            return request
+        offset = reality_of(self.reality).encoder_offset
+        return replace(request, joint_error=math.degrees(offset))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialOptions(ExecutionOptions):
+    """How ``run`` and ``test`` execute the plan of a grasp."""
+
+    verbose: VerboseOption = False
+
+    def show(self, report: TrialReport, *, picture: bool = False) -> None:
+        """Print a report: verdict and contacts, with ``--verbose`` what explains them too.
+
+        Args:
+            report: What happened.
+            picture: Whether a picture was asked for by name, so that its file is told.
+        """
+        out.print(report)
+        if self.verbose:
+            for line in report.details():
+                out.print(line)
+        if report.drawn and (self.verbose or self.video or picture):
+            tell(report.drawn)
+
+    def trial(self) -> Callable[[GraspPlan, Path | None], TrialReport]:
+        """What executes a plan, with a progress bar on stderr, and draws it.
+
+        Raises:
+            PlannerError: A controller or physics that there is not, no display to view on, or a
+                video that cannot be written; bad input ends before anything is planned.
+        """
+        from rich.progress import Progress
+
+        from sim.trial import simulate
+
+        parts = self.parts()
+        if self.view:
+            from sim.looking.viewer import check_display
+
+            check_display()
+        check_films(self.video)
+
+        def execute(plan: GraspPlan, picture: Path | None) -> TrialReport:
+            with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
+                bar = progress.add_task("simulating", total=1.0)
+                return simulate(
+                    plan,
+                    **parts,
+                    progress=lambda share: progress.update(bar, completed=share),
+                    view=self.view,
+                    picture=picture,
+                    video=self.video,
+                    arrows=self.arrows,
+                )
+
+        return execute
