@@ -51,6 +51,7 @@ def test_every_script_is_an_entry_with_a_title() -> None:
         chosen(entries, ["demmo"])
 
 
+@pytest.mark.slow
 def test_a_script_runs_in_an_empty_folder_and_its_plot_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,6 +65,7 @@ def test_a_script_runs_in_an_empty_folder_and_its_plot_is_kept(
     assert row["page"] == ""
 
 
+@pytest.mark.slow
 def test_a_script_that_fails_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     row = run_entry(entry(tmp_path, "print(1 / 0)", monkeypatch), lambda: None)
     assert not row["ok"]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 
 from benchmarks.control.slips import LATENCY, true_slips
 from planner.certify import smallest_breaking
@@ -47,13 +48,13 @@ SHORT = Timeline(
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 @pytest.fixture(scope="module")
-def shadow_plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("shadow_hand", "cylinder"))
+def shadow_plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("shadow_hand", "cylinder")
 
 
 def run(

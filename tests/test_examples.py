@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import csv
+import os
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -162,6 +163,15 @@ EXPECTED: dict[str, tuple[str, ...]] = {
 """What must appear in the output, runs of blanks counted as one."""
 
 
+REAL_TIME = {"20_hand_over_udp": ("done: ", "the object: held")}
+"""What is promised only where the machine has time for a loop of 100 Hz in two processes."""
+
+
+def is_busy() -> bool:
+    """Whether two programs or more wait for each processor."""
+    return os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
+
+
 def run_example(path: Path, folder: Path) -> str:
     """Standard output of an example that ran in ``folder``, runs of blanks as one."""
     done = forks.run(forks.script, str(path), folder=folder, timeout=TIME_LIMIT)
@@ -177,10 +187,12 @@ def run_example(path: Path, folder: Path) -> str:
 def test_example_runs_and_prints_what_it_promises(path: Path, tmp_path: Path) -> None:
     if path.stem == "12_many_grasps":
         pytest.importorskip("pyarrow")
+    busy = is_busy()
     printed = run_example(path, tmp_path)
     assert printed
+    late = REAL_TIME.get(path.stem, ()) if busy or is_busy() else ()
     for words in EXPECTED.get(path.stem, ()):
-        assert words in printed
+        assert words in printed or words in late
     if path.stem == "error_few_contacts":  # it slips, so the cones are used up
         used = re.search(
             r"too little friction: (slipped|dropped) before the lift: 4 of 4 fingers touch "

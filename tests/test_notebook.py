@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 from PIL import Image
 
-from planner import plan_grasp
 from planner.batch import GraspSet, plan_grasps
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError
@@ -105,8 +105,8 @@ def _warm() -> None:
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "cylinder:0.03x0.10"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "cylinder:0.03x0.10")
 
 
 @pytest.fixture(scope="module")

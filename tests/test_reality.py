@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from manipulations import QUICK, task_of
@@ -21,7 +22,6 @@ from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.motion.manipulation import plan_manipulation
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.contacts import hand_contacts
@@ -48,8 +48,8 @@ ERRORS = [name for name in Reality().numbers if name != "drift_time"]
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
-from planner.task import GraspTask
 from sim.cli.common import reality_of
 from sim.preset_files import SUFFIXES, PresetFiles
 from sim.protocols import Settings, run_protocol
@@ -35,8 +34,8 @@ from sim.trial import simulate
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 def written(tmp_path: Path, name: str, text: str) -> Path:

@@ -243,6 +243,7 @@ def test_without_the_squeeze_the_object_is_lost(folder: Path, tmp_path: Path) ->
     assert done.stdout.startswith("not held: the object moved 1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gymnasium-robotics:shadow", "example-robot-data:allegro_right"])
 def test_hands_of_others_hold_their_object(name: str, tmp_path: Path) -> None:
     """Links of the second overlap its palm: a base that stands fixed must not push them away."""

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
+from conftest import PlanOf
 from scipy.spatial import ConvexHull
 
 from planner.errors import FileFormatError, TaskError
@@ -37,8 +38,8 @@ def need_drake() -> None:
 
 
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
-def plan(request: pytest.FixtureRequest) -> GraspPlan:
-    return plan_grasp(GraspTask.create(request.param, "box"))
+def plan(request: pytest.FixtureRequest, plan_of: PlanOf) -> GraspPlan:
+    return plan_of(request.param, "box")
 
 
 @pytest.fixture(scope="module")

@@ -106,6 +106,7 @@ def test_a_format_that_cannot_hold_them_is_an_error_only_if_it_was_named(tmp_pat
     assert "--gravity=-1,0,0" in err
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_there_is(tmp_path: Path) -> None:
     words = ["states", "allegro_hand", "sphere:0.035", "-n", "100000", *FEW]
     running = subprocess.Popen(

@@ -12,11 +12,11 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import PlanOf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from planner import GraspTask, plan_grasp
 from planner.description import FingerDescription, PadDescription, TaxelDescription
 from planner.errors import NotFoundError, TaskError
 from planner.hand_loading import load_hand
@@ -310,6 +310,7 @@ def watched(
     return first
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.005, 0.02])
 def test_half_of_all_slips_are_noticed_within_10_ms_of_a_tenth_of_a_millimetre(
     speed: float,
@@ -319,11 +320,13 @@ def test_half_of_all_slips_are_noticed_within_10_ms_of_a_tenth_of_a_millimetre(
     assert max(delays) < 0.1
 
 
+@pytest.mark.slow
 def test_a_pad_that_sticks_or_rolls_raises_no_alarm() -> None:
     assert watched(0.0, seconds=4.0) == math.inf
     assert watched(0.0, seconds=1.0, roll=0.004) == math.inf
 
 
+@pytest.mark.slow
 def test_a_force_that_grows_or_shrinks_fast_neither_raises_nor_hides_a_slip() -> None:
     for ramp in (30.0, -3.0):
         assert watched(0.0, seconds=0.6, ramp=ramp) == math.inf
@@ -409,8 +412,8 @@ def test_what_slips_has_all_of_its_friction_in_use() -> None:
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=1)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "box", seed=1)
 
 
 def run(simulation: Simulation, **seconds: float) -> None:
@@ -428,6 +431,7 @@ def held(plan: GraspPlan, touch: str, seconds: float = 0.3) -> tuple[Observation
     return simulation.sensed(truth), truth
 
 
+@pytest.mark.slow
 def test_taxels_feel_what_mujoco_computes(plan: GraspPlan) -> None:
     seen, truth = held(plan, "taxels")
     pads, exact = seen.pads, truth.pads
@@ -441,6 +445,7 @@ def test_taxels_feel_what_mujoco_computes(plan: GraspPlan) -> None:
     assert truth.touch.images[0][..., 0].sum() == pytest.approx(exact.normal_force[0], rel=0.02)
 
 
+@pytest.mark.slow
 def test_effort_and_binary_say_that_all_fingers_touch_and_roughly_where(plan: GraspPlan) -> None:
     for touch, off_mm in (("effort", 8.0), ("binary", 5.0)):
         seen, truth = held(plan, touch)
@@ -453,6 +458,7 @@ def test_effort_and_binary_say_that_all_fingers_touch_and_roughly_where(plan: Gr
     assert seen.pads.normal_force == pytest.approx(truth.pads.normal_force, rel=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("touch", ["taxels", "effort", "binary"])
 @pytest.mark.parametrize("controller", ["feedforward", "impedance"])
 def test_every_controller_holds_with_every_sense(
@@ -482,6 +488,7 @@ def touches_in_the_air(plan: GraspPlan, reality: Reality, told: bool = True) -> 
     return count
 
 
+@pytest.mark.slow
 def test_the_friction_of_joints_is_no_touch_for_effort(plan: GraspPlan) -> None:
     stiff = Reality(name="stiff", touch="effort", dry_friction=0.02)
     known, unknown = (touches_in_the_air(plan, stiff, told) for told in (True, False))

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 
 from benchmarks.trial_cost import Replay, time_trial, trial_cost_table
 from planner.contacts import ContactSet
 from planner.plan import GraspPlan
 from planner.quality import closure_and_epsilon
-from planner.search import plan_grasp
-from planner.task import GraspTask
 from sim import recorder as recording
 from sim.contacts import hand_contacts, merge_per_finger
 from sim.simulation import Simulation
@@ -21,8 +20,8 @@ from sim.trial import Timeline, Trial
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=1)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "box", seed=1)
 
 
 def test_the_steps_alone_repeat_the_trial(plan: GraspPlan) -> None:

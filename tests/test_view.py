@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from conftest import PlanOf
 from serving import serving, small_dataset
 from typer.testing import CliRunner
 
@@ -30,7 +31,6 @@ from planner.pages.object_motion import object_motion
 from planner.pages.opening import has_browser
 from planner.pages.page import Page, read_page_data, write_page
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.shapes import Mesh
 from planner.system.models import models_dir
 from planner.task import GraspTask
@@ -69,8 +69,8 @@ def dataset_site(dataset: Path) -> Iterator[LocalServer]:
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "box")
 
 
 @pytest.fixture
