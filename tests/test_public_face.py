@@ -12,8 +12,8 @@ import pytest
 
 ENGINES = ("casadi", "coal", "mujoco", "pinocchio")
 MOST_OURS, MOST_MODULES = 25, 300
-"""Modules that bare contacts load, ours and all, which is what it costs: 13 and 205 were counted, of
-which 89 are NumPy's."""
+"""Modules that bare contacts load, ours and all, which is what it costs: 13 and 205 were counted,
+89 of them NumPy's."""
 
 
 @pytest.mark.parametrize("package", ["planner", "sim"])
