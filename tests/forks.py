@@ -20,6 +20,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from multiprocessing import forkserver
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -27,8 +28,8 @@ KERNELS = {"OPENBLAS_CORETYPE": "Haswell", "OMP_NUM_THREADS": "1"}
 """Read when NumPy is loaded: kernels of another processor round otherwise, and the same seed may
 find another grasp than a page shows."""
 
-FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["preloaded"])
+SERVER = multiprocessing.get_context("forkserver")
+SERVER.set_forkserver_preload(["preloaded"])
 
 
 def environment_of_programs() -> dict[str, str]:
@@ -74,10 +75,14 @@ def run(
         subprocess.TimeoutExpired: It was killed.
     """
     environment = environment_of_programs() if environment is None else environment
-    _begin_server()
+    forks: Any = SERVER
+    if multiprocessing.parent_process() is not None:  # a program that runs another has it all
+        forks = multiprocessing.get_context("fork")
+    else:
+        _begin_server()
     with tempfile.TemporaryDirectory() as printed:
         files = [Path(printed) / name for name in ("out", "err")]
-        process = FORKS.Process(
+        process = forks.Process(
             target=_work, args=(program, words, str(folder), dict(environment), *map(str, files))
         )
         process.start()

@@ -79,6 +79,7 @@ class Watched(GraspController):
         return super().step(observation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.02])
 def test_a_trial_finds_the_friction_that_the_model_does_not_have(
     plan: GraspPlan, friction: float

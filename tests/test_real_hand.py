@@ -110,6 +110,7 @@ def test_a_trial_with_tendons_and_a_wrist_is_the_trial(with_tendons: GraspPlan) 
     assert_same(own, hand.report())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mu", "reason"), [(0.25, "slipped"), (0.05, "dropped")])
 def test_a_trial_that_fails_fails_the_same_way(plan: GraspPlan, mu: float, reason: str) -> None:
     slippery = PhysicsOptions(mu=mu)

@@ -683,6 +683,7 @@ def test_layers_without_errors_change_no_bit(plan: GraspPlan, controller: str) -
     assert reports[1].reality is None
 
 
+@pytest.mark.slow
 def test_layers_without_errors_change_no_bit_of_a_manipulation() -> None:
     task = task_of("cylinder:0.03x0.08", fingers=("thumb", "index", "middle"))
     plan = plan_manipulation(task, angle=np.deg2rad(20.0), place=(0.04, -0.02))
@@ -698,6 +699,7 @@ def test_layers_without_errors_change_no_bit_of_a_manipulation() -> None:
     assert reports[0].numbers() == reports[1].numbers()
 
 
+@pytest.mark.slow
 def test_the_hand_carries_the_object_to_where_it_reads_it() -> None:
     """A camera that is 4 mm off along x: the object is put down 4 mm short of its target there."""
     task = task_of("cylinder:0.03x0.08")

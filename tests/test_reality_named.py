@@ -96,6 +96,7 @@ def test_bad_files_are_told(tmp_path: Path) -> None:
         reality_for("./mine")
 
 
+@pytest.mark.slow
 def test_a_reality_is_taken_by_its_name(plan: GraspPlan) -> None:
     by_name = Simulation(plan, reality="lab").reality
     assert by_name is not None
@@ -176,6 +177,7 @@ def test_a_report_says_what_was_drawn(plan: GraspPlan) -> None:
     assert reality_lines(None) == []
 
 
+@pytest.mark.slow
 def test_a_protocol_says_what_it_drew_and_what_a_failure_had(plan: GraspPlan) -> None:
     reality = Reality(name="heavy", object_mass=0.3, encoder_offset=0.5, seed=2)
     report = run_protocol(plan, "reality", settings=Settings(realities=2), reality=reality)
@@ -188,6 +190,7 @@ def test_a_protocol_says_what_it_drew_and_what_a_failure_had(plan: GraspPlan) ->
         assert f"(drawn: {draws_in_words([draws[outcome.index]])})" in told
 
 
+@pytest.mark.slow
 def test_other_protocols_draw_once(plan: GraspPlan) -> None:
     report = run_protocol(
         plan, "shake", reality=named_reality("lab", 3), only=["shake x"], estimator="none"

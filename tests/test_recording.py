@@ -331,6 +331,7 @@ def test_a_lost_object_is_recorded_to_the_end(plan: GraspPlan) -> None:
     assert report.recording.time[-1] >= report.verdict.time
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="SIGINT to one process is a matter of POSIX")
 @pytest.mark.parametrize("before", [StateRecorder.take, ContactHistory.note])
 def test_ctrl_c_within_a_sample_waits_for_its_end(

@@ -219,6 +219,7 @@ def test_planned_contacts_lie_beside_the_measured_ones(held: TrialReport, plan: 
     assert np.linalg.norm(shown - measured.points[-1, : len(shown)], axis=1).max() < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["one stroke", "gait"])
 def test_planned_contacts_of_a_turn_go_along_with_the_fingers(
     how: str, turn: ManipulationPlan, turned: ManipulationReport, tmp_path: Path

@@ -193,6 +193,7 @@ def test_processes_give_the_same_states_as_one(cache: Path, tmp_path: Path) -> N
         assert np.array_equal(one[name], two[name]), name
 
 
+@pytest.mark.slow
 def test_more_states_begin_with_the_same_ones(cache: Path, tmp_path: Path) -> None:
     copytree(cache, tmp_path / "cache")
     seen: list[StatesProgress] = []
@@ -225,6 +226,7 @@ def test_a_killed_run_goes_on(cache: Path, tmp_path: Path) -> None:
     assert np.array_equal(again.q, StateSet.read(cache / CELL / "states.npz").q)
 
 
+@pytest.mark.slow
 def test_a_damaged_shard_is_held_again(cache: Path, tmp_path: Path) -> None:
     copytree(cache, tmp_path / "cache")
     folder = tmp_path / "cache" / CELL

@@ -45,6 +45,7 @@ def report(plan: GraspPlan, tmp_path_factory: pytest.TempPathFactory) -> TrialRe
     return simulate(plan, picture=tmp_path_factory.mktemp("trial") / "held.png")
 
 
+@pytest.mark.slow
 def test_a_plan_may_be_given_by_its_file(plan: GraspPlan, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     write_plan(plan, path)

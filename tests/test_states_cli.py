@@ -33,6 +33,7 @@ def opposable(*arguments: str | Path) -> tuple[int, str, str]:
     return code, out.getvalue(), " ".join(err.getvalue().split())
 
 
+@pytest.mark.slow
 def test_states_are_made_in_two_sizes_and_shown_again(tmp_path: Path) -> None:
     words = ["states", "allegro_hand", "sphere:0.035", "-n", "5", "--scales", "1,1.1", *FEW]
     words += ["--gravity=-1,0,0", "--out", str(tmp_path / "cache")]

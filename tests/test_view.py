@@ -460,6 +460,7 @@ def test_a_report_without_states_says_so_in_one_line(run_folder: Path, tmp_path:
 # ---- motions
 
 
+@pytest.mark.slow
 def test_pads_stay_on_their_contacts_along_a_gait(shadow: Hand) -> None:
     gait = plan_gait(GraspTask.create(shadow, "cylinder:0.03x0.10"), angle=np.deg2rad(90), seed=0)
     trajectory = gait.joint_trajectory(rate_hz=30.0)
