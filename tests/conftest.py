@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ import pytest
 import trimesh
 from hypothesis import settings
 
+from planner.errors import ModelError
 from planner.hand_loading import load_hand
+from planner.hands.catalog import find_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
@@ -87,6 +90,24 @@ def allegro() -> Hand:
 @pytest.fixture(scope="session")
 def shadow() -> Hand:
     return load_hand("shadow_hand")
+
+
+def needs(*packages: str) -> pytest.MarkDecorator:
+    """Mark of tests that are skipped where one of these packages is missing.
+
+    Within a test or for a whole file, ``pytest.importorskip`` is the same. ``.ci/run`` has every
+    package and fails where a test is skipped for want of one.
+    """
+    lacking = [name for name in packages if find_spec(name) is None]
+    return pytest.mark.skipif(bool(lacking), reason=f"not installed: {', '.join(lacking)}")
+
+
+def hand_of_others(name: str) -> Path:
+    """The model of a hand that others published; the test is skipped without their package."""
+    try:
+        return find_hand(name)
+    except ModelError as error:
+        pytest.skip(f"not installed: {error}")
 
 
 PlanOf = Callable[..., GraspPlan]
