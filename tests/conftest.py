@@ -8,6 +8,8 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +18,21 @@ import pytest
 import trimesh
 from hypothesis import settings
 
+from planner.errors import ModelError
 from planner.hand_loading import load_hand
+from planner.hands.catalog import find_hand
 from planner.hands.hand import Hand
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
 from planner.system.models import models_dir
+from planner.task import GraspTask
 from sim.controllers.follow import MotionReference
 from sim.controllers.reference import Target
 from sim.real_hand import RealClock
+from sim.report import TrialReport
+from sim.trial import simulate
 
 settings.register_profile("fixed", derandomize=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
@@ -53,6 +62,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Run tests that are named, slow or not."""
+    if config.option.markexpr == "not slow" and any("::" in name for name in config.args):
+        config.option.markexpr = ""
+
+
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     """Write which tests a missing package has skipped; alone or as the head of workers."""
     path = config.getoption("--write-missing")
@@ -75,6 +90,53 @@ def allegro() -> Hand:
 @pytest.fixture(scope="session")
 def shadow() -> Hand:
     return load_hand("shadow_hand")
+
+
+def needs(*packages: str) -> pytest.MarkDecorator:
+    """Mark of tests that are skipped where one of these packages is missing.
+
+    Within a test or for a whole file, ``pytest.importorskip`` is the same. ``.ci/run`` has every
+    package and fails where a test is skipped for want of one.
+    """
+    lacking = [name for name in packages if find_spec(name) is None]
+    return pytest.mark.skipif(bool(lacking), reason=f"not installed: {', '.join(lacking)}")
+
+
+def hand_of_others(name: str) -> Path:
+    """The model of a hand that others published; the test is skipped without their package."""
+    try:
+        return find_hand(name)
+    except ModelError as error:
+        pytest.skip(f"not installed: {error}")
+
+
+PlanOf = Callable[..., GraspPlan]
+"""Gives the plan of a hand and an object: ``plan_of("allegro_hand", "box", seed=0, mu=0.6)``."""
+
+ReportOf = Callable[..., TrialReport]
+"""Gives the report of that plan's trial, by defaults."""
+
+
+@pytest.fixture(scope="session")
+def plan_of() -> PlanOf:
+    """Plans that are only input: planned once for each worker. Change none of their arrays."""
+
+    @cache
+    def planned(hand: str, thing: str, seed: int = 0, **options: Any) -> GraspPlan:
+        return plan_grasp(GraspTask.create(hand, thing, **options), seed=seed)
+
+    return planned
+
+
+@pytest.fixture(scope="session")
+def report_of(plan_of: PlanOf) -> ReportOf:
+    """Reports of trials that are only input: executed once for each worker."""
+
+    @cache
+    def executed(hand: str, thing: str, seed: int = 0, **options: Any) -> TrialReport:
+        return simulate(plan_of(hand, thing, seed, **options))
+
+    return executed
 
 
 @pytest.fixture(scope="session", params=RIGHT_HANDS)
@@ -128,6 +190,23 @@ def virtual_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(RealClock, "now", lambda _: moment[0])
     monkeypatch.setattr(RealClock, "sleep_until", sleep_until)
+
+
+def calls_in(work: Callable[[], object]) -> int:
+    """How many functions, of Python or of C, a piece of work calls: its cost on any machine."""
+    count = 0
+
+    def note(frame: object, event: str, argument: object) -> None:
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        work()
+    finally:
+        sys.setprofile(before)
+    return count
 
 
 @contextmanager

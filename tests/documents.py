@@ -20,10 +20,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import forks
+
 ROOT = Path(__file__).resolve().parent.parent
 FENCE = re.compile(r"^(?P<indent> *)(?P<marks>`{3,}|:{3,})(?P<word>[\w{}-]*)")
 COMMENT = re.compile(r"^ *<!-- test: *(.*?) *-->$")
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
+QUOTED = re.compile(r"'[^']*'|\"[^\"$`]*\"")
+SHELL = re.compile(r"[|&;<>$`#~\"'\\]")
+"""What the shell does something with. No file of a page matches a star, so words keep theirs."""
+
 RUN = ("opposable", "python", "cd", "ls", "cat", "head", "mkdir", "cp")
 """Programs of a console block that are run."""
 
@@ -214,13 +220,7 @@ class Run:
             return ""
         if parts[-1][0] == "opposable":
             command = " ".join([command, *block.note("add")])
-        done = subprocess.run(
-            ["bash", "-c", command],
-            env=self.environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = self.ended(command)
         expected = int((block.note("exit") or ["0"])[0])
         if done.returncode != expected:
             raise PageError(
@@ -228,6 +228,21 @@ class Run:
                 f"{expected}:\n{done.stdout}{done.stderr}"
             )
         return done.stdout
+
+    def ended(self, command: str) -> subprocess.CompletedProcess[str]:
+        """A line of the shell after its end; our own program alone needs no shell."""
+        name, *words = shlex.split(command)
+        if name == "opposable" and not SHELL.search(QUOTED.sub("", command)):
+            return forks.run(
+                forks.command_line, *words, folder=Path.cwd(), environment=self.environment
+            )
+        return subprocess.run(
+            ["bash", "-c", command],
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
 
 
 def missing(page: Path) -> list[str]:
@@ -240,7 +255,7 @@ def missing(page: Path) -> list[str]:
 
 def run_page(page: Path) -> None:
     """Do all that a page shows, in the folder where the process stands."""
-    sys.path[0] = ""  # what a page writes can be imported by it
+    sys.path.insert(0, "")  # what a page writes can be imported by it
     run = Run(page)
     for block in blocks(page):
         begun = time.perf_counter()
@@ -250,8 +265,13 @@ def run_page(page: Path) -> None:
             print(f"{run.where(block.line)}: {block.language}, {seconds:.1f} s", file=sys.stderr)
 
 
-if __name__ == "__main__":
+def run_one(page: str) -> None:
+    """Do all that a page shows; what it does not do ends the process with a message."""
     try:
-        run_page(Path(sys.argv[1]).resolve())
+        run_page(Path(page).resolve())
     except PageError as error:
         sys.exit(str(error))
+
+
+if __name__ == "__main__":
+    run_one(sys.argv[1])

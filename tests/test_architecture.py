@@ -46,10 +46,15 @@ def imported(tree: ast.AST, module: str, *, functions_too: bool) -> Iterator[str
 
 
 @cache
+def tree_of(module: str) -> ast.Module:
+    """A module as its parser sees it."""
+    return ast.parse(sources()[module].read_text(encoding="utf-8"))
+
+
+@cache
 def imports_of(module: str, *, functions_too: bool = True) -> frozenset[str]:
     """What a module imports; branches of ``if TYPE_CHECKING`` count like any other."""
-    tree = ast.parse(sources()[module].read_text(encoding="utf-8"))
-    return frozenset(imported(tree, module, functions_too=functions_too))
+    return frozenset(imported(tree_of(module), module, functions_too=functions_too))
 
 
 @cache
@@ -78,6 +83,14 @@ def reached(module: str, *, functions_too: bool = False) -> set[str]:
         found |= new
         stack += new
     return found
+
+
+def in_cycles(*, functions_too: bool = False) -> list[str]:
+    """Modules of ours, packages themselves apart, that import themselves through others."""
+    left = set(sources())
+    while done := {m for m in left if not left & neighbours(m, functions_too=functions_too)}:
+        left -= done  # what imports nothing that is left is in no cycle
+    return [m for m in left - {*PACKAGES} if m in reached(m, functions_too=functions_too)]
 
 
 def test_the_reader_of_imports_sees_every_form() -> None:
@@ -130,6 +143,7 @@ def room_of(module: str) -> str:
     return ".".join(module.split(".")[:2])
 
 
+@cache
 def rooms_of(package: str) -> dict[str, set[str]]:
     """Room of a package -> rooms that it imports, in functions too."""
     out: dict[str, set[str]] = {}
@@ -172,11 +186,9 @@ def test_grasp_analysis_reaches_neither_hand_nor_engine(room: str) -> None:
 def test_tolerances_are_defined_on_their_page_alone() -> None:
     page = set(public_names("planner.tolerances") or ())
     assert page
-    for module, path in sources().items():
-        if module == "planner.tolerances":
-            continue
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        targets = [t for node in tree.body if isinstance(node, ast.Assign) for t in node.targets]
+    for module in set(sources()) - {"planner.tolerances"}:
+        body = tree_of(module).body
+        targets = [t for node in body if isinstance(node, ast.Assign) for t in node.targets]
         own = {t.id for t in targets if isinstance(t, ast.Name)}
         assert not own & page, f"{module} defines {sorted(own & page)} again"
 
@@ -188,10 +200,8 @@ def test_synthesis_does_not_know_who_uses_it() -> None:
 
 
 def test_there_are_no_import_cycles() -> None:
-    cycles = [m for m in sources() if m not in PACKAGES and m in reached(m)]
-    assert not cycles
-    late = [m for m in sources() if m not in PACKAGES and m in reached(m, functions_too=True)]
-    assert not late
+    assert not in_cycles()
+    assert not in_cycles(functions_too=True)
     # a package re-exports what its modules define: none of them may ask it for a name
     own = [(m, i) for m in sources() for i in imports_of(m) if i != m and within(m, i)]
     assert not own
@@ -209,9 +219,10 @@ def sort_key(name: str) -> tuple[int, str]:
     return group, name
 
 
+@cache
 def public_names(module: str) -> list[str] | None:
     """``__all__`` as it is written, or None."""
-    for node in ast.parse(sources()[module].read_text(encoding="utf-8")).body:
+    for node in tree_of(module).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
             names = ast.literal_eval(node.value)
             assert isinstance(names, list)

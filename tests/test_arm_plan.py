@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 from manipulations import QUICK, task_of
 
 from planner.approach.arm_path import LIFT_HEIGHT, _Radii, verify_arm_path, verify_lift
@@ -26,9 +27,8 @@ from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.motion.manipulation.on_arm import OnArm
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, interpolate_path, rotation_angle
-from planner.task import GraspTask, Obstacle
+from planner.task import Obstacle
 from sim.carrier import ArmCarrier, Timeline
 from sim.manipulation import manipulate
 from sim.scene import build_scene
@@ -37,8 +37,8 @@ from sim.trial import Trial
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_on_arm7", "sphere"), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_on_arm7", "sphere")
 
 
 @pytest.fixture(scope="module")
@@ -393,6 +393,7 @@ def test_while_the_hand_turns_the_object_its_arm_stands(turning: ManipulationPla
             assert off < 0.03, "a fingertip is nearer to its contact than that"
 
 
+@pytest.mark.slow
 def test_the_arm_carries_what_the_hand_turns(turning: ManipulationPlan) -> None:
     arm: dict[str, list[FloatArray]] = {}
 

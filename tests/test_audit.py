@@ -60,6 +60,7 @@ def good_shadow(tmp_path_factory: pytest.TempPathFactory) -> Good:
     return _good("shadow_hand", "mug", 3, tmp_path_factory.mktemp("shadow"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["good", "good_shadow"])
 def test_our_own_plans_pass_as_plans_and_as_foreign_grasps(
     which: str, request: pytest.FixtureRequest

@@ -220,7 +220,16 @@ def test_strict_answers_a_bad_file_by_name(tmp_path: Path, name: str) -> None:
     assert path.name in str(caught.value)
 
 
-@pytest.mark.parametrize("name", BAD)
+DEAR = (
+    *("an outline that crosses itself", "a body in a body", "a body on a body"),
+    *("overlapping bodies", "overlapping bodies with faces in one plane", "too many triangles"),
+)
+"""Files whose mending, or refusal, takes seconds."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in DEAR else n for n in BAD]
+)
 def test_a_bad_file_is_mended_or_refused_by_name(tmp_path: Path, name: str) -> None:
     path = BAD[name][0](tmp_path)
     try:

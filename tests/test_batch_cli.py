@@ -134,6 +134,7 @@ def test_the_options_of_run_are_those_of_batch() -> None:
     assert run - batch == {"object", "out_dir"} | executed | chosen
 
 
+@pytest.mark.slow
 def test_grasps_that_spare_fingers_go_the_same_ways(tmp_path: Path) -> None:
     folder = tmp_path / "set"
     code, _, err = opposable(

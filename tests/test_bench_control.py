@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 from rich.console import Console
 
 from benchmarks import planned
@@ -33,9 +34,7 @@ from planner.certify import smallest_breaking
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NotFoundError
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
-from planner.task import GraspTask
 from planner.verification.grasp import with_grip
 from sim.contacts import hand_contacts
 from sim.contacts.pads import read_pads
@@ -57,8 +56,8 @@ DT = 0.002
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 # which grasps are asked what
@@ -253,6 +252,7 @@ def test_the_grid_is_seen_by_a_latin_square(
     assert len(frozenset.union(*squares)) == 27  # together they are the whole grid
 
 
+@pytest.mark.slow
 def test_a_grasp_holds_in_fc_and_is_timed(plan: GraspPlan, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parts, "dexgraspbench_cases", lambda: dexgraspbench_cases()[:1])
     row = parts.fc_row(plan, np.random.default_rng(0), Reality())
@@ -333,6 +333,7 @@ def test_alarms_begin_and_end_with_the_slip() -> None:
     assert late.end == pytest.approx(DT * 199)
 
 
+@pytest.mark.slow
 def test_provoked_slips_are_found(plan: GraspPlan, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slip_trial, "PEACE_S", 0.3)
     monkeypatch.setattr(slip_trial, "PROVOCATIONS", 1)

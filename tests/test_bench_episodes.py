@@ -21,6 +21,8 @@ from sim.episodes.lerobot import VIDEO_KEY
 from sim.report import TrialReport
 from sim.trial import simulate
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("pyarrow")
 pytest.importorskip("imageio_ffmpeg")
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import needs
 from PIL import Image
 from rich.console import Console
 
@@ -51,6 +51,7 @@ def test_every_script_is_an_entry_with_a_title() -> None:
         chosen(entries, ["demmo"])
 
 
+@pytest.mark.slow
 def test_a_script_runs_in_an_empty_folder_and_its_plot_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,6 +65,7 @@ def test_a_script_runs_in_an_empty_folder_and_its_plot_is_kept(
     assert row["page"] == ""
 
 
+@pytest.mark.slow
 def test_a_script_that_fails_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     row = run_entry(entry(tmp_path, "print(1 / 0)", monkeypatch), lambda: None)
     assert not row["ok"]
@@ -133,7 +135,7 @@ def test_every_card_leads_to_a_page(kept: dict[str, Any]) -> None:
     assert not any("scenes/" in text for name, text in pages.items() if name != "demo.md")
 
 
-@pytest.mark.skipif(importlib.util.find_spec("sphinx") is None, reason="needs sphinx")
+@needs("sphinx")
 def test_the_documentation_writes_the_pages() -> None:
     """The extension is among those that ``docs/conf.py`` names."""
     conf = (GALLERY.parent / "conf.py").read_text(encoding="utf-8")

@@ -153,6 +153,7 @@ def test_what_is_there_does_not_depend_on_where_it_is_turned() -> None:
 # --- trials ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_block_is_tilted_and_moved_as_it_was_asked(
     measure: Measure, monkeypatch: pytest.MonkeyPatch
 ) -> None:

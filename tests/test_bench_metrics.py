@@ -120,6 +120,7 @@ def test_predictors_are_what_they_are_called(allegro: Hand) -> None:
     assert 0 < values["near_center"] <= 1
 
 
+@pytest.mark.slow
 def test_reckless_plans_are_worse_at_the_common_friction(allegro: Hand) -> None:
     def epsilons(name: str) -> list[float]:
         grade = GRADES[name]

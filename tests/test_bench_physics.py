@@ -82,6 +82,7 @@ def test_creep_of_a_held_box_is_that_of_the_formula(amid: GraspPlan, case: str) 
     assert row["creep_mm_s"] == pytest.approx(row["predicted_mm_s"], rel=0.15)
 
 
+@pytest.mark.slow
 def test_noslip_ends_creep_and_more_grip_does_not(amid: GraspPlan) -> None:
     soft = creep_of(amid, "mujoco-default")["creep_mm_s"]
     assert creep_of(amid, "noslip 10")["creep_mm_s"] < 0.01 * soft
@@ -108,6 +109,7 @@ def test_creep_is_a_part_of_what_rows_say() -> None:
     assert row["creep_mm_s"] < 0.01 * row["predicted_mm_s"]
 
 
+@pytest.mark.slow
 def test_a_grasp_is_lost_by_the_defaults_and_held_by_a_remedy() -> None:
     lost = row_of("holds", "mujoco-default")
     assert (lost["held"], lost["reason"]) == (False, "slipped")
@@ -123,6 +125,7 @@ def test_objects_that_cannot_be_planned_are_a_row() -> None:
     assert "held" not in row
 
 
+@pytest.mark.slow
 def test_tables_count_and_files_go_on(tmp_path: Path) -> None:
     file = tmp_path / "rows.jsonl"
     runner = Runner(console=Console(quiet=True), check=lambda: None, workers=1)

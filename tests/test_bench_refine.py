@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 from rich.console import Console
 from typer.testing import CliRunner
 
 from benchmarks.objects import bench_objects
 from benchmarks.plain_check import bears, closes, doubts, nearest_on, signed_distance
 from benchmarks.refine import perturbed, refine_tables, run_refine
-from planner import GraspTask, plan_grasp
 from planner.errors import TaskError
 from planner.objects import parse_object
 from planner.plan import GraspPlan
@@ -27,8 +27,8 @@ HERE = Runner(console=Console(quiet=True), check=lambda: None)
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 def test_rows_tell_what_was_moved_and_that_it_is_true() -> None:

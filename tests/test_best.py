@@ -120,6 +120,7 @@ def test_only_what_would_be_the_best_is_verified(
     assert made[-1].best == max(epsilon_of(a.plan) for a in made if a.plan is not None)
 
 
+@pytest.mark.slow
 def test_a_budget_of_counts_cuts_the_same_search_short(
     improving: tuple[GraspPlan, list[Attempt[GraspPlan]]], task: GraspTask
 ) -> None:

@@ -197,6 +197,7 @@ def rows_in(folder: Path) -> list[str]:
     return [line for line in lines[1:] if line.endswith("\n")]
 
 
+@pytest.mark.slow
 def test_bench_writes_its_table_and_repeats_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -515,6 +516,7 @@ def interrupt(script: str, *arguments: str | Path) -> Result:
     return Result(process.returncode, out, err)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="SIGINT to one process is a matter of POSIX")
 def test_ctrl_c_ends_planning_even_inside_a_solve(tmp_path: Path) -> None:
     script = SAY_WHEN.format(module="planner.search", owner="module", name="optimize_grasp", call=3)
@@ -526,6 +528,7 @@ def test_ctrl_c_ends_planning_even_inside_a_solve(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="SIGINT to one process is a matter of POSIX")
 def test_ctrl_c_ends_a_trial_with_a_whole_report(planned: Path, tmp_path: Path) -> None:
     path = tmp_path / "report.json"

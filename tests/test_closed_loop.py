@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 
 from benchmarks.control.slips import LATENCY, true_slips
 from planner.certify import smallest_breaking
@@ -47,13 +48,13 @@ SHORT = Timeline(
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 @pytest.fixture(scope="module")
-def shadow_plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("shadow_hand", "cylinder"))
+def shadow_plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("shadow_hand", "cylinder")
 
 
 def run(
@@ -143,6 +144,7 @@ def test_a_wrong_mass_is_learned(plan: GraspPlan) -> None:
     assert upward[2] == pytest.approx(missing, abs=0.25 * missing)
 
 
+@pytest.mark.slow
 def test_it_holds_against_what_breaks_the_open_loop(plan: GraspPlan) -> None:
     def on_hold(trial: Simulation, since: float) -> None:
         push(trial, min(since / 0.4, 1.0) * np.array([0.0, 7.0, 0.0]))
@@ -173,6 +175,7 @@ def test_fingers_ease_off_where_one_must_push_alone() -> None:
     assert 8.0 < controller.forces[k, 0] < 8.0 + 3 * grip
 
 
+@pytest.mark.slow
 def test_no_delay_and_no_noise_are_the_same_as_none(plan: GraspPlan) -> None:
     short = replace(SHORT, hold=0.1)
     exact = run(plan, ObjectImpedance(plan), timeline=short)

@@ -7,6 +7,7 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
+from conftest import PlanOf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_sim_controllers import observe
@@ -31,8 +32,8 @@ DT, STEPS = 0.002, 250
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 def close(

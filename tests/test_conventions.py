@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 from udp_hand import Inbox, Packet
 
 from planner.collision.pad_contact import pad_contacts
@@ -19,7 +20,6 @@ from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.plan import GraspPlan
 from planner.quality.closure import closure_of_wrenches
-from planner.search import plan_grasp
 from planner.spatial import SE3
 from planner.task import GraspTask
 from planner.tolerances import ANGLE_TOL, FLAT_ANGLE_TOL
@@ -34,8 +34,8 @@ TILTED = SE3(pin.exp3(np.array([0.3, -0.5, 0.7])), np.array([0.1, -0.2, 0.3]))
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 def test_the_centre_of_contacts_moves_with_them() -> None:

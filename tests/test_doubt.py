@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
-from planner.task import GraspTask
 from sim import simulate
 from sim.controllers import ObjectImpedance, Phase
 from sim.controllers.belief import PoseBelief
@@ -81,8 +80,8 @@ def test_beyond_the_doubt_the_object_moved() -> None:
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "cylinder"), seed=3)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "cylinder", seed=3)
 
 
 def answered(plan: GraspPlan, phase: Phase, sliding: float, rates: float) -> float:

@@ -6,7 +6,6 @@ because it works.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -35,18 +34,17 @@ SLIP_MM, SLIP_DEG = 5.0, 5.0
 POSITION_MM, FORCE_PERCENT = 3.0, 20.0
 """Largest median error between planned and measured contact position and normal force."""
 
-LONGEST_S = 60.0
-"""Wall time of one plan and one trial: some 4 s on an idle core, more while others compute."""
+MOST_ATTEMPTS = 8
+"""Of one plan: a second of CPU, where the trial takes two."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """One plan, its trial, and what it took."""
+    """One plan and its trial."""
 
     plan: GraspPlan
     trial: Trial
     report: TrialReport
-    wall_s: float
 
 
 @pytest.fixture(
@@ -56,11 +54,10 @@ class Run:
 )
 def run(request: pytest.FixtureRequest, right_hand: Hand) -> Run:
     name, seed = request.param
-    begin = time.perf_counter()
     plan = plan_grasp(GraspTask.create(right_hand, name), seed=seed)
     trial = Trial(plan)
     report = trial.run()
-    return Run(plan, trial, report, time.perf_counter() - begin)
+    return Run(plan, trial, report)
 
 
 def test_the_object_is_held(run: Run) -> None:
@@ -68,7 +65,7 @@ def test_the_object_is_held(run: Run) -> None:
     assert report.success and report.reason == "", (report.reason, report.verdict.detail)
     slip_mm, slip_deg = report.largest_slip
     assert slip_mm < SLIP_MM and slip_deg < SLIP_DEG
-    assert run.wall_s < LONGEST_S
+    assert run.plan.record.attempts <= MOST_ATTEMPTS
 
 
 def test_mujoco_itself_has_the_object_in_the_air_and_at_rest(run: Run) -> None:

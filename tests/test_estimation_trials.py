@@ -8,10 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 
 from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.controllers import Event, Observation
@@ -24,8 +24,8 @@ SHORT = Timeline.quick(hold=0.3)
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 @pytest.mark.parametrize(
@@ -47,6 +47,7 @@ def test_an_estimator_by_default_where_the_pose_has_errors(
     assert told is None if simulation.reality is None else (told or {})["estimator"] == name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "most_mm", "most_deg"), [("all", 1.5, 2.0), ("touch", 3.0, 4.0), ("contact", 4.0, 8.0)]
 )
@@ -90,6 +91,7 @@ class Numb:
         return self._inner.step(observation)
 
 
+@pytest.mark.slow
 def test_without_touch_and_camera_a_held_object_is_soon_unknown(plan: GraspPlan) -> None:
     report = simulate(plan, timeline=SHORT, reality=REALITIES["lab"], estimator=Numb)
     begin = report.samples.time[report.samples.during("hold")[0]]

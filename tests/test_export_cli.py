@@ -140,6 +140,7 @@ def test_all_formats_are_listed() -> None:
     assert (isaac["reads"], isaac["writes"], isaac["movements"]) == (True, True, False)
 
 
+@pytest.mark.slow
 def test_a_round_trip_is_measured_and_an_error_is_seen(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

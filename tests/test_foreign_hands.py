@@ -5,7 +5,6 @@ The gripper of the tests: a palm with two fingers of one hinge each, whose pads 
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,6 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from conftest import hand_of_others, needs
 
 from planner.bridge import (
     compile_spec,
@@ -30,7 +30,7 @@ from planner.bridge.load import model_bytes, model_files
 from planner.description import HandDescription
 from planner.errors import HandError, ModelError, NotFoundError
 from planner.hand_loading import hand_from_model, hand_from_spec, load_hand
-from planner.hands.catalog import FOREIGN_HANDS, find_hand
+from planner.hands.catalog import FOREIGN_HANDS
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
@@ -854,14 +854,6 @@ def test_a_pad_outside_its_geom_is_refused() -> None:
 # --- hands of others, where they are installed ----------------------------------------------------
 
 
-def installed(name: str) -> Path:
-    """The model of a known hand; the test is skipped where its package is not installed."""
-    try:
-        return find_hand(name)
-    except ModelError as error:
-        pytest.skip(str(error))
-
-
 BASES = {
     "gymnasium-robotics:adroit": ("forearm", 24, 24),
     "gymnasium-robotics:shadow": ("robot0:hand mount", 24, 20),
@@ -883,7 +875,7 @@ def test_every_known_hand_is_tried_below() -> None:
 @pytest.mark.parametrize("name", BASES)
 def test_a_known_hand_is_isolated_from_its_scene(name: str) -> None:
     base, joints, actuators = BASES[name]
-    spec = load_spec(installed(name))
+    spec = load_spec(hand_of_others(name))
     spec.compiler.balanceinertia = True
     whole = spec.copy().compile()
     isolate_base(spec, base, name)
@@ -901,7 +893,7 @@ def test_a_known_hand_is_isolated_from_its_scene(name: str) -> None:
 
 
 def test_the_fragment_of_the_shadow_hand_says_what_to_load() -> None:
-    fragment = installed("gymnasium-robotics:shadow").with_name("robot.xml")
+    fragment = hand_of_others("gymnasium-robotics:shadow").with_name("robot.xml")
     with pytest.raises(
         ModelError, match=r"meant to be included: load a file that does, manipulate"
     ):
@@ -909,14 +901,13 @@ def test_the_fragment_of_the_shadow_hand_says_what_to_load() -> None:
 
 
 def test_the_allegro_needs_its_inertia_balanced_as_measured() -> None:
-    path = installed("example-robot-data:allegro_right")
+    path = hand_of_others("example-robot-data:allegro_right")
     with pytest.raises(ModelError, match="balance_inertia = true"):
         compile_spec(load_spec(path), "the Allegro")
 
 
+@needs("gymnasium_robotics")
 def test_nothing_of_other_packages_is_imported_to_find_a_hand() -> None:
-    if importlib.util.find_spec("gymnasium_robotics") is None:
-        pytest.skip("gymnasium-robotics is not installed")
     code = (
         "import sys; from planner.hands.catalog import find_hand;"
         "find_hand('gymnasium-robotics:shadow');"

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import FloatArray
-from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.controllers import GraspController, Observation
 from sim.controllers.friction import FAST, LEAST_TIME, FoundFriction
@@ -66,8 +65,8 @@ def test_nothing_is_claimed_of_little_friction_or_of_little_motion(
 
 
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
-def plan(request: pytest.FixtureRequest) -> GraspPlan:
-    return plan_grasp(GraspTask.create(request.param, "cylinder"))
+def plan(request: pytest.FixtureRequest, plan_of: PlanOf) -> GraspPlan:
+    return plan_of(request.param, "cylinder")
 
 
 class Watched(GraspController):
@@ -80,6 +79,7 @@ class Watched(GraspController):
         return super().step(observation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.02])
 def test_a_trial_finds_the_friction_that_the_model_does_not_have(
     plan: GraspPlan, friction: float

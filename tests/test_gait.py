@@ -249,6 +249,7 @@ def test_lifting_the_allegros_thumb_is_proven_impossible(allegro: Hand) -> None:
     assert found.spans[0] < found.needed
 
 
+@pytest.mark.slow
 def test_a_hand_of_four_fingers_in_a_circle_finds_an_order(tmp_path: Path) -> None:
     # three of four at right angles close with any friction, so some order always holds: on the
     # equator with a normalised min-weight of 0.6, of which half is left below it and rolled
@@ -258,6 +259,7 @@ def test_a_hand_of_four_fingers_in_a_circle_finds_an_order(tmp_path: Path) -> No
     assert min(r.margin for r in plan.relocations) > 0.3
 
 
+@pytest.mark.slow
 def test_a_round_object_is_rolled_about_a_level_axis(tmp_path: Path) -> None:
     hand = load_hand(write_star_hand(tmp_path, 4))
     task = GraspTask.create(hand, "sphere:0.03", mu=0.8)
@@ -284,6 +286,7 @@ def test_an_object_that_does_not_look_the_same_is_told(allegro: Hand) -> None:
     assert isinstance(told, Failure) and "does not look the same to the hand" in told.text
 
 
+@pytest.mark.slow
 def test_a_search_in_vain_says_why(allegro: Hand) -> None:
     task = GraspTask.create(allegro, "cylinder:0.03x0.1", mu=0.3)
     with pytest.raises(NoGraspFoundError, match=r"no regrasping of cylinder.*strokes of") as error:

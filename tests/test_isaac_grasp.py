@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import time
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -301,7 +300,5 @@ def test_aliases_that_stand_for_billions_are_refused_at_once(tmp_path: Path) -> 
         lines.append(f"{name}: &{name} [{', '.join([f'*{last}'] * 9)}]")
     path = tmp_path / "bomb.yaml"
     path.write_text("\n".join([*lines, "format: isaac_grasp", "format_version: *l", "grasps: {}"]))
-    begin = time.process_time()
     with pytest.raises(FileFormatError, match="aliases stand for more than"):
-        read_documents(path, "a file of grasps")
-    assert time.process_time() - begin < 1.0
+        read_documents(path, "a file of grasps")  # written out, it would not end

@@ -31,6 +31,7 @@ def plan(line: str, folder: Path) -> tuple[int, str]:
     return done.exit_code, " ".join(done.stderr.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "advice"),
     [

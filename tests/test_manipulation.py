@@ -377,6 +377,7 @@ def test_a_lost_contact_or_an_open_sample_has_no_closure(
     assert not gone.success
 
 
+@pytest.mark.slow
 def test_a_turn_on_ice_fails_with_a_reason(plan: ManipulationPlan) -> None:
     told = manipulate(plan, physics=PhysicsOptions(mu=0.05), timeline=QUICK)
     assert not told.complete
@@ -384,6 +385,7 @@ def test_a_turn_on_ice_fails_with_a_reason(plan: ManipulationPlan) -> None:
     assert told.reason
 
 
+@pytest.mark.slow
 def test_a_turn_that_stalls_is_put_down_and_made_anew(plan: ManipulationPlan) -> None:
     # no time for the last degrees, and no patience
     hasty, picky = replace(QUICK, turn_wait=0.02), SuccessCriteria(angle_deg=2.0)

@@ -86,6 +86,7 @@ def test_a_controller_of_your_own_is_told_target_and_schedule(plan: Manipulation
     assert turning[-1].holding.all()
 
 
+@pytest.mark.slow
 def test_what_a_controller_of_your_own_misses_slows_the_turn(plan: ManipulationPlan) -> None:
     class Weak(Servo):
         missed = 0.25
@@ -98,6 +99,7 @@ def test_what_a_controller_of_your_own_misses_slows_the_turn(plan: ManipulationP
     assert fastest(Weak(plan.grasp)) < 0.8 * fastest(Servo(plan.grasp))
 
 
+@pytest.mark.slow
 def test_a_class_a_function_and_a_name_make_a_controller(plan: ManipulationPlan) -> None:
     made: list[GraspPlan] = []
 
@@ -123,6 +125,7 @@ def test_a_class_a_function_and_a_name_make_a_controller(plan: ManipulationPlan)
     assert report.force_limit == pytest.approx(18.0)
 
 
+@pytest.mark.slow
 def test_a_controller_without_a_loop_is_judged_like_any_other(plan: ManipulationPlan) -> None:
     report = manipulate(plan, controller="feedforward", timeline=QUICK)
     assert report.controller == "GraspController"

@@ -271,6 +271,7 @@ def command(*arguments: str | Path) -> Any:
     return CliRunner().invoke(app, ["manipulate", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_plan_and_executes_it_again(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     done = command("allegro_hand", "cylinder", "--rotate", "20", "--out", folder)

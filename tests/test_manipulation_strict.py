@@ -168,6 +168,7 @@ def test_a_turn_too_far_is_a_success_and_one_too_short_is_none(report: Manipulat
         assert with_log(replace(report, asked=-asked), turn=-turn).success is success
 
 
+@pytest.mark.slow
 def test_what_is_brought_back_too_far_goes_on(plan: ManipulationPlan) -> None:
     for degrees, fault in ((5.1, "5.1 short"), (4.9, ""), (-5.1, "")):
         run: Any = TurnsTo(plan, degrees)
@@ -448,6 +449,7 @@ def test_a_turn_that_no_stroke_makes_has_the_conditions_of_regrasps(
     assert turn.regrasps == (friction == REGRASP_FRICTION)
 
 
+@pytest.mark.slow
 def test_regrasps_come_first_where_no_stroke_goes(
     plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,11 +12,10 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_to_wxyz
-from planner.task import GraspTask
 from sim.contacts import hand_contacts
 from sim.controllers import GraspController, ImpedanceGains
 from sim.controllers.impedance import ImpedanceLaw
@@ -29,14 +28,14 @@ IN_PALM = SE3(pin.exp3(np.array([0.3, -0.5, 0.2])), np.array([0.02, -0.09, 0.1])
 
 
 @pytest.fixture(scope="module")
-def allegro_plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def allegro_plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 @pytest.fixture(scope="module")
-def shadow_plan() -> GraspPlan:
+def shadow_plan(plan_of: PlanOf) -> GraspPlan:
     """With a wrist between base and palm."""
-    return plan_grasp(GraspTask.create("shadow_hand", "sphere"))
+    return plan_of("shadow_hand", "sphere")
 
 
 def put(scene: Scene, data: Any, T_palm_object: SE3) -> None:

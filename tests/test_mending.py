@@ -201,6 +201,7 @@ def test_a_cavity_stays_where_no_other_part_fills_it(
     assert mesh.volume == pytest.approx(volume, rel=1e-6 if manifold_is_installed() else 1e-4)
 
 
+@pytest.mark.slow
 def test_a_vertex_on_the_far_side_is_too_much_to_mend_unasked() -> None:
     given = pushed_through()
     with pytest.raises(

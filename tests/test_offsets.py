@@ -5,19 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.shapes import Sphere
 from planner.spatial import SE3, FloatArray
-from planner.task import GraspTask
 from sim.controllers.offsets import DISTANCE, OFFSET, Look, estimate_offsets
 
 
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
-def plan(request: pytest.FixtureRequest) -> GraspPlan:
-    return plan_grasp(GraspTask.create(request.param, "ellipsoid"))
+def plan(request: pytest.FixtureRequest, plan_of: PlanOf) -> GraspPlan:
+    return plan_of(request.param, "ellipsoid")
 
 
 def look_of(

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import FloatArray
-from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.controllers.believed import BelievedJoints
 from sim.controllers.calibration import Calibration
@@ -24,8 +23,8 @@ SEED = 201
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("shadow_hand", "ellipsoid"), seed=SEED)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("shadow_hand", "ellipsoid", seed=SEED)
 
 
 def held(plan: GraspPlan, controller: str, seed: int = SEED) -> TrialReport:

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from conftest import PlanOf
 from scipy.optimize import linprog
 from typer.testing import CliRunner
 
@@ -23,7 +24,6 @@ from planner import (
     manipulation_task,
     parse_object,
     plan_gait,
-    plan_grasp,
     plan_manipulation,
     plan_motion,
 )
@@ -58,8 +58,8 @@ LARGEST_PAGE = 1_000_000
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "box")
 
 
 def joint_poses(model: Model, q: FloatArray) -> list[SE3]:

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from browser import OpenPage, browser, open_page
+from conftest import PlanOf
 from PIL import Image
 
 from planner import GraspPlan, GraspTask, plan_grasp
@@ -35,8 +36,8 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "box")
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 
 from planner.certify import breaking_along
 from planner.contacts import ContactSet
@@ -12,9 +13,7 @@ from planner.forces import ForceLoop, ForceProblem, build_force_problem, solve_f
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.quality import force_closure
-from planner.search import plan_grasp
 from planner.spatial import FloatArray
-from planner.task import GraspTask
 
 PALM_FORCE = 60.0
 """Several times what the actuators of four fingers can push with, N."""
@@ -25,8 +24,8 @@ STRONGEST = 200.0
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import copy
 import mujoco
 import numpy as np
 import pytest
+from conftest import PlanOf
 from scipy.optimize import minimize
 from test_describe_drive import shared
 
@@ -32,8 +33,8 @@ from planner.task import GraspTask
 
 
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
-def plan(request: pytest.FixtureRequest) -> GraspPlan:
-    return plan_grasp(GraspTask.create(request.param, "sphere"), seed=1)
+def plan(request: pytest.FixtureRequest, plan_of: PlanOf) -> GraspPlan:
+    return plan_of(request.param, "sphere", seed=1)
 
 
 def pads(hand: Hand, q: FloatArray, plan: GraspPlan) -> FloatArray:
@@ -105,6 +106,7 @@ def closed_in_the_air(hand: Hand, begin: FloatArray, end: FloatArray) -> FloatAr
     return np.array(data.qpos)
 
 
+@pytest.mark.slow
 def test_fingers_of_shared_tendons_close_the_way_that_they_opened() -> None:
     hand = hand_from_spec(mujoco.MjSpec.from_string(shared()))
     joints = undetermined_joints(hand)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 
 from planner.collision.pad_contact import pad_contacts
 from planner.hands.hand import Hand
@@ -14,8 +15,8 @@ from planner.verification.projection import COUPLING_TOL, FARTHEST, GAP_TOL, pro
 
 
 @pytest.fixture(scope="module", params=["sphere", "torus"])
-def plan(request: pytest.FixtureRequest) -> GraspPlan:
-    return plan_grasp(GraspTask.create("shadow_hand", request.param), seed=0)
+def plan(request: pytest.FixtureRequest, plan_of: PlanOf) -> GraspPlan:
+    return plan_of("shadow_hand", request.param)
 
 
 def worst_gap(plan: GraspPlan, q: np.ndarray) -> float:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 from typer.testing import CliRunner
 
 from planner.errors import TaskError
@@ -15,9 +16,7 @@ from planner.files import write_plan
 from planner.kinematics.state import HandState
 from planner.pages.page import page_html, read_page_data
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import pose_from_wxyz
-from planner.task import GraspTask
 from sim.cli import app
 from sim.protocols import ProtocolReport, run_protocol
 from sim.protocols.page import outcome_page
@@ -32,8 +31,8 @@ TRIALS = {
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "cylinder"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "cylinder")
 
 
 @pytest.fixture(scope="module", params=list(TRIALS))

@@ -475,6 +475,7 @@ def test_results_do_not_depend_on_the_number_of_workers(pinched: GraspPlan) -> N
     assert tuple(o.name for o in one.outcomes) == some
 
 
+@pytest.mark.slow
 def test_what_was_done_is_kept_after_ctrl_c(pinched: GraspPlan, tmp_path: Path) -> None:
     calls = 0
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
+import forks
 import pytest
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
@@ -15,19 +13,15 @@ NUMBER = re.compile(r"-?\d+\.?\d*")
 
 
 @pytest.mark.slow
-def test_script_prints_what_the_readme_says() -> None:
+def test_script_prints_what_the_readme_says(tmp_path: Path) -> None:
     script = README.split("```python\n")[1].split("```")[0]
     said = README.split("```text\n")[1].split("```")[0].splitlines()
     # kernels of another processor round otherwise, and the same seed may find another grasp
     kernels = re.search(r"`(OPENBLAS_CORETYPE)=(\w+)`", README)
-    assert kernels is not None
-    run = subprocess.run(
-        [sys.executable, "-c", script],
-        env=os.environ | {kernels[1]: kernels[2]},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    assert kernels is not None and forks.KERNELS[kernels[1]] == kernels[2]
+    (tmp_path / "script.py").write_text(script, encoding="utf-8")
+    run = forks.run(forks.script, str(tmp_path / "script.py"), folder=tmp_path)
+    assert run.returncode == 0, run.stderr
     lines = run.stdout.splitlines()
     assert len(lines) == len(said)
     for line, expected in zip(lines, said, strict=True):

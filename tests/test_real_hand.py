@@ -10,16 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 from hands_in_loops import FakeClock, FakeHand, Steady, looped
 
 from planner.errors import FileFormatError, HandError, NotFoundError, TaskError
 from planner.files import read_plan, write_plan
 from planner.hand_loading import load_hand
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.shapes import Sphere
 from planner.spatial import SE3, FloatArray, IntArray
-from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.controllers import (
     Controller,
@@ -53,14 +52,14 @@ QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4,
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 @pytest.fixture(scope="module")
-def with_tendons() -> GraspPlan:
+def with_tendons(plan_of: PlanOf) -> GraspPlan:
     """A hand with a wrist, and tendons that drive two joints each."""
-    return plan_grasp(GraspTask.create("shadow_hand", "cylinder"))
+    return plan_of("shadow_hand", "cylinder")
 
 
 def simulated(plan: GraspPlan, controller: Any = None, **options: Any) -> SimulatedHand:
@@ -111,6 +110,7 @@ def test_a_trial_with_tendons_and_a_wrist_is_the_trial(with_tendons: GraspPlan) 
     assert_same(own, hand.report())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mu", "reason"), [(0.25, "slipped"), (0.05, "dropped")])
 def test_a_trial_that_fails_fails_the_same_way(plan: GraspPlan, mu: float, reason: str) -> None:
     slippery = PhysicsOptions(mu=mu)

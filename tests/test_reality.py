@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from manipulations import QUICK, task_of
@@ -21,7 +22,6 @@ from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.motion.manipulation import plan_manipulation
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.carrier import Timeline
@@ -47,8 +47,8 @@ ERRORS = [name for name in Reality().numbers if name != "drift_time"]
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 @pytest.fixture(scope="module")
@@ -682,6 +682,7 @@ def test_layers_without_errors_change_no_bit(plan: GraspPlan, controller: str) -
     assert reports[1].reality is None
 
 
+@pytest.mark.slow
 def test_layers_without_errors_change_no_bit_of_a_manipulation() -> None:
     task = task_of("cylinder:0.03x0.08", fingers=("thumb", "index", "middle"))
     plan = plan_manipulation(task, angle=np.deg2rad(20.0), place=(0.04, -0.02))
@@ -697,6 +698,7 @@ def test_layers_without_errors_change_no_bit_of_a_manipulation() -> None:
     assert reports[0].numbers() == reports[1].numbers()
 
 
+@pytest.mark.slow
 def test_the_hand_carries_the_object_to_where_it_reads_it() -> None:
     """A camera that is 4 mm off along x: the object is put down 4 mm short of its target there."""
     task = task_of("cylinder:0.03x0.08")

@@ -8,11 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
-from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.cli.execution import reality_of
 from sim.presets import SUFFIXES
@@ -32,8 +31,8 @@ from sim.trial import simulate
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 def written(tmp_path: Path, name: str, text: str) -> Path:
@@ -94,6 +93,7 @@ def test_bad_files_are_told(tmp_path: Path) -> None:
         REALITIES.given("./mine")
 
 
+@pytest.mark.slow
 def test_a_reality_is_taken_by_its_name(plan: GraspPlan) -> None:
     by_name = Simulation(plan, reality="lab").reality
     assert by_name is not None
@@ -174,6 +174,7 @@ def test_a_report_says_what_was_drawn(plan: GraspPlan) -> None:
     assert reality_lines(None) == []
 
 
+@pytest.mark.slow
 def test_a_protocol_says_what_it_drew_and_what_a_failure_had(plan: GraspPlan) -> None:
     reality = Reality(name="heavy", object_mass=0.3, encoder_offset=0.5, seed=2)
     report = run_protocol(plan, "reality", settings=Settings(realities=2), reality=reality)
@@ -186,6 +187,7 @@ def test_a_protocol_says_what_it_drew_and_what_a_failure_had(plan: GraspPlan) ->
         assert f"(drawn: {draws_in_words([draws[outcome.index]])})" in told
 
 
+@pytest.mark.slow
 def test_other_protocols_draw_once(plan: GraspPlan) -> None:
     report = run_protocol(
         plan, "shake", reality=named_reality("lab", 3), only=["shake x"], estimator="none"

@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import PlanOf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,10 +21,8 @@ from planner.errors import FileFormatError
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.quality import force_closure
-from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.system.interrupts import interrupts_wait
-from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.contacts import ContactHistory, hand_contacts, merge_per_finger
 from sim.physics import PhysicsOptions
@@ -74,8 +73,8 @@ class Witness:
 
 
 @pytest.fixture(scope="module", params=["allegro_hand", "allegro_on_arm7"])
-def plan(request: pytest.FixtureRequest) -> GraspPlan:
-    return plan_grasp(GraspTask.create(request.param, "box"))
+def plan(request: pytest.FixtureRequest, plan_of: PlanOf) -> GraspPlan:
+    return plan_of(request.param, "box")
 
 
 @pytest.fixture(scope="module")
@@ -332,6 +331,7 @@ def test_a_lost_object_is_recorded_to_the_end(plan: GraspPlan) -> None:
     assert report.recording.time[-1] >= report.verdict.time
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="SIGINT to one process is a matter of POSIX")
 @pytest.mark.parametrize("before", [StateRecorder.take, ContactHistory.note])
 def test_ctrl_c_within_a_sample_waits_for_its_end(

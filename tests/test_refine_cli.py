@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 from typer.testing import CliRunner
 
 from benchmarks.plain_check import doubts
@@ -21,8 +22,8 @@ RUN = CliRunner()
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "box", table_height=None), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "box", table_height=None)
 
 
 def table_file(path: Path, plan: GraspPlan, poses: dict[str, tuple[SE3, Any]], **head: Any) -> Path:

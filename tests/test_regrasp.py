@@ -186,6 +186,7 @@ def test_lifts_are_refused_while_the_others_do_not_close(plan: ManipulationPlan)
     assert first.least_fingers == 4, "no finger left the object"
 
 
+@pytest.mark.slow
 def test_another_finger_goes_first_where_a_lift_is_refused(
     plan: ManipulationPlan, gait: GaitPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from browser import OpenPage, browser, open_page
+from conftest import PlanOf
 from manipulations import QUICK as QUICK_TURN
 from manipulations import task_of
 
@@ -24,9 +25,7 @@ from planner.pages.blocks import Command, Facts, Folded, Heading, Sentence, Tabl
 from planner.pages.page import Page, write_page
 from planner.pages.scene import Contacts, Scene
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import FloatArray, pose_from_wxyz
-from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.manipulation import ManipulationReport, manipulate, read_manipulation_report
 from sim.manipulation.page import manipulation_page
@@ -45,8 +44,8 @@ NEAR = 1e-3
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "cylinder"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "cylinder")
 
 
 @pytest.fixture(scope="module")
@@ -220,6 +219,7 @@ def test_planned_contacts_lie_beside_the_measured_ones(held: TrialReport, plan: 
     assert np.linalg.norm(shown - measured.points[-1, : len(shown)], axis=1).max() < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["one stroke", "gait"])
 def test_planned_contacts_of_a_turn_go_along_with_the_fingers(
     how: str, turn: ManipulationPlan, turned: ManipulationReport, tmp_path: Path

@@ -172,6 +172,7 @@ def test_candidate_i_is_the_same_whatever_was_drawn_before(cache: Path, starts: 
     assert not np.array_equal(starts.draw(71).gravity, later.gravity)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hand", ["robosuite:inspire_right", "gymnasium-robotics:adroit"])
 def test_a_scene_of_a_hand_with_files_of_its_own_stands_alone(hand: str, tmp_path: Path) -> None:
     pytest.importorskip(hand.split(":")[0].replace("-", "_"))
@@ -198,6 +199,7 @@ def test_a_gait_gives_poses_that_fewer_fingers_hold() -> None:
     assert len({source["pose"] for source in found}) == len(found)
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_states_as_one(cache: Path, tmp_path: Path) -> None:
     make_states(ASKED, tmp_path / "two", workers=2, formats=("npz",))
     one, two = (np.load(f / CELL / "states.npz") for f in (cache, tmp_path / "two"))
@@ -206,6 +208,7 @@ def test_processes_give_the_same_states_as_one(cache: Path, tmp_path: Path) -> N
         assert np.array_equal(one[name], two[name]), name
 
 
+@pytest.mark.slow
 def test_more_states_begin_with_the_same_ones(cache: Path, tmp_path: Path) -> None:
     copytree(cache, tmp_path / "cache")
     seen: list[StatesProgress] = []
@@ -218,6 +221,7 @@ def test_more_states_begin_with_the_same_ones(cache: Path, tmp_path: Path) -> No
     assert (seen[-1].done, seen[-1].total, seen[-1].phase) == (80, 80, "holding")
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on(cache: Path, tmp_path: Path) -> None:
     folder = tmp_path / "cache"
     words = [
@@ -244,6 +248,7 @@ def test_a_killed_run_goes_on(cache: Path, tmp_path: Path) -> None:
     assert np.array_equal(again.q, StateSet.read(cache / CELL / "states.npz").q)
 
 
+@pytest.mark.slow
 def test_a_damaged_shard_is_held_again(cache: Path, tmp_path: Path) -> None:
     copytree(cache, tmp_path / "cache")
     folder = tmp_path / "cache" / CELL

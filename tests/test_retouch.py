@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 from test_offsets import look_of
 from test_sim_controllers import observe
 
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import FloatArray
-from planner.task import GraspTask
 from sim.controllers import Observation, PadReading
 from sim.controllers.calibration import Calibration
 from sim.controllers.retouch import CLOSE_TIME, LONGEST, OPEN_TIME, TouchAgain, closed
@@ -21,8 +20,8 @@ DT = 0.002
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "ellipsoid"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "ellipsoid")
 
 
 def touching(plan: GraspPlan, offset: FloatArray) -> Observation:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 
 from planner.approach.pregrasp import Approach, verify_approach
 from planner.collision.world import CollisionWorld
@@ -24,8 +25,8 @@ from sim.trial import Trial
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 def test_slip_is_in_millimetres_and_degrees(plan: GraspPlan) -> None:

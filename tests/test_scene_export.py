@@ -16,10 +16,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from conftest import hand_of_others
 
-from planner.errors import FileFormatError, ModelError, TaskError
+from planner.errors import FileFormatError, TaskError
 from planner.exchange.formats import Writing, format_named
-from planner.hands.catalog import find_hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
@@ -243,13 +243,11 @@ def test_without_the_squeeze_the_object_is_lost(folder: Path, tmp_path: Path) ->
     assert done.stdout.startswith("not held: the object moved 1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gymnasium-robotics:shadow", "example-robot-data:allegro_right"])
 def test_hands_of_others_hold_their_object(name: str, tmp_path: Path) -> None:
     """Links of the second overlap its palm: a base that stands fixed must not push them away."""
-    try:
-        find_hand(name)
-    except ModelError as error:
-        pytest.skip(str(error))
+    hand_of_others(name)
     export_scene(plan_grasp(GraspTask.create(name, "sphere")), tmp_path / "scene")
     done = run_check(tmp_path / "scene")
     assert (done.returncode, done.stdout[:5]) == (0, "held:")

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
+from conftest import PlanOf
 from scipy.spatial import ConvexHull
 
 from planner.errors import FileFormatError, TaskError
@@ -37,8 +38,8 @@ def need_drake() -> None:
 
 
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
-def plan(request: pytest.FixtureRequest) -> GraspPlan:
-    return plan_grasp(GraspTask.create(request.param, "box"))
+def plan(request: pytest.FixtureRequest, plan_of: PlanOf) -> GraspPlan:
+    return plan_of(request.param, "box")
 
 
 @pytest.fixture(scope="module")
@@ -240,6 +241,7 @@ def test_a_sliver_of_the_mesh_does_not_keep_drake_from_it(
     assert seen.held, seen.detail
 
 
+@pytest.mark.slow
 def test_a_mesh_that_drake_cannot_fill_ends_its_own_trials_alone(
     plan: GraspPlan, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -277,6 +279,7 @@ def test_a_folder_that_is_no_export_is_refused(tmp_path: Path) -> None:
 # --- the protocol ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_protocol_judges_the_contacts_of_drake(plan: GraspPlan) -> None:
     need_drake()
     report = run_protocol(plan, "drake", only=["push +x"])

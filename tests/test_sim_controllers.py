@@ -9,22 +9,21 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 
 from planner.contacts import ContactModel, ContactSet
 from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
-from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.controllers import PHASES, GraspController, Observation, Phase
 from sim.trial import simulate
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 def observe(

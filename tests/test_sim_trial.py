@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import PlanOf
 
 from planner.errors import FileFormatError, TaskError
 from planner.files import write_plan
@@ -35,8 +36,8 @@ QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4,
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +45,7 @@ def report(plan: GraspPlan, tmp_path_factory: pytest.TempPathFactory) -> TrialRe
     return simulate(plan, picture=tmp_path_factory.mktemp("trial") / "held.png")
 
 
+@pytest.mark.slow
 def test_a_plan_may_be_given_by_its_file(plan: GraspPlan, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     write_plan(plan, path)

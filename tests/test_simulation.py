@@ -8,12 +8,11 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import PlanOf
 
 from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.spatial import FloatArray, pose_change, pose_to_wxyz
-from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.contacts import hand_contacts
 from sim.controllers import (
@@ -35,14 +34,14 @@ QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4,
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "sphere")
 
 
 @pytest.fixture(scope="module")
-def on_a_wrist() -> GraspPlan:
+def on_a_wrist(plan_of: PlanOf) -> GraspPlan:
     """A hand whose palm moves in its base."""
-    return plan_grasp(GraspTask.create("shadow_hand", "cylinder"))
+    return plan_of("shadow_hand", "cylinder")
 
 
 # what is seen

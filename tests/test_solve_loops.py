@@ -1,12 +1,12 @@
 """Least squares in compiled loops give what they give in NumPy: rows, runs and plans."""
 
-import importlib.util
 from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import needs
 
 from planner import GraspTask, plan_grasp
 from planner.numerics import tape as tape_module
@@ -27,9 +27,7 @@ from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.terms.link_distance import LinkDistances
 from planner.task import Obstacle
 
-needs_numba = pytest.mark.skipif(
-    importlib.util.find_spec("numba") is None, reason="numba is not installed"
-)
+needs_numba = needs("numba")
 
 BINARY: dict[str, Callable[[Any, Any], Any]] = {
     "add": lambda a, b: a + b,

@@ -33,6 +33,7 @@ def opposable(*arguments: str | Path) -> tuple[int, str, str]:
     return code, out.getvalue(), " ".join(err.getvalue().split())
 
 
+@pytest.mark.slow
 def test_states_are_made_in_two_sizes_and_shown_again(tmp_path: Path) -> None:
     words = [
         "dataset",
@@ -135,6 +136,7 @@ def test_a_format_that_cannot_hold_them_is_an_error_only_if_it_was_named(tmp_pat
     assert "--gravity=-1,0,0" in err
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_there_is(tmp_path: Path) -> None:
     words = ["dataset", "states", "allegro_hand", "sphere:0.035", "-n", "100000", *FEW]
     running = subprocess.Popen(

@@ -14,6 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import PlanOf
 from PIL import Image, ImageSequence
 
 from planner.errors import TaskError
@@ -37,8 +38,8 @@ SHORT = Timeline.quick()
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "cylinder"), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "cylinder")
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from conftest import PlanOf
 from serving import serving, small_dataset
 from typer.testing import CliRunner
 
@@ -30,7 +31,6 @@ from planner.pages.object_motion import object_motion
 from planner.pages.opening import has_browser
 from planner.pages.page import Page, read_page_data, write_page
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.shapes import Mesh
 from planner.system.models import models_dir
 from planner.task import GraspTask
@@ -69,8 +69,8 @@ def dataset_site(dataset: Path) -> Iterator[LocalServer]:
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "box")
 
 
 @pytest.fixture
@@ -460,6 +460,7 @@ def test_a_report_without_states_says_so_in_one_line(run_folder: Path, tmp_path:
 # ---- motions
 
 
+@pytest.mark.slow
 def test_pads_stay_on_their_contacts_along_a_gait(shadow: Hand) -> None:
     gait = plan_gait(GraspTask.create(shadow, "cylinder:0.03x0.10"), angle=np.deg2rad(90), seed=0)
     trajectory = gait.joint_trajectory(rate_hz=30.0)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import OpenPage, browser, open_page
+from conftest import PlanOf
 from serving import large_dataset, serving, small_dataset
 
 from planner.hand_loading import load_hand
@@ -45,8 +46,8 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=0)
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "box")
 
 
 def page_of(target: str, options: ViewOptions | None = None) -> Page:

@@ -57,6 +57,7 @@ def opposable(
     return run
 
 
+@pytest.mark.slow
 def test_help_and_run_work_without_the_measurements(installed: Path, tmp_path: Path) -> None:
     assert not (installed / "benchmarks").exists()
     shown = opposable(installed, tmp_path, "--help").stdout
