@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.arrays import LARGEST_FLOAT, finite
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError
-from planner.plain import LARGEST_FLOAT, finite
 from planner.quality import closure_of_wrenches
 from planner.quality.cones import contact_wrenches
 from planner.schema import StrictData

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import create_model
 
-from planner.plain import finite
+from planner.arrays import finite
 from planner.schema import StrictData
 from planner.spatial import FloatArray, IntArray
 from sim.controllers.base import Phase

@@ -20,7 +20,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from sim.controllers.follow import MotionReference
 from sim.controllers.reference import Target
 from sim.real_hand import RealClock

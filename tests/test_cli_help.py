@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from sim.cli import app
 from sim.cli.listing import GROUPS, Listed, flowing
 

@@ -15,9 +15,8 @@ import pytest
 from planner.errors import PlannerError
 from planner.numerics.casadi_compiled import compiled
 from planner.numerics.kernels import COMPILE_VARIABLE
-from planner.system import trusted_files as trust
-from planner.system.disk_cache import CACHE_VARIABLE
-from planner.system.trusted_files import digest_file
+from planner.system import disk_cache as trust
+from planner.system.disk_cache import CACHE_VARIABLE, digest_file
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here")
 

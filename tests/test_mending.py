@@ -18,9 +18,8 @@ from planner.files import read_plan, write_plan
 from planner.objects import parse_object
 from planner.shapes import Mesh, shape_from_dict, shape_to_dict
 from planner.shapes.meshes import mending, union
-from planner.shapes.meshes.edges import bodies_of, body_volumes
 from planner.shapes.meshes.mending import MOVED, WIDEST_HOLE
-from planner.shapes.meshes.soundness import faults_of
+from planner.shapes.meshes.soundness import bodies_of, body_volumes, faults_of
 from planner.shapes.meshes.union import manifold_is_installed
 from planner.shapes.meshes.wrapping import wrapped
 from planner.system.disk_cache import CACHE_VARIABLE

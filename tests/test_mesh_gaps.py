@@ -15,7 +15,7 @@ from planner.proximity.bodies import ConvexBodies
 from planner.proximity.mesh import MeshPair
 from planner.proximity.mesh_pairs import MeshPairs
 from planner.shapes import Mesh
-from planner.shapes.convex import convex_geometry
+from planner.shapes.hulls import convex_geometry
 from planner.shapes.meshes import nearest_kernels
 from planner.shapes.meshes.ball_tree import LEAF, BallTree
 from planner.spatial import SE3, FloatArray

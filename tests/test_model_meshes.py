@@ -10,20 +10,20 @@ import pytest
 import trimesh
 
 from planner.bridge import compile_spec, link_surfaces, load_spec, prepare_spec
-from planner.bridge.inertias import (
+from planner.bridge.load import model_files
+from planner.bridge.mesh_files import HIDDEN_GROUP
+from planner.bridge.numbers import (
     LEAST_INERTIA,
     LEAST_MASS,
     impossible_inertias,
     with_least_inertias,
 )
-from planner.bridge.load import model_files
-from planner.bridge.mesh_files import HIDDEN_GROUP
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.structure import read_spec
-from planner.description import HandDescription, RepairDescription
 from planner.errors import ModelError, NotFoundError
+from planner.joints.description import HandDescription, RepairDescription
 from planner.shapes import Mesh
-from planner.shapes.meshes.convert import converted_mesh
+from planner.shapes.meshes.io import converted_mesh
 from planner.system.disk_cache import CACHE_VARIABLE
 
 SIZE = (0.06, 0.02, 0.04)

@@ -32,7 +32,7 @@ from planner.pages.page import Page, read_page_data, write_page
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.shapes import Mesh
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.cli import app
 from sim.report_file import write_report

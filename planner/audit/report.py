@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from planner.arrays import short_repr
 from planner.audit.rows import STAGES, AuditRow
 from planner.batch.rows import arrow
 from planner.errors import TaskError
 from planner.files import whole_file
-from planner.plain import short_repr
 
 SHARES = (0.5, 0.9)
 """Shares of grasps (-) for which the tolerance is told."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from planner.plain import finite
+from planner.arrays import finite
 
 
 @dataclass(frozen=True, kw_only=True)

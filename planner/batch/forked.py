@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 from joblib import wrap_non_picklable_objects
 
 from planner.batch.jobs import end_with
-from planner.system.environment import on_interrupt
+from planner.system.process import on_interrupt
 
 FORK = "fork"
 """Name of this backend beside those of joblib."""

@@ -22,7 +22,7 @@ from planner.batch.forked import FORK, can_fork, forked_results
 from planner.batch.jobs import Job, plan_row, warm_up
 from planner.batch.rows import failed_row
 from planner.errors import TaskError, shown
-from planner.system.environment import on_interrupt, safe_path
+from planner.system.process import on_interrupt, safe_path
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

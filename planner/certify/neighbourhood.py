@@ -23,9 +23,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from planner.actuation import STOP_TOL
 from planner.arrays import check_fields
 from planner.certify.pose import PoseErrors, largest_turn
+from planner.joints.actuation import STOP_TOL
 from planner.kinematics.state import HandState, joint_axes
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, IntArray

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from planner.bridge.inertias import impossible_inertias, worst_inertia
-from planner.bridge.measure import body_positions, geom_distance, joint_inertia, touching_geoms
+from planner.bridge.geometry import body_positions, geom_distance, joint_inertia, touching_geoms
+from planner.bridge.numbers import impossible_inertias, worst_inertia
 from planner.bridge.pinocchio_model import body_name
 from planner.describe.grip import check_pads, check_postures
 from planner.describe.overlaps import TOUCHING, check_overlaps

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.bridge.structure import ModelStructure, TendonPart
-from planner.couplings import Coupling, coupled_extreme
-from planner.describe.reasons import Reason
-from planner.description import ActuatorDescription, CouplingDescription
+from planner.describe.proposal import Reason
+from planner.joints.couplings import Coupling, coupled_extreme
+from planner.joints.description import ActuatorDescription, CouplingDescription
 from planner.spatial import FloatArray
 
 LEAST_TRAVEL = 0.05

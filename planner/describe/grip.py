@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.describe.convex_links import ConvexLink, cone_directions
+from planner.describe.fingertips import ConvexLink, cone_directions
 from planner.describe.overlaps import TOUCHING
 from planner.describe.postures import PostureSolver
 from planner.describe.report import Finding, PadRow, PostureRow
-from planner.description import TaxelDescription
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
+from planner.joints.description import TaxelDescription
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
 

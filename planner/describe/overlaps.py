@@ -17,9 +17,9 @@ import numpy as np
 import pinocchio as pin
 
 from planner.bridge import LinkGeometry
-from planner.couplings import nearest_on_couplings
 from planner.describe.report import Finding
 from planner.hands.hand import Hand
+from planner.joints.couplings import nearest_on_couplings
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from planner.bridge import couplings_from_mujoco, hand_geometries
-from planner.bridge.measure import joint_inertia
+from planner.bridge.geometry import joint_inertia
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.structure import read_spec, structure_of
 from planner.describe.anatomy import (
@@ -30,7 +30,7 @@ from planner.describe.fingertips import Fingertip, Skeleton
 from planner.describe.overlaps import frequent_overlaps
 from planner.describe.pads import PadFit
 from planner.describe.postures import PostureCandidate, PosturePart, PostureSolver
-from planner.describe.reasons import Notes, Proposal
+from planner.describe.proposal import Notes, Proposal
 from planner.describe.repairs import (
     prepared_model,
     repair_and_base,
@@ -40,10 +40,10 @@ from planner.describe.repairs import (
 )
 from planner.describe.servos import joint_defaults, missing_servos
 from planner.describe.tree import Branch, HandTree, finger_names, read_tree
-from planner.description import CouplingDescription, HandDescription
 from planner.errors import HandError
 from planner.hands.build import build_from_spec
 from planner.hands.catalog import find_hand, foreign_hand_model
+from planner.joints.description import CouplingDescription, HandDescription
 from planner.spatial import FloatArray
 
 

@@ -8,25 +8,26 @@ from typing import Any, Literal
 import numpy as np
 
 from planner.bridge import compile_spec, couplings_from_mujoco
-from planner.bridge.inertias import (
+from planner.bridge.load import compile_balanced
+from planner.bridge.numbers import (
     LEAST_INERTIA,
     LEAST_MASS,
+    check_numbers,
+    check_sizes,
     impossible_inertias,
     with_least_inertias,
     worst_inertia,
 )
-from planner.bridge.load import compile_balanced
-from planner.bridge.numbers import check_numbers, check_sizes
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.prepare import name_parts, prepare_spec
 from planner.bridge.structure import structure_of
 from planner.describe.drive import impossible_couplings
 from planner.describe.overlaps import TOUCHING
-from planner.describe.reasons import Notes
+from planner.describe.proposal import Notes
 from planner.describe.tree import find_base
-from planner.description import HandDescription, RepairDescription
 from planner.hands.build import build_from_spec
 from planner.hands.hand import Hand
+from planner.joints.description import HandDescription, RepairDescription
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3

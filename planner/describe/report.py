@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from planner.plain import finite, short_repr
+from planner.arrays import finite, short_repr
 
 Level = Literal["error", "warning", "note"]
 

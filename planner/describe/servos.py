@@ -12,8 +12,8 @@ import numpy as np
 
 from planner.bridge.structure import ModelStructure
 from planner.describe.drive import Drive, in_span
-from planner.describe.reasons import Reason
-from planner.description import ActuatorDescription, JointDefaults
+from planner.describe.proposal import Reason
+from planner.joints.description import ActuatorDescription, JointDefaults
 from planner.spatial import FloatArray
 
 LARGEST_EFFORT = {"hinge": 5.0, "slide": 500.0}

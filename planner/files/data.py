@@ -16,8 +16,8 @@ from planner.approach.arm_path import ArmPath
 from planner.contacts import ContactModel
 from planner.errors import FileFormatError
 from planner.hands.hand import Hand
+from planner.objects import Region, TouchRegion
 from planner.plan import BestOf, GraspPlan, SolveRecord
-from planner.regions import Region, TouchRegion
 from planner.schema import StrictData
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 

@@ -21,8 +21,8 @@ from importlib import metadata
 from pathlib import Path
 
 from planner.errors import ModelError, NotFoundError
-from planner.system.environment import Held
-from planner.system.models import models_dir
+from planner.system.package import models_dir
+from planner.system.process import Held
 
 __all__ = [
     "FOREIGN_HANDS",

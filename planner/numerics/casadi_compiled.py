@@ -5,7 +5,7 @@ fraction of the time. The compiler needs seconds for each kind of problem, which
 grasps only; the environment variable ``OPPOSABLE_COMPILE=1`` switches it on.
 Libraries lie in the cache directory under the digest of source, compiler and flags; no fast-math,
 no fused multiplication, so that rounding is the virtual machine's. See
-``planner.system.trusted_files`` for what is checked before one is loaded.
+``planner.system.disk_cache`` for what is checked before one is loaded.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ import casadi as ca
 
 from planner.errors import PlannerError
 from planner.numerics.kernels import COMPILE_VARIABLE
-from planner.system.disk_cache import cache_directory
-from planner.system.trusted_files import check_folder, is_intact, make_private, seal
+from planner.system.disk_cache import cache_directory, check_folder, is_intact, make_private, seal
 
 __all__ = ["compiled"]
 

@@ -26,7 +26,7 @@ from planner.synthesis.optimize import MEND_ITERATIONS, NEARLY, GraspRun
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.seeds.draw import frozen_joints, opposed_forces
-from planner.system.stage_times import stage
+from planner.system.threads import stage
 from planner.task import GraspTask
 
 

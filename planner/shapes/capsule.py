@@ -11,8 +11,7 @@ import coal
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes.base import Shape, checked_length, checked_points
-from planner.shapes.closest_point import unit
+from planner.shapes.base import Shape, checked_length, checked_points, unit
 from planner.shapes.surface import KEPT, Patch, Surface, soft_norm
 from planner.spatial import FloatArray
 

@@ -10,8 +10,7 @@ import casadi as ca
 import coal
 import numpy as np
 
-from planner.shapes.base import ALIGNED, Shape, checked_length, checked_points
-from planner.shapes.closest_point import nearest_on_cylinder
+from planner.shapes.base import ALIGNED, Shape, checked_length, checked_points, nearest_on_cylinder
 from planner.shapes.surface import KEPT, Patch, Surface, edge_margin, soft_max, soft_norm
 from planner.spatial import FloatArray
 

@@ -15,18 +15,21 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes.base import Shape, checked_points
-from planner.shapes.closest_point import ON_SURFACE, unit
-from planner.shapes.convex import convex_geometry
+from planner.shapes.base import ON_SURFACE, Shape, checked_points, unit
 from planner.shapes.field.distance_field import DistanceField
-from planner.shapes.field.grid_distance import FIELD_VERSION, field_fits, fit_mesh_field
+from planner.shapes.field.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
+from planner.shapes.hulls import convex_geometry
 from planner.shapes.meshes.ball_tree import BallTree
 from planner.shapes.meshes.checking import check_solid, checked_once
 from planner.shapes.meshes.io import read_mesh
 from planner.shapes.meshes.nearest_triangle import NearestTriangles
-from planner.shapes.meshes.polyhedron import Polyhedron, checked_triangles, digest_of
-from planner.shapes.meshes.rays import pierced
-from planner.shapes.meshes.triangles import winding_number
+from planner.shapes.meshes.triangles import (
+    Polyhedron,
+    checked_triangles,
+    digest_of,
+    pierced,
+    winding_number,
+)
 from planner.shapes.stable import StablePose, stable_poses
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
@@ -282,7 +285,7 @@ class Mesh(Shape):
 
     @cached_property
     def coal_hull(self) -> Any:
-        """The convex hull as a ``coal.Convex``: to a micrometre, see ``planner.shapes.convex``."""
+        """The convex hull as a ``coal.Convex``: to a micrometre, see ``planner.shapes.hulls``."""
         return convex_geometry(self.hull_vertices)
 
     def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:

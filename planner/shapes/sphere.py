@@ -10,8 +10,7 @@ import casadi as ca
 import coal
 import numpy as np
 
-from planner.shapes.base import Shape, checked_length, checked_points
-from planner.shapes.closest_point import unit
+from planner.shapes.base import Shape, checked_length, checked_points, unit
 from planner.shapes.surface import KEPT, Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.errors import ObjectError
 from planner.shapes.base import Shape
-from planner.shapes.decomposition.hulls import hull_of
+from planner.shapes.hulls import hull_of
 from planner.shapes.mesh import Mesh
 from planner.spatial import FloatArray, IntArray
 

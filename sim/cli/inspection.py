@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from planner.arrays import without_prefix
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.plain import without_prefix
 
 if TYPE_CHECKING:
     from planner.describe import CheckReport

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from planner.plain import finite, short_repr
+from planner.arrays import finite, short_repr
 from sim.crosscheck.quantities import QUANTITIES, Difference, Quantity, Tally, Tolerances
 
 SCHEMA = 1

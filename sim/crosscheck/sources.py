@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 import mujoco
 
 from planner.bridge import compile_spec, load_spec
-from planner.bridge.inertias import impossible_inertias, worst_inertia
 from planner.bridge.load import compile_balanced
+from planner.bridge.numbers import impossible_inertias, worst_inertia
 from planner.bridge.structure import read_spec
 from planner.errors import ModelError
 from planner.hand_loading import load_hand

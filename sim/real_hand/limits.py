@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from planner.actuation import Actuation
 from planner.arrays import checked_number, float_array
 from planner.errors import NotFoundError, TaskError, shown
+from planner.joints.actuation import Actuation
 from planner.spatial import FloatArray, IntArray
 
 RANGES_PER_SECOND = 2.0

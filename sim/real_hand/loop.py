@@ -17,7 +17,7 @@ from planner.arrays import checked_number
 from planner.errors import HandError, PlannerError, TaskError
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray
-from planner.system.interrupts import interrupts_wait
+from planner.system.process import interrupts_wait
 from sim.controllers.base import Controller, Phase
 from sim.real_hand.clock import Clock, Pace, RealClock, RecordedClock
 from sim.real_hand.interface import EndOfReadings, HandInterface, HandReading

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console, ConsoleOptions, RenderResult
 
-from planner.plain import finite, short_repr
+from planner.arrays import finite, short_repr
 from planner.spatial import FloatArray
 from sim.tables import table_of
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from planner.errors import FileFormatError
 from planner.plan import GraspPlan
-from planner.system.interrupts import interrupts_wait
+from planner.system.process import interrupts_wait
 from sim.controllers.base import PHASES, Controller
 from sim.controllers.schedule import TOUCH_FORCE
 from sim.real_hand.clock import Clock

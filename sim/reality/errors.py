@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
-from planner.arrays import checked_number
+from planner.arrays import checked_number, finite
 from planner.errors import NotFoundError, TaskError, shown
-from planner.plain import finite
 from sim.tactile import EXACT, check_touch
 
 IDEAL = "ideal"

@@ -13,8 +13,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.arrays import finite
 from planner.hands.hand import Hand
-from planner.plain import finite
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from planner.version import written_by

@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from planner.arrays import finite
 from planner.batch import GraspSet
 from planner.batch.checked import reading
 from planner.batch.dataset import MOST_COMPARED
 from planner.batch.features import GraspFeatures
 from planner.batch.store import ATTEMPTS, GRASPS
 from planner.batch.thinning import distances
-from planner.plain import finite
 from planner.plan import GraspPlan
 
 COLUMNS = {

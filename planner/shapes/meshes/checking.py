@@ -8,8 +8,8 @@ import numpy as np
 
 from planner.errors import ObjectError
 from planner.shapes.meshes.mending import Mending, mended, too_wide
-from planner.shapes.meshes.polyhedron import digest_of
 from planner.shapes.meshes.soundness import faults_of, size_fault
+from planner.shapes.meshes.triangles import digest_of
 from planner.shapes.meshes.union import manifold_is_installed
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays

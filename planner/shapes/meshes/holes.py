@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.shapes.meshes.edges import directed_edges
+from planner.shapes.meshes.soundness import directed_edges
 from planner.spatial import FloatArray, IntArray
 
 LONGEST_RIM = 160

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.shapes.meshes.deviation import deviation
-from planner.shapes.meshes.edges import bodies_of, body_volumes, paired_edges
 from planner.shapes.meshes.holes import hole_widths
 from planner.shapes.meshes.patches import crossed_in_bodies, without_crossings
 from planner.shapes.meshes.repair import right_side_out, with_paired_edges
-from planner.shapes.meshes.soundness import Fault, faults_of
+from planner.shapes.meshes.soundness import Fault, bodies_of, body_volumes, faults_of, paired_edges
 from planner.shapes.meshes.union import manifold_is_installed, united
 from planner.shapes.meshes.wrapping import wrapped
 from planner.spatial import FloatArray, IntArray

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from planner.shapes.meshes.crossing import crossing_pairs, folded_pairs, near_pairs
-from planner.shapes.meshes.edges import bodies_of, paired_edges, undirected_edges
 from planner.shapes.meshes.holes import close_holes
+from planner.shapes.meshes.soundness import bodies_of, paired_edges, undirected_edges
 from planner.spatial import FloatArray, IntArray
 
 ROUNDS = 40

@@ -15,16 +15,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.shapes.meshes.edges import (
+from planner.shapes.meshes.holes import close_holes
+from planner.shapes.meshes.soundness import (
     bodies_of,
     body_volumes,
     directed_edges,
     joined,
     paired_edges,
+    surroundings,
     undirected_edges,
 )
-from planner.shapes.meshes.holes import close_holes
-from planner.shapes.meshes.soundness import surroundings
 from planner.spatial import FloatArray, IntArray
 
 MERGE = 1e-5

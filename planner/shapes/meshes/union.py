@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.shapes.meshes.edges import bodies_of, body_volumes
-from planner.shapes.meshes.soundness import nested
+from planner.shapes.meshes.soundness import bodies_of, body_volumes, nested
 from planner.spatial import FloatArray, IntArray
 
 Triangles = tuple[FloatArray, IntArray]
