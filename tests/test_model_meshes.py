@@ -226,8 +226,8 @@ def test_all_objects_of_an_obj_file_are_an_object(tmp_path: Path) -> None:
     (tmp_path / "two.obj").write_text(text)
     mesh = Mesh.load(tmp_path / "two.obj")
     np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [0.11, 0.02, 0.04], atol=1e-9)
-    # both count once; 3e-5 off where their overlap is wrapped for want of manifold3d
-    assert mesh.volume == pytest.approx(0.11 * 0.02 * 0.04, rel=1e-4)
+    # both count once
+    assert mesh.volume == pytest.approx(0.11 * 0.02 * 0.04, rel=1e-6)
 
 
 # --- what a URDF only shows -----------------------------------------------------------------------

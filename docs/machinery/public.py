@@ -69,6 +69,7 @@ GROUPS: dict[str, list[str]] = {
         "planner.files",
         "planner.exchange",
         "planner.audit",
+        "planner.registry",
         "planner.schema",
         "planner.version",
     ],

@@ -8,7 +8,6 @@ from planner.shapes.ellipsoid import Ellipsoid
 from planner.shapes.made import Channel, Hammer, Knot, LBracket, Mug, Superquadric, Torus
 from planner.shapes.mesh import Mesh
 from planner.shapes.registry import (
-    SHAPES,
     SIZED_SHAPES,
     register_shape,
     shape_from_dict,
@@ -20,7 +19,6 @@ from planner.shapes.stable import StablePose
 from planner.shapes.vessels import Bowl, Cup, Pan, Plate, Teacup, Tube
 
 __all__ = [
-    "SHAPES",
     "SIZED_SHAPES",
     "Bowl",
     "Box",

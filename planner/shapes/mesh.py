@@ -20,8 +20,8 @@ from planner.shapes.field.distance_field import DistanceField
 from planner.shapes.field.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
 from planner.shapes.hulls import convex_geometry
 from planner.shapes.meshes.ball_tree import BallTree
-from planner.shapes.meshes.checking import check_solid, checked_once
 from planner.shapes.meshes.io import read_mesh
+from planner.shapes.meshes.mending import check_solid, checked_once
 from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.triangles import (
     Polyhedron,
