@@ -23,6 +23,30 @@ class Finding:
     what_to_do: str
 
 
+class Findings(list[Finding]):
+    """What a check has found, in the order in which it was found."""
+
+    def add(self, level: Level, what: str, what_to_do: str) -> None:
+        """Note a finding."""
+        self.append(Finding(level=level, what=what, what_to_do=what_to_do))
+
+    def error(self, what: str, what_to_do: str) -> None:
+        """Note what forbids planning."""
+        self.add("error", what, what_to_do)
+
+    def warning(self, what: str, what_to_do: str) -> None:
+        """Note what costs grasps or realism."""
+        self.add("warning", what, what_to_do)
+
+    def note(self, what: str, what_to_do: str) -> None:
+        """Note what is worth knowing."""
+        self.add("note", what, what_to_do)
+
+    def worst_first(self) -> tuple[Finding, ...]:
+        """Errors, then warnings, then notes."""
+        return tuple(sorted(self, key=lambda f: ("error", "warning", "note").index(f.level)))
+
+
 @dataclass(frozen=True, kw_only=True)
 class JointRow:
     """A joint: its place in both engines, its range (rad, m), torque mid-range (N m, N).
