@@ -6,7 +6,7 @@ options. A package of others adds it by an entry point, which needs no import by
     [project.entry-points."opposable.shapes"]
     cone = "my_package.cone:Cone"
 
-Entry points are loaded once, when a name is not found among what is known, or when all are listed.
+Ours come first; nothing of others is imported before its name is asked for.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Registry(MutableMapping[str, T], Generic[T]):
         self.kind, self.group = kind, group
         self._error, self._check = error, check
         self._known: dict[str, T] = {}
-        self._asked = not group
+        self._points: dict[str, metadata.EntryPoint] | None = None
 
     def add(self, name: str, thing: T) -> T:
         """Add a thing; the same one may be added again.
@@ -79,29 +79,32 @@ class Registry(MutableMapping[str, T], Generic[T]):
             raise NotFoundError(self.kind, name, self, hint)
         return self[name]
 
-    def _ask_packages(self) -> None:
-        """Add what entry points name.
+    def _brought(self) -> dict[str, metadata.EntryPoint]:
+        """Entry points by name, looked for once; none is loaded."""
+        if self._points is None:
+            found = metadata.entry_points(group=self.group) if self.group else ()
+            self._points = {point.name: point for point in found}
+        return self._points
+
+    def _load(self, point: metadata.EntryPoint) -> T:
+        """Add what an entry point names.
 
         Raises:
-            PlannerError: ``error`` of the registry: a package's entry point cannot be loaded.
+            PlannerError: ``error`` of the registry: it cannot be imported, or is not usable.
         """
-        if self._asked:
-            return
-        self._asked = True
-        for point in metadata.entry_points(group=self.group):
-            try:
-                thing = point.load()
-            except (ImportError, AttributeError) as fault:
-                raise self._error(
-                    f"{self.kind} {shown(point.name)} of the entry point {point.value!r} cannot be "
-                    f"loaded ({fault}); mend or uninstall the package that brings it"
-                ) from fault
-            self.add(point.name, thing)
+        try:
+            thing = point.load()
+        except (ImportError, AttributeError) as fault:
+            raise self._error(
+                f"{self.kind} {shown(point.name)} of the entry point {point.value!r} cannot be "
+                f"loaded ({fault}); mend or uninstall the package that brings it"
+            ) from fault
+        return self.add(point.name, thing)
 
     def __getitem__(self, name: str) -> T:
         """The thing of a name; KeyError if there is none."""
-        if name not in self._known:
-            self._ask_packages()
+        if name not in self._known and name in self._brought():
+            return self._load(self._brought()[name])
         return self._known[name]
 
     def __setitem__(self, name: str, thing: T) -> None:
@@ -112,12 +115,14 @@ class Registry(MutableMapping[str, T], Generic[T]):
         """Forget a thing."""
         del self._known[name]
 
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a thing of a name; it is not loaded."""
+        return name in self._known or name in self._brought()
+
     def __iter__(self) -> Iterator[str]:
-        """Names, in the order in which they were added."""
-        self._ask_packages()
-        return iter(self._known)
+        """Names, ours in the order in which they were added, then those that packages bring."""
+        yield from [*self._known, *(name for name in self._brought() if name not in self._known)]
 
     def __len__(self) -> int:
         """How many there are."""
-        self._ask_packages()
-        return len(self._known)
+        return len({*self._known, *self._brought()})

@@ -43,15 +43,15 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     registries: tuple[Registry[object], ...] = (SIZED_SHAPES, FOREIGN_HANDS)  # type: ignore
     for registry in registries:
         monkeypatch.setattr(registry, "_known", dict(registry._known))
-        monkeypatch.setattr(registry, "_asked", False)
+        monkeypatch.setattr(registry, "_points", None)
     yield tmp_path
     sys.modules.pop(PACKAGE, None)
 
 
 def test_an_installed_package_brings_a_shape_and_a_hand(installed: Path) -> None:
+    assert "marble" in SIZED_SHAPES and PACKAGE not in sys.modules
     item = parse_object("marble:0.01")
     assert item.shape.sizes == (0.01,) and item.name == "marble"
-    assert "marble" in SIZED_SHAPES
     assert find_hand("somebodys_claw") == installed / "claw.xml"
     assert "somebodys_claw" in foreign_hand_names()
     assert hand_reference("somebodys_claw") == "somebodys_claw"
@@ -60,7 +60,8 @@ def test_an_installed_package_brings_a_shape_and_a_hand(installed: Path) -> None
 def test_an_entry_point_that_cannot_be_loaded_is_named(installed: Path) -> None:
     broken: Registry[object] = Registry("thing", group="opposable.broken")
     with pytest.raises(TaskError, match=r"thing 'nothing' of the entry point .*:Nothing' cannot"):
-        list(broken)
+        broken.named("nothing")
+    assert list(broken) == ["nothing"]  # listing imports nothing
 
 
 def test_a_name_is_taken_once_and_told_where_it_is_missing() -> None:
