@@ -300,6 +300,45 @@ class Shape(ABC):
         return SE3(rotation, np.array([0.0, 0.0, table_height + height]))
 
 
+class Sized:
+    """Base, before ``Shape`` or ``Mesh``, of a frozen dataclass whose fields are its sizes.
+
+    The fields are in the order of ``size_names``; lengths are checked, and are floats.
+    """
+
+    kind: ClassVar[str]
+    size_names: ClassVar[tuple[str, ...]]
+    pure_numbers: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        """Check the sizes."""
+        for name in self.size_names:
+            if name not in self.pure_numbers:
+                value = checked_length(self.kind, name, getattr(self, name))
+                object.__setattr__(self, name, value)
+        self._check()
+
+    def _check(self) -> None:
+        """Whether the sizes fit each other; ObjectError if not."""
+
+    @classmethod
+    def from_sizes(cls, sizes: Sequence[float]) -> Self:
+        """From the numbers of the specification."""
+        make: Any = cls
+        shape: Self = make(*sizes)
+        return shape
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """The numbers of the specification, m."""
+        return tuple(getattr(self, name) for name in self.size_names)
+
+    @property
+    def spec(self) -> str:
+        """See ``Shape``."""
+        return sized_spec(self.kind, self.sizes)
+
+
 def sized_spec(kind: str, sizes: Sequence[float]) -> str:
     """The specification of a kind and sizes (m) with every digit: "box:0.05x0.05x0.08"."""
     return f"{kind}:" + "x".join(repr(v) for v in sizes)

@@ -10,41 +10,35 @@ from __future__ import annotations
 
 import re
 from abc import abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
 from planner.arrays import checked_number
 from planner.errors import ObjectError
-from planner.shapes.base import checked_length, sized_spec
+from planner.shapes.base import Sized
 from planner.shapes.mesh import Mesh
 from planner.shapes.meshes.triangles import Polyhedron
 from planner.spatial import FloatArray, IntArray
 from planner.system.package import models_dir
 
 
-class Made(Mesh):
+class Made(Sized, Mesh):  # type: ignore[misc]
     """A mesh that is made from a few sizes.
 
     A subclass is a frozen dataclass, compared as meshes are (``eq=False``), whose fields are its
-    sizes, in the order of ``size_names``.
+    sizes: names, order and defaults of a specification are those of the fields.
     """
 
     source: ClassVar[None] = None  # type: ignore[misc]
 
-    def __post_init__(self) -> None:
-        """Check the sizes."""
-        for name in self.size_names:
-            if name not in self.pure_numbers:
-                value = checked_length(self.kind, name, getattr(self, name))
-                object.__setattr__(self, name, value)
-        self._check()
-
-    def _check(self) -> None:
-        """Whether the sizes fit each other; ObjectError if not."""
+    def __init_subclass__(cls) -> None:
+        """Take the names and defaults of the fields."""
+        names = [name for name, kind in cls.__annotations__.items() if kind == "float"]
+        cls.size_names = tuple(names)
+        cls.default_sizes = tuple(getattr(cls, name, 0.0) for name in names)
 
     @abstractmethod
     def _triangles(self) -> tuple[FloatArray, IntArray]:
@@ -53,23 +47,6 @@ class Made(Mesh):
     @cached_property
     def _solid(self) -> Polyhedron:  # type: ignore[override]
         return Polyhedron.centred(*self._triangles())
-
-    @classmethod
-    def from_sizes(cls, sizes: Sequence[float]) -> Self:
-        """From the numbers of the specification."""
-        make: Any = cls
-        shape: Self = make(*sizes)
-        return shape
-
-    @property
-    def sizes(self) -> tuple[float, ...]:
-        """The numbers of the specification."""
-        return tuple(getattr(self, name) for name in self.size_names)
-
-    @property
-    def spec(self) -> str:
-        """See ``Shape``."""
-        return sized_spec(self.kind, self.sizes)
 
 
 TORUS_AROUND, TORUS_ACROSS = 72, 36
@@ -121,8 +98,6 @@ class LBracket(Made):
     """
 
     kind: ClassVar[str] = "lbracket"
-    size_names: ClassVar[tuple[str, ...]] = ("length", "height", "width", "thickness")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.09, 0.08, 0.045, 0.025)
     length: float = 0.09
     height: float = 0.08
     width: float = 0.045
@@ -154,8 +129,6 @@ class Channel(Made):
     """
 
     kind: ClassVar[str] = "channel"
-    size_names: ClassVar[tuple[str, ...]] = ("length", "height", "width", "thickness")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.06, 0.06, 0.08, 0.002)
     length: float = 0.06
     height: float = 0.06
     width: float = 0.08
@@ -198,8 +171,6 @@ class Torus(Made):
     """
 
     kind: ClassVar[str] = "torus"
-    size_names: ClassVar[tuple[str, ...]] = ("ring", "tube")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.035, 0.015)
     ring: float = 0.035
     tube: float = 0.015
 
@@ -237,8 +208,6 @@ class Superquadric(Made):
     """
 
     kind: ClassVar[str] = "superquadric"
-    size_names: ClassVar[tuple[str, ...]] = ("x", "y", "z", "e1", "e2")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.06, 0.06, 0.09, 0.5, 0.5)
     pure_numbers: ClassVar[tuple[str, ...]] = ("e1", "e2")
     x: float = 0.06
     y: float = 0.06
@@ -289,8 +258,6 @@ class Knot(Made):
     """
 
     kind: ClassVar[str] = "knot"
-    size_names: ClassVar[tuple[str, ...]] = ("radius", "tube")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.04, 0.007)
     radius: float = 0.04
     tube: float = 0.007
 
@@ -354,8 +321,6 @@ class Mug(Made):
     """
 
     kind: ClassVar[str] = "mug"
-    size_names: ClassVar[tuple[str, ...]] = ("radius", "height")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.04, 0.09)
     radius: float = 0.04
     height: float = 0.09
 
@@ -384,8 +349,6 @@ class Hammer(Made):
     """
 
     kind: ClassVar[str] = "hammer"
-    size_names: ClassVar[tuple[str, ...]] = ("length", "head", "radius")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.2, 0.09, 0.02)
     length: float = 0.20
     head: float = 0.09
     radius: float = 0.02

@@ -137,8 +137,6 @@ class Cup(Walled):
     """
 
     kind: ClassVar[str] = "cup"
-    size_names: ClassVar[tuple[str, ...]] = ("radius", "height", "wall")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.035, 0.09, 0.002)
     radius: float = 0.035
     height: float = 0.09
     wall: float = 0.002
@@ -163,8 +161,6 @@ class Bowl(Walled):
     """
 
     kind: ClassVar[str] = "bowl"
-    size_names: ClassVar[tuple[str, ...]] = ("radius", "height", "wall")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.06, 0.055, 0.002)
     radius: float = 0.06
     height: float = 0.055
     wall: float = 0.002
@@ -209,8 +205,6 @@ class Plate(Walled):
     """
 
     kind: ClassVar[str] = "plate"
-    size_names: ClassVar[tuple[str, ...]] = ("radius", "height", "wall")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.09, 0.025, 0.003)
     radius: float = 0.09
     height: float = 0.025
     wall: float = 0.003
@@ -236,8 +230,6 @@ class Tube(Walled):
     """
 
     kind: ClassVar[str] = "tube"
-    size_names: ClassVar[tuple[str, ...]] = ("radius", "height", "wall")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.03, 0.1, 0.002)
     radius: float = 0.03
     height: float = 0.1
     wall: float = 0.002
@@ -331,8 +323,6 @@ class Teacup(_Handled):
     """
 
     kind: ClassVar[str] = "teacup"
-    size_names: ClassVar[tuple[str, ...]] = ("radius", "height", "wall")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.04, 0.09, 0.002)
     radius: float = 0.04
     height: float = 0.09
     wall: float = 0.002
@@ -400,8 +390,6 @@ class Pan(_Handled):
     """
 
     kind: ClassVar[str] = "pan"
-    size_names: ClassVar[tuple[str, ...]] = ("radius", "height", "wall")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.08, 0.045, 0.002)
     radius: float = 0.08
     height: float = 0.045
     wall: float = 0.002
