@@ -24,7 +24,7 @@ from scipy.special import digamma
 from planner.batch.features import GraspFeatures
 from planner.batch.thinning import thin
 from planner.shapes import Shape
-from planner.shapes.triangulation import surface_points
+from planner.shapes.mesh import surface_points
 from planner.spatial import FloatArray, IntArray
 
 N_SIDE = 4

@@ -18,9 +18,9 @@ from planner.pages.rows import IDENTITY_ROW, pose_row
 from planner.pages.scene import Actor, Model, Part, Scene
 from planner.pages.surroundings import object_model, table_model
 from planner.shapes import Mesh
+from planner.shapes.mesh import surface_triangles
 from planner.shapes.meshes.simplify import simplified
 from planner.shapes.stable import StablePose
-from planner.shapes.triangulation import surface_triangles
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["mesh_page"]

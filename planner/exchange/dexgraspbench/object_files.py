@@ -16,8 +16,7 @@ from planner.files import write_json
 from planner.shapes import Shape
 from planner.shapes.decomposition.pieces import convex_pieces, deviation
 from planner.shapes.hulls import hull_of
-from planner.shapes.mesh import Mesh
-from planner.shapes.triangulation import surface_triangles
+from planner.shapes.mesh import Mesh, surface_triangles
 from planner.spatial import FloatArray, IntArray
 from planner.task import GraspTask
 
