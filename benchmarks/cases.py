@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeVar
 
 from benchmarks.conditions import Conditions
 from benchmarks.run import measure
-from planner.plain import finite
+from planner.arrays import finite
 from sim.runner import Check, Runner
 from sim.tables import Row
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.objects import object_names, parse_object
 from planner.shapes import SIZED_SHAPES, Shape
-from planner.shapes.made.base import Made
+from planner.shapes.made import Made
 from planner.spatial import SE3, FloatArray
 
 SURE_DEG = 10.0

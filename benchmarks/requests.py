@@ -31,7 +31,7 @@ from planner.quality.ball import epsilon_frogger, epsilon_l1
 from planner.search import DEFAULT_MAX_ATTEMPTS, Attempt, attempts
 from planner.shapes import Mesh, Shape, shape_key
 from planner.synthesis.options import SynthesisOptions
-from planner.system.stage_times import timed
+from planner.system.threads import timed
 from planner.task import DEFAULT_MU, GraspTask
 
 APPROACH = "approach"

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 from rich.markup import escape
 
 from benchmarks.journal import Journal
-from planner.plain import finite
+from planner.arrays import finite
 from sim.estimation import NONE, AnyEstimator, estimator_name
 from sim.reality import Reality
 from sim.runner import Check, Runner, made_with

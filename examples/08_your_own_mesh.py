@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from planner import GraspTask, parse_object, plan_grasp
-from planner.regions import TouchRegion, parse_region
+from planner.objects import TouchRegion, parse_region
 from planner.shapes import Mesh, Mug
 
 HAND = "allegro_hand"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from sim.crosscheck import compare_models, crosscheck
 
 MODEL = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"

@@ -13,7 +13,7 @@ loading MuJoCo, Pinocchio, coal or CasADi.
 from typing import TYPE_CHECKING
 
 from planner.showing import register_notebook, register_page
-from planner.system.lazy_names import lazy_names
+from planner.system.package import lazy_names
 from planner.version import __version__
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from planner.arrays import LARGEST_INT
 from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
-from planner.plain import LARGEST_INT
 
 __all__ = [
     "Attempt",

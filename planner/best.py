@@ -39,7 +39,7 @@ from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.room import with_room
 from planner.synthesis.seeds.draw import Seeder
-from planner.system.stage_times import stage
+from planner.system.threads import stage
 from planner.task import GraspTask
 from planner.verification.grasp import plan_forces
 

@@ -18,11 +18,9 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem
 from planner.synthesis.symbols import GraspPoint
 from planner.synthesis.terms.term import Term, first_failure
-from planner.system.stage_times import stage
-from planner.system.threads import kept_by_thread
+from planner.system.threads import kept_by_thread, stage
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
-from planner.verification.projection import project_onto_surface
+from planner.verification.grasp import project_onto_surface, verify_grasp
 
 __all__ = ["UNSOLVED", "finished", "true_geometry", "true_links", "verified_on_surface"]
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from planner.bridge import load_spec, spec_from_model
-from planner.description import HandDescription
 from planner.hands.arm import read_mount
 from planner.hands.build import build_from_spec, build_hand, hand_on_arm
 from planner.hands.catalog import find_hand, hand_reference
 from planner.hands.description_toml import DescribedHand, read_description
 from planner.hands.hand import Hand
+from planner.joints.description import HandDescription
 
 __all__ = ["hand_from_model", "hand_from_spec", "load_hand"]
 

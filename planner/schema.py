@@ -10,8 +10,8 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
+from planner.arrays import LARGEST_FLOAT, LARGEST_INT
 from planner.errors import shown
-from planner.plain import LARGEST_FLOAT, LARGEST_INT
 
 __all__ = ["StrictData", "faults_of"]
 

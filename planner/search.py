@@ -31,8 +31,7 @@ from planner.synthesis.room import with_room
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.terms.registry import TERMS
-from planner.system.stage_times import stage
-from planner.system.threads import made_once
+from planner.system.threads import made_once, stage
 from planner.task import GraspTask
 
 __all__ = [

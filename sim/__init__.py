@@ -13,7 +13,7 @@ own package, ``sim.crosscheck``.
 from typing import TYPE_CHECKING
 
 from planner.showing import register_notebook, register_page
-from planner.system.lazy_names import lazy_names
+from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
     from sim.carrier import Timeline

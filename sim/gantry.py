@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from planner.bridge.inertias import LEAST_INERTIA, LEAST_MASS
+from planner.bridge.numbers import LEAST_INERTIA, LEAST_MASS
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = [

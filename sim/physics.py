@@ -23,10 +23,9 @@ from typing import Any, Literal, TypeAlias
 
 import mujoco
 
-from planner.arrays import checked_number
+from planner.arrays import checked_number, finite
 from planner.contacts import MOST_FRICTION
 from planner.errors import TaskError, shown
-from planner.plain import finite
 from planner.spatial import FloatArray
 from sim.presets import Presets
 

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, pose_change, pose_to_wxyz
-from planner.system.interrupts import interrupts_wait
+from planner.system.process import interrupts_wait
 from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import ContactHistory, ContactRows
 from sim.recording import PALM, Recording, Samples

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import create_model
 
+from planner.arrays import LARGEST_FLOAT, finite
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError
-from planner.plain import LARGEST_FLOAT, finite
 from planner.quality import closure_of_wrenches
 from planner.quality.cones import contact_wrenches
 from planner.schema import StrictData

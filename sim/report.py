@@ -13,9 +13,9 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from planner.arrays import finite
 from planner.contacts import ContactSet
 from planner.files import plan_from_dict, plan_to_dict
-from planner.plain import finite
 from planner.plan import GraspPlan
 from planner.quality import QualityReport, analyse
 from planner.showing import Shown, in_notebook

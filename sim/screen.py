@@ -11,7 +11,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from planner.plain import short_repr
+from planner.arrays import short_repr
 
 __all__ = ["OnScreen", "number", "percent", "reality_lines", "table"]
 

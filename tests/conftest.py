@@ -26,7 +26,7 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.controllers.follow import MotionReference
 from sim.controllers.reference import Target

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
-from planner.actuation import STOP_TOL, Actuation
 from planner.bridge import actuation_from_mujoco
 from planner.errors import HandError, ModelError
+from planner.joints.actuation import STOP_TOL, Actuation
 from planner.spatial import FloatArray
 
 FOUR_JOINTS = """

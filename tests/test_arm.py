@@ -33,7 +33,7 @@ from planner.kinematics.state import HandState
 from planner.kinematics.symbolic import SymbolicHand
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.reality import Drawn, Reality, drawn_numbers, draws_in_words
 

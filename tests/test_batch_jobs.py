@@ -23,9 +23,8 @@ from planner.failure import Failure
 from planner.forces import ExpectedLoad
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.objects import GraspObject, parse_object
+from planner.objects import GraspObject, TouchRegion, parse_object, parse_region
 from planner.plan import GraspPlan
-from planner.regions import TouchRegion, parse_region
 from planner.search import Attempt, plan_grasp
 from planner.shapes import Box, Mesh, Sphere, shape_key
 from planner.spatial import SE3

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_actuation import make, tendon_finger
 
-from planner.actuation import STOP_TOL
+from planner.joints.actuation import STOP_TOL
 from planner.spatial import FloatArray
 from sim.controllers.believed import (
     LEAST_EFFORT,

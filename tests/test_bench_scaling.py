@@ -23,7 +23,7 @@ from benchmarks.star_hand import write_star_hand
 from planner.errors import NotFoundError
 from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
-from planner.shapes.field.grid_distance import fit_mesh_field
+from planner.shapes.field.mesh_field import fit_mesh_field
 from planner.system.disk_cache import CACHE_VARIABLE
 from sim.runner import Runner
 

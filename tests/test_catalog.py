@@ -24,7 +24,7 @@ from planner.hand_loading import load_hand
 from planner.hands import catalog
 from planner.hands.catalog import find_hand, hand_names, hand_reference, model_file
 from planner.hands.hand import Hand
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 
 EditHand = Callable[..., Path]
 

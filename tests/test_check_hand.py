@@ -20,7 +20,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.synthesis.seeds.opposition import opposition
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT, EXIT_NO

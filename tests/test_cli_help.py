@@ -15,7 +15,7 @@ from documents import blocks, is_run, programs
 from test_docs import RUNNING
 from typer.testing import CliRunner
 
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from sim.cli import app
 from sim.cli.listing import GROUPS, RENAMED, Commands, Listed, flowing
 

@@ -16,7 +16,7 @@ from planner.bridge.geometry import coal_geometry
 from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
 from planner.shapes import Mesh
-from planner.shapes.convex import BLUNT, convex_geometry
+from planner.shapes.hulls import BLUNT, convex_geometry
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 

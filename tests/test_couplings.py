@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from planner.bridge import actuation_from_mujoco, couplings_from_mujoco
 from planner.contacts import ContactSet
-from planner.couplings import Coupling, check_couplings, independent_couplings
 from planner.errors import HandError, ModelError
 from planner.forces import distribute_forces
+from planner.joints.couplings import Coupling, check_couplings, independent_couplings
 from planner.spatial import FloatArray
 
 FINGER = """

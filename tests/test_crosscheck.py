@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 import sim.crosscheck.check as check_module
 from planner.bridge import pinocchio_from_mujoco
 from planner.errors import ModelError, NotFoundError, PlannerError, TaskError
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from sim.cli import app
 from sim.crosscheck import (
     BRIDGE,

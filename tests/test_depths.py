@@ -25,7 +25,7 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import MovingHand
 from planner.search import plan_grasp
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
-from planner.shapes.convex import convex_geometry
+from planner.shapes.hulls import convex_geometry
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 

@@ -20,10 +20,9 @@ from hypothesis import strategies as st
 from planner.bridge import hand_geometries, load_spec
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.structure import structure_of
-from planner.couplings import Coupling
 from planner.describe import Proposal, description_text, propose, write_proposal
-from planner.describe.convex_links import ConvexLink, cone_directions, sphere_directions
 from planner.describe.drive import impossible_couplings
+from planner.describe.fingertips import ConvexLink, cone_directions, sphere_directions
 from planner.describe.overlaps import HandGaps
 from planner.describe.postures import PostureSolver
 from planner.describe.tree import finger_names, read_tree
@@ -31,11 +30,12 @@ from planner.errors import FileFormatError, HandError, ModelError, NotFoundError
 from planner.hand_loading import hand_from_spec, load_hand
 from planner.hands.description_toml import read_description
 from planner.hands.hand import Hand
+from planner.joints.couplings import Coupling
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3
 from planner.synthesis.seeds.opposition import opposition
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask
 
 FINGER = """
@@ -631,7 +631,7 @@ def test_a_zero_that_was_proposed_is_written(
 def test_any_name_survives_the_file(joint: str, geom: str, value: float) -> None:
     import tomllib
 
-    from planner.describe.write import _line
+    from planner.describe.proposal import _line
 
     text = "\n".join(_line(joint, value) + _line("geom", geom) if joint != "geom" else [])
     expected = {} if joint == "geom" else {joint: value, "geom": geom}

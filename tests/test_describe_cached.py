@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.describe import cached, propose, proposed_description
-from planner.description import HandDescription
 from planner.errors import HandError, ModelError, NotFoundError
 from planner.hand_loading import load_hand
+from planner.joints.description import HandDescription
 from planner.system.disk_cache import CACHE_VARIABLE, write_text
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 
 ALLEGRO = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
 

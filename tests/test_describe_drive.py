@@ -11,13 +11,13 @@ import pytest
 from test_describe import claw, urdf, written
 
 from planner.bridge import load_spec
-from planner.couplings import Coupling, nearest_on_couplings
 from planner.describe import Proposal, check_hand, propose
 from planner.describe.postures import PostureSolver
-from planner.description import CouplingDescription
 from planner.errors import HandError
 from planner.hand_loading import hand_from_spec
 from planner.hands.hand import Hand
+from planner.joints.couplings import Coupling, nearest_on_couplings
+from planner.joints.description import CouplingDescription
 
 NAMES = ("thumb", "left", "right")
 

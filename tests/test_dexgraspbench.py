@@ -33,7 +33,7 @@ from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.shapes.decomposition.pieces import Pieces
 from planner.spatial import SE3, pose_from_wxyz
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.protocols.dexgraspbench_scene import benchmark_contacts, benchmark_scene
 

@@ -31,7 +31,7 @@ from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.search import plan_grasp
 from planner.shapes import Box, Sphere
-from planner.shapes.triangulation import surface_points, surface_triangles
+from planner.shapes.mesh import surface_points, surface_triangles
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 

@@ -21,7 +21,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask, Obstacle
 
 Json: TypeAlias = Any

@@ -20,9 +20,8 @@ from planner.hands.hand import Hand
 from planner.immutable import FixedPose, fixed_pose
 from planner.motion import plan_motion
 from planner.motion.path import ObjectPath
-from planner.objects import parse_object
+from planner.objects import TouchRegion, parse_object, parse_region
 from planner.plan import GraspPlan
-from planner.regions import TouchRegion, parse_region
 from planner.search import plan_grasp
 from planner.shapes import Shape
 from planner.spatial import SE3

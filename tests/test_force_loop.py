@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.actuation import Actuation
 from planner.contacts import ContactSet
 from planner.errors import ContactError
 from planner.forces import (
@@ -27,6 +26,7 @@ from planner.forces import (
     turning_wrenches,
 )
 from planner.hand_loading import load_hand
+from planner.joints.actuation import Actuation
 from planner.numerics.dense_qp import DenseQp
 from planner.spatial import FloatArray
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from planner.actuation import Actuation
 from planner.contacts import ContactSet
 from planner.errors import ContactError, InfeasibleError
 from planner.forces import (
@@ -19,6 +18,7 @@ from planner.forces import (
     gravity_wrench,
 )
 from planner.hand_loading import load_hand
+from planner.joints.actuation import Actuation
 from planner.kinematics.state import HandState
 
 MASS, G = 0.1, 9.81

@@ -27,11 +27,11 @@ from planner.bridge import (
 )
 from planner.bridge.geometry import coal_geometry
 from planner.bridge.load import model_bytes, model_files
-from planner.description import HandDescription
 from planner.errors import HandError, ModelError, NotFoundError
 from planner.hand_loading import hand_from_model, hand_from_spec, load_hand
 from planner.hands.catalog import FOREIGN_HANDS
 from planner.hands.hand import Hand
+from planner.joints.description import HandDescription
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3

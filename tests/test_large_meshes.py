@@ -10,9 +10,8 @@ import trimesh
 from conftest import calls_in
 
 from planner.shapes import Mesh
-from planner.shapes.meshes.crossing import crossing_pairs, near_pairs
+from planner.shapes.meshes.crossing import crossing_pairs, near_pairs, overlapping_boxes
 from planner.shapes.meshes.io import read_mesh
-from planner.shapes.meshes.near_pairs import overlapping_boxes
 from planner.shapes.meshes.soundness import MOST_TRIANGLES, faults_of
 from planner.system.disk_cache import CACHE_VARIABLE
 

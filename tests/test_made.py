@@ -24,9 +24,8 @@ from planner.shapes import (
     shape_from_dict,
     shape_to_dict,
 )
-from planner.shapes.made.scaled import read_object
-from planner.shapes.meshes.edges import bodies_of
-from planner.shapes.meshes.soundness import faults_of
+from planner.shapes.made import read_object
+from planner.shapes.meshes.soundness import bodies_of, faults_of
 
 EXAMPLES: tuple[Mesh, ...] = (
     Mug(),

@@ -16,6 +16,7 @@ import trimesh
 from conftest import noting_advances, of_trimesh
 from manipulations import DT, QUICK, UP, first_in_palm, follow, task_of, with_log
 
+from planner.arrays import finite
 from planner.collision.world import CollisionWorld, shape_pair
 from planner.errors import TaskError
 from planner.failure import Failure
@@ -36,7 +37,6 @@ from planner.motion.manipulation.single_stroke import (
 )
 from planner.motion.release import find_release
 from planner.objects import GraspObject, parse_object
-from planner.plain import finite
 from planner.shapes import Box
 from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask

@@ -15,9 +15,9 @@ from planner.proximity.bodies import ConvexBodies
 from planner.proximity.mesh import MeshPair
 from planner.proximity.mesh_pairs import MeshPairs
 from planner.shapes import Mesh
-from planner.shapes.convex import convex_geometry
+from planner.shapes.hulls import convex_geometry
 from planner.shapes.meshes import nearest_kernels
-from planner.shapes.meshes.ball_tree import LEAF, BallTree
+from planner.shapes.meshes.nearest_triangle import LEAF, BallTree
 from planner.spatial import SE3, FloatArray
 
 CORNERS = np.random.default_rng(4).normal(0.0, 0.01, (30, 3)) + np.array([0.01, 0.0, 0.0])

@@ -24,11 +24,10 @@ from planner.failure import Failure
 from planner.files import read_plan, write_plan
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.objects import GraspObject, parse_object
+from planner.objects import GraspObject, Region, TouchRegion, parse_object, parse_region
 from planner.plan import GraspPlan
 from planner.proximity.convex import DistancePair
 from planner.proximity.mesh import MeshPair
-from planner.regions import Region, TouchRegion, parse_region
 from planner.search import attempts, plan_grasp
 from planner.shapes import Box, Mesh, Shape, Torus
 from planner.spatial import SE3, FloatArray
@@ -48,7 +47,7 @@ from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask
 from planner.tolerances import TOUCH_TOL
 from planner.verification.geometry import edge_failures, verify_geometry
-from planner.verification.projection import GAP_TOL, project_onto_surface
+from planner.verification.grasp import GAP_TOL, project_onto_surface
 
 
 @pytest.fixture(scope="module")

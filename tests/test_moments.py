@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from planner.bridge import actuation_from_mujoco
-from planner.bridge.joint_rows import actuator_row, is_fixed_tendon, tendon_row
-from planner.bridge.pinocchio_model import effort_limits
+from planner.bridge.pinocchio_model import actuator_row, effort_limits, is_fixed_tendon, tendon_row
 from planner.bridge.structure import structure_of
 from planner.errors import ModelError
 

@@ -10,14 +10,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.bridge.motors import motorise_spec
+from planner.bridge.edit import motorise_spec
 from planner.errors import HandError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.search import plan_grasp
 from planner.spatial import FloatArray
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.controllers import ObjectImpedance
 from sim.trial import simulate

@@ -25,7 +25,7 @@ from planner.kinematics.state import HandState
 from planner.motion.path import ObjectPath, check_place
 from planner.objects import GraspObject
 from planner.quality import analyse, force_closure
-from planner.shapes import SHAPES, Box, Mesh
+from planner.shapes import SIZED_SHAPES, Box, Mesh
 from planner.spatial import contact_frames
 from planner.synthesis.options import SynthesisOptions
 from sim.carrier import Timeline
@@ -141,7 +141,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
     (Timeline(), {"close_wait": NOT_NEGATIVE, "": POSITIVE}),
     (Thresholds(), {"": POSITIVE_OR_INFINITE}),
     (DropCriteria(), {"fewest": NOT_NEGATIVE, "": POSITIVE_OR_INFINITE}),
-    *((k.from_sizes(k.default_sizes), {"": POSITIVE}) for k in SHAPES.values() if k.size_names),
+    *((k.from_sizes(k.default_sizes), {"": POSITIVE}) for k in SIZED_SHAPES.values()),
 )
 """Valid dataclasses; field -> what it may be, "" for all fields of numbers that are not named."""
 
@@ -351,7 +351,7 @@ def test_wrong_shapes_and_sizes_at_other_doors_are_named(allegro: Hand) -> None:
         "points have shape": lambda: state.point_jacobians(np.array(1.5), np.zeros((1, 3))),
         "1e154": lambda: contact_frames(points * 1e300),
         "normals are": lambda: contact_frames(huge),
-        "radius is": lambda: SHAPES["sphere"].from_sizes([10**400]),
+        "radius is": lambda: SIZED_SHAPES["sphere"].from_sizes([10**400]),
         "mu is": lambda: contacts.with_friction(masked),
     }
     for message, wrong in wrongs.items():

@@ -107,8 +107,8 @@ OVERLAP = (
 
 
 def test_parts_that_overlap_are_united(scene: Scene) -> None:
-    pytest.importorskip("manifold3d")
     body = object_body(scene(OVERLAP), "thing")
+    assert isinstance(body.shape, Mesh) and body.shape.mended == ""
     one, other = Cylinder(0.02, 0.1), Capsule(0.015, 0.09)
     points = np.random.default_rng(0).uniform(-0.06, 0.06, size=(4000, 3))
     either = np.minimum(
@@ -117,19 +117,6 @@ def test_parts_that_overlap_are_united(scene: Scene) -> None:
     ours = body.shape.signed_distance(points - body.T_body_object.translation)
     told = np.abs(either) > 2e-4
     np.testing.assert_array_equal(ours[told] < 0, either[told] < 0)
-
-
-@pytest.mark.slow
-def test_without_the_library_that_unites_geoms_are_wrapped_as_one(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("manifold3d")  # for the exact union
-    exact = object_body(scene(OVERLAP), "thing").shape
-    monkeypatch.setitem(__import__("sys").modules, "manifold3d", None)
-    wrapped = object_body(scene(OVERLAP), "thing").shape
-    assert isinstance(exact, Mesh) and exact.mended == ""
-    assert isinstance(wrapped, Mesh) and "since manifold3d is not installed" in wrapped.mended
-    assert wrapped.volume == pytest.approx(exact.volume, rel=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from planner.actuation import Actuation
 from planner.contacts import ContactSet
 from planner.forces import ForceLoop, distribute_forces
 from planner.forces.problem import RESIDUAL_TOL
 from planner.hand_loading import load_hand
+from planner.joints.actuation import Actuation
 from planner.spatial import FloatArray
 
 MODELS = ("frictionless", "point", "soft")

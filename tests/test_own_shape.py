@@ -15,7 +15,7 @@ import trimesh
 from planner import GraspTask, plan_grasp, read_plan, write_plan
 from planner.errors import ObjectError
 from planner.objects import object_names, parse_object
-from planner.shapes import SHAPES, SIZED_SHAPES, Mesh, Shape, register_shape, shape_from_dict
+from planner.shapes import SIZED_SHAPES, Mesh, Shape, register_shape, shape_from_dict
 from planner.shapes.base import checked_length, checked_points
 from planner.shapes.surface import Patch, Surface, edge_margin, soft_norm
 from planner.spatial import SE3, FloatArray
@@ -143,7 +143,7 @@ _CONE = _ConeSurface()
 @pytest.fixture
 def cone() -> Iterator[type[Cone]]:
     yield register_shape(Cone)
-    del SHAPES["cone"], SIZED_SHAPES["cone"]
+    del SIZED_SHAPES["cone"]
 
 
 def test_its_figures_are_those_of_a_mesh_of_it(cone: type[Cone]) -> None:
@@ -205,8 +205,8 @@ def test_what_cannot_be_registered_is_refused(attribute: str, value: Any, messag
     wrong = type("Wrong", (Cone,), {attribute: value})
     with pytest.raises(ObjectError, match=message):
         register_shape(wrong)
-    assert "cone" not in SHAPES
-    assert SHAPES["sphere"].__name__ == "Sphere"
+    assert "cone" not in SIZED_SHAPES
+    assert SIZED_SHAPES["sphere"].__name__ == "Sphere"
 
 
 def test_a_shape_without_patches_says_so(cone: type[Cone]) -> None:

@@ -10,7 +10,6 @@ import pytest
 
 from planner.shapes import Box, Mesh, Sphere
 from planner.shapes.decomposition.cutting import Cell, Guards, cut, half_of
-from planner.shapes.decomposition.hulls import clip, crossing_points, hull_of
 from planner.shapes.decomposition.pieces import (
     TOLERANCE,
     Pieces,
@@ -19,6 +18,7 @@ from planner.shapes.decomposition.pieces import (
     solid_deviation,
     solid_geoms,
 )
+from planner.shapes.hulls import clip, crossing_points, hull_of
 from planner.shapes.made import LBracket, Superquadric, Torus
 from planner.shapes.meshes.triangles import cover
 from planner.spatial import FloatArray

@@ -19,7 +19,7 @@ from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.system import plugins
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.controllers import GraspController, controller_maker
 from sim.protocols import run_protocol

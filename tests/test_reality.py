@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manipulations import QUICK, task_of
 
-from planner.actuation import Actuation
 from planner.errors import NotFoundError, TaskError
 from planner.hand_loading import load_hand
+from planner.joints.actuation import Actuation
 from planner.kinematics.state import HandState
 from planner.motion.manipulation import plan_manipulation
 from planner.plan import GraspPlan

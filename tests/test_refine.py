@@ -25,11 +25,10 @@ from planner.finishing import verified_on_surface
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.objects import parse_object
+from planner.objects import TouchRegion, parse_object, parse_region
 from planner.refine import Movement, RefinedGrasp, with_fingers
 from planner.refine.pose import palm_pose, under_pads
 from planner.refine.rungs import NEAR, near_numbers
-from planner.regions import TouchRegion, parse_region
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem_cache import problems_for

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from planner.errors import ObjectError
-from planner.objects import parse_object
-from planner.regions import Region, TouchRegion
+from planner.objects import Region, TouchRegion, parse_object
 
 UPPER = Region(name="upper half", lower=(-np.inf, -np.inf, 0.0))
 RIGHT = Region(name="right", lower=(0.01, -1.0, -1.0), upper=(1.0, 1.0, 1.0))

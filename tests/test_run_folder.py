@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planner.objects import parse_object
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from sim.cli import grasp
 
 

@@ -20,9 +20,8 @@ from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.objects import parse_object
+from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
-from planner.regions import Region, TouchRegion
 from planner.search import SPARE_AFTER, Attempt, attempts, plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions

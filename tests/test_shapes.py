@@ -19,7 +19,7 @@ from planner.errors import NotFoundError, ObjectError
 from planner.objects import parse_object
 from planner.proximity.convex import DistancePair
 from planner.shapes import (
-    SHAPES,
+    SIZED_SHAPES,
     Box,
     Capsule,
     Cylinder,
@@ -432,8 +432,8 @@ def test_integers_and_numpy_numbers_are_sizes() -> None:
 
 
 def test_every_kind_is_registered_under_its_name() -> None:
-    assert {kind: cls.kind for kind, cls in SHAPES.items()} == {k: k for k in SHAPES}
-    made = {s for s in SHAPES.values() if issubclass(s, Mesh)}  # see test_mesh and test_made
-    assert {type(s) for s in EXAMPLES} == set(SHAPES.values()) - made
+    assert {kind: cls.kind for kind, cls in SIZED_SHAPES.items()} == {k: k for k in SIZED_SHAPES}
+    made = {s for s in SIZED_SHAPES.values() if issubclass(s, Mesh)}  # see test_mesh and test_made
+    assert {type(s) for s in EXAMPLES} == set(SIZED_SHAPES.values()) - made
     assert Cylinder.form() == "cylinder:RADIUSxHEIGHT"
     assert Box.form() == "box:XxYxZ"

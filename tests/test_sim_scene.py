@@ -15,7 +15,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import SE3
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask, Obstacle
 from sim.contacts import other_touches
 from sim.gantry import GANTRY, GANTRY_FREQUENCY, GANTRY_INERTIA, GANTRY_MASS, Gantry

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from planner.system.stage_times import stage, timed
+from planner.system.threads import stage, timed
 
 
 class Processor:
@@ -19,7 +19,7 @@ class Processor:
 @pytest.fixture
 def processor(monkeypatch: pytest.MonkeyPatch) -> Processor:
     clock = Processor()
-    monkeypatch.setattr("planner.system.stage_times.time.process_time", lambda: clock.used)
+    monkeypatch.setattr("planner.system.threads.time.process_time", lambda: clock.used)
     return clock
 
 

@@ -11,8 +11,7 @@ from conftest import of_trimesh
 from scipy.spatial import cKDTree
 
 from planner.shapes import LBracket, Mesh, Mug, Torus
-from planner.shapes.field.pyramid import NEAR, Pyramid, grid_nodes, within_cells
-from planner.shapes.meshes.surface_walk import SurfaceWalk
+from planner.shapes.field.mesh_field import NEAR, Pyramid, SurfaceWalk, grid_nodes, within_cells
 from planner.spatial import FloatArray
 
 STEP = 0.0015

@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from planner.description import FingerDescription, PadDescription, TaxelDescription
 from planner.errors import NotFoundError, TaskError
 from planner.hand_loading import load_hand
 from planner.hands.description_toml import _mirrored_array
+from planner.joints.description import FingerDescription, PadDescription, TaxelDescription
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim import simulate

@@ -19,8 +19,7 @@ from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import TOUCH_TOL
 from planner.verification.geometry import contacts_at, verify_geometry
-from planner.verification.grasp import verify_grasp
-from planner.verification.projection import GAP_TOL
+from planner.verification.grasp import GAP_TOL, verify_grasp
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ from planner.pages.opening import has_browser
 from planner.pages.page import Page, read_page_data, write_page
 from planner.plan import GraspPlan
 from planner.shapes import Mesh
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.carrier import Timeline
 from sim.cli import app

@@ -27,8 +27,7 @@ from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.search import attempts
 from planner.shapes import Bowl, Channel, Cup, Mesh, Pan, Plate, Teacup, Tube
-from planner.shapes.meshes.edges import bodies_of
-from planner.shapes.meshes.soundness import faults_of
+from planner.shapes.meshes.soundness import bodies_of, faults_of
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import SKIN, surface_of
 from planner.synthesis.seeds.mesh import seeder_for

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.plain import finite
+from planner.arrays import finite
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.verification.grasp import with_grip

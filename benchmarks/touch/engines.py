@@ -21,7 +21,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.description import FingerDescription, PadDescription, TaxelDescription
+from planner.joints.description import FingerDescription, PadDescription, TaxelDescription
 from planner.spatial import FloatArray
 from sim.physics import PhysicsOptions
 from sim.tactile import ContactEstimator, PadContact, TaxelLayout, contact_image

@@ -25,7 +25,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.runner import Check, Runner
 from sim.tables import Row

@@ -18,12 +18,12 @@ from machinery.commands import shown
 from machinery.docstrings import as_written
 from machinery.write import write_pages
 from planner.batch.rows import grasp_schema
-from planner.description import HandDescription
 from planner.exchange.table_forms import TableFile
 from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
 from planner.hand_loading import load_hand
 from planner.hands.arm import MountDescription
 from planner.hands.description_toml import MirrorDescription, MotorsDescription
+from planner.joints.description import HandDescription
 from sim.manipulation import ManipulationReportFile
 from sim.physics import PhysicsOptions
 from sim.report_file import ReportFile

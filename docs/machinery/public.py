@@ -27,16 +27,13 @@ GROUPS: dict[str, list[str]] = {
     "Hands": [
         "planner.hand_loading",
         "planner.hands",
-        "planner.description",
+        "planner.joints",
         "planner.describe",
-        "planner.actuation",
-        "planner.couplings",
         "planner.kinematics",
     ],
     "Objects and shapes": [
         "planner.objects",
         "planner.shapes",
-        "planner.regions",
     ],
     "Tasks and planning": [
         "planner.task",
@@ -72,6 +69,7 @@ GROUPS: dict[str, list[str]] = {
         "planner.files",
         "planner.exchange",
         "planner.exchange.audit",
+        "planner.registry",
         "planner.schema",
         "planner.version",
     ],

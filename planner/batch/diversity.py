@@ -37,7 +37,7 @@ from planner.failure import Failure
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.shapes import Shape
-from planner.shapes.triangulation import surface_points
+from planner.shapes.mesh import surface_points
 from planner.spatial import FloatArray, IntArray, pose_from_wxyz
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.task import GraspTask

@@ -25,7 +25,7 @@ from planner.plan import GraspPlan
 from planner.search import Attempt, plan_grasp
 from planner.shapes import Mesh, shape_key
 from planner.synthesis.options import SynthesisOptions
-from planner.system.environment import on_interrupt
+from planner.system.process import on_interrupt
 from planner.task import GraspTask
 
 

@@ -33,7 +33,7 @@ from planner.arrays import checked_count
 from planner.batch.jobs import Job, end_with, plan_row, warm_up
 from planner.batch.rows import failed_row
 from planner.errors import TaskError, shown
-from planner.system.environment import on_interrupt, safe_path
+from planner.system.process import on_interrupt, safe_path
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

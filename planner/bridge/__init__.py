@@ -12,14 +12,11 @@ import mujoco
 
 from planner.bridge.actuation import actuation_from_mujoco
 from planner.bridge.decompile import spec_from_model
-from planner.bridge.geometry import LinkGeometry, hand_geometries
-from planner.bridge.joint_rows import couplings_from_mujoco
+from planner.bridge.edit import mirror_spec, motorise_spec
+from planner.bridge.geometry import LinkGeometry, LinkSurface, hand_geometries, link_surfaces
 from planner.bridge.load import compile_spec, load_spec
-from planner.bridge.mirror import mirror_spec
-from planner.bridge.motors import motorise_spec
-from planner.bridge.pinocchio_model import pinocchio_from_mujoco
+from planner.bridge.pinocchio_model import couplings_from_mujoco, pinocchio_from_mujoco
 from planner.bridge.prepare import add_described_parts, isolate_base, name_parts, prepare_spec
-from planner.bridge.surfaces import LinkSurface, link_surfaces
 
 __all__ = [
     "LinkGeometry",

@@ -1,8 +1,6 @@
-"""The actuators, stops and springs of a compiled MuJoCo model as a ``planner.actuation.Actuation``.
+"""Actuators, stops and springs of a compiled MuJoCo model, as an ``Actuation``.
 
 Actuators count by the force that they make at rest: the lag of a filter is only in the simulation.
-Limits of a joint's total actuator force (``actuatorfrcrange``, a URDF's ``effort``) become limits
-of the actuator behind it.
 """
 
 from __future__ import annotations
@@ -13,9 +11,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.actuation import STOP_TOL, Actuation
-from planner.bridge.joint_rows import actuator_row, couplings_from_mujoco, tendon_row
+from planner.bridge.pinocchio_model import actuator_row, couplings_from_mujoco, tendon_row
 from planner.errors import ModelError
+from planner.joints.actuation import STOP_TOL, Actuation
 from planner.spatial import FloatArray
 
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)

@@ -14,8 +14,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.bridge.inertias import give_least_inertias
 from planner.bridge.mesh_files import add_visuals, convert_meshes, find_meshes
+from planner.bridge.numbers import give_least_inertias
 from planner.errors import ModelError, NotFoundError
 
 RIGID_SOLREF = (0.004, 1.0)

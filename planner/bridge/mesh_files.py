@@ -19,7 +19,7 @@ import numpy as np
 
 from planner.bridge.numbers import MOST_LENGTH
 from planner.errors import ModelError
-from planner.shapes.meshes.convert import converted_mesh, needs_conversion
+from planner.shapes.meshes.io import converted_mesh, needs_conversion
 from planner.spatial import FloatArray
 
 HIDDEN_GROUP = 3

@@ -18,7 +18,6 @@ import numpy as np
 from planner.bridge.load import compile_spec, load_spec
 from planner.errors import NotFoundError, ObjectError
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
-from planner.shapes.meshes.union import manifold_is_installed
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
 FINENESS = 64
@@ -133,7 +132,5 @@ def _united(
     vertices = np.concatenate([s.vertices + s.offset for s in solids])
     faces = np.concatenate([s.faces + k for s, k in zip(solids, starts, strict=False)])
     mesh = Mesh.from_triangles(vertices, faces, name=what, repair=repair)
-    told = [s.mended for s in solids]
-    if not manifold_is_installed():  # an exact union of a model's geoms is no mending
-        told.append(mesh.mended)
+    told = [s.mended for s in solids]  # the exact union of a model's geoms is no mending
     return Mesh(mesh.vertices + mesh.offset, mesh.faces, mended="; ".join(filter(None, told)))

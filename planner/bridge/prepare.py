@@ -13,11 +13,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.bridge.joint_rows import tendon_row
 from planner.bridge.load import RIGID_SOLIMP, RIGID_SOLREF, compile_spec
 from planner.bridge.numbers import check_repeated_names, check_sizes
-from planner.description import ActuatorDescription, HandDescription
+from planner.bridge.pinocchio_model import tendon_row
 from planner.errors import HandError, NotFoundError
+from planner.joints.description import ActuatorDescription, HandDescription
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _QUATERNION = mujoco.mjtOrientation.mjORIENTATION_QUAT

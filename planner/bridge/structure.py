@@ -14,10 +14,9 @@ import mujoco
 import numpy as np
 
 from planner.bridge.decompile import spec_from_model
-from planner.bridge.joint_rows import actuator_row, is_fixed_tendon, tendon_row
 from planner.bridge.load import load_spec
 from planner.bridge.mesh_files import convert_meshes
-from planner.bridge.pinocchio_model import body_name
+from planner.bridge.pinocchio_model import actuator_row, body_name, is_fixed_tendon, tendon_row
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)

@@ -52,11 +52,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.actuation import STOP_TOL
 from planner.arrays import check_fields
 from planner.certify.pose import PoseErrors, largest_turn
 from planner.contacts import ContactSet
 from planner.errors import ContactError, shown
+from planner.joints.actuation import STOP_TOL
 from planner.kinematics.state import HandState, joint_axes
 from planner.numerics.lp import LpSolution, solve_lp
 from planner.plan import GraspPlan

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arrays import checked_number, float_array, per_item
+from planner.arrays import SHORT, checked_number, float_array, per_item
 from planner.contacts.checks import (
     MOST_FRICTION,
     check_forces,
@@ -35,7 +35,6 @@ from planner.contacts.checks import (
 )
 from planner.contacts.friction import cone_utilisation
 from planner.errors import ContactError, shown
-from planner.plain import SHORT
 from planner.showing import in_notebook
 from planner.spatial import FloatArray, contact_frames, skew
 

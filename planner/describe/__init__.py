@@ -2,10 +2,15 @@
 
 from planner.describe.cached import proposed_description
 from planner.describe.check import check_hand
+from planner.describe.proposal import (
+    Proposal,
+    Reason,
+    description_text,
+    write_description,
+    write_proposal,
+)
 from planner.describe.propose import propose
-from planner.describe.reasons import Proposal, Reason
 from planner.describe.report import CheckReport, Finding
-from planner.describe.write import description_text, write_description, write_proposal
 
 __all__ = [
     "CheckReport",

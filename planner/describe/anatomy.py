@@ -9,10 +9,10 @@ import numpy as np
 from planner.bridge.structure import ModelStructure
 from planner.describe.fingertips import Fingertip, Skeleton, fingertip_of
 from planner.describe.pads import FIT_TOL, PadFit, fit_pad
-from planner.describe.reasons import Notes
+from planner.describe.proposal import Notes
 from planner.describe.tree import Branch, HandTree
-from planner.description import FingerDescription, PadDescription, TipDescription
 from planner.errors import HandError
+from planner.joints.description import FingerDescription, PadDescription, TipDescription
 from planner.spatial import FloatArray
 
 TIP_BELOW, TIP_BESIDE = 0.015, 0.006

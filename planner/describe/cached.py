@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from planner.bridge.load import named_files
 from planner.describe.propose import located, propose
-from planner.description import HandDescription
+from planner.joints.description import HandDescription
 from planner.system.disk_cache import read_text, write_text
 
 KIND = "proposal"

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from planner.bridge.inertias import impossible_inertias, worst_inertia
-from planner.bridge.measure import body_positions, geom_distance, joint_inertia, touching_geoms
+from planner.bridge.geometry import body_positions, geom_distance, joint_inertia, touching_geoms
+from planner.bridge.numbers import impossible_inertias, worst_inertia
 from planner.bridge.pinocchio_model import body_name
 from planner.describe.grip import check_pads, check_postures
-from planner.describe.overlaps import TOUCHING, check_overlaps
-from planner.describe.report import CheckReport, Finding, JointRow, TouchRow, WorkspaceRow
+from planner.describe.overlaps import TOUCHING, check_overlaps, placed_geometries, separate_pairs
+from planner.describe.report import CheckReport, Findings, JointRow, TouchRow, WorkspaceRow
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
-from planner.spatial import SE3, FloatArray
+from planner.spatial import FloatArray
 
 SAMPLES = 500
 """Random configurations that sample a finger's workspace."""
@@ -46,7 +46,7 @@ def check_hand(hand: Hand, *, seed: int = 0) -> CheckReport:
         seed: Of the random configurations.
     """
     rng = np.random.default_rng(seed)
-    findings: list[Finding] = []
+    findings = Findings()
     fingers = hand.choose_fingers()
     postures = check_postures(hand, fingers, findings)
     joints = _joints(hand, findings)
@@ -63,11 +63,11 @@ def check_hand(hand: Hand, *, seed: int = 0) -> CheckReport:
         touches=_touches(hand, findings),
         postures=postures,
         kinematics_error=_kinematics_error(hand, rng, findings),
-        findings=tuple(sorted(findings, key=lambda f: ("error", "warning", "note").index(f.level))),
+        findings=findings.worst_first(),
     )
 
 
-def _joints(hand: Hand, findings: list[Finding]) -> tuple[JointRow, ...]:
+def _joints(hand: Hand, findings: Findings) -> tuple[JointRow, ...]:
     middle = (hand.q_lower + hand.q_upper) / 2
     torques = hand.actuation.torque_limits(middle)
     owner = {j: f.name for f in hand.fingers.values() for j in f.joints}
@@ -89,28 +89,22 @@ def _joints(hand: Hand, findings: list[Finding]) -> tuple[JointRow, ...]:
         )
     unlimited = [r.name for r in out if np.isinf(r.torque).any()]
     if unlimited:
-        findings.append(
-            Finding(
-                level="warning",
-                what=f"nothing limits the torque of {_listed(unlimited)}",
-                what_to_do="give the actuators a forcerange, or a ctrlrange: plans may ask for "
-                "forces that the hand does not have",
-            )
+        findings.warning(
+            f"nothing limits the torque of {_listed(unlimited)}",
+            "give the actuators a forcerange, or a ctrlrange: plans may ask for "
+            "forces that the hand does not have",
         )
     idle = [r.name for r in out if not r.belongs_to]
     if idle:
-        findings.append(
-            Finding(
-                level="note",
-                what=f"{_listed(idle)} belong to no finger and not to the wrist",
-                what_to_do="the planner may move them; name them in a finger's joints or in "
-                "wrist_joints if they belong there",
-            )
+        findings.note(
+            f"{_listed(idle)} belong to no finger and not to the wrist",
+            "the planner may move them; name them in a finger's joints or in "
+            "wrist_joints if they belong there",
         )
     return tuple(out)
 
 
-def _check_weight(hand: Hand, findings: list[Finding]) -> None:
+def _check_weight(hand: Hand, findings: Findings) -> None:
     """Note actuators that cannot bear the hand's own links in the pinch posture, however turned.
 
     An actuator counts with its largest force anywhere in its range: at the end of a range a stop
@@ -131,31 +125,25 @@ def _check_weight(hand: Hand, findings: list[Finding]) -> None:
     weak = np.flatnonzero(needed > most)
     if weak.size:
         worst = int(weak[np.argmax(needed[weak] / most[weak])])
-        findings.append(
-            Finding(
-                level="warning",
-                what=f"{_listed([drive.names[i] for i in weak])} cannot bear the weight of the "
-                f"links: in the pinch posture {drive.names[worst]} needs {needed[worst]:.3g} N m "
-                f"(N) and makes {most[worst]:.3g} at most",
-                what_to_do="correct the masses of the links, or give the actuators more force or "
-                "wider control ranges",
-            )
+        findings.warning(
+            f"{_listed([drive.names[i] for i in weak])} cannot bear the weight of the "
+            f"links: in the pinch posture {drive.names[worst]} needs {needed[worst]:.3g} N m "
+            f"(N) and makes {most[worst]:.3g} at most",
+            "correct the masses of the links, or give the actuators more force or "
+            "wider control ranges",
         )
 
 
-def _check_inertias(hand: Hand, joints: Sequence[JointRow], findings: list[Finding]) -> None:
+def _check_inertias(hand: Hand, joints: Sequence[JointRow], findings: Findings) -> None:
     """Warn of inertias that no link has, and of joints whose actuators hardly move them."""
     impossible = impossible_inertias(hand.mj_model)
     if impossible:
         solid = [f'"{one.body}"' for one in impossible if one.has_solid]
         mend = f", or write inertia_from_geometry = [{', '.join(solid)}] under [repair]"
-        findings.append(
-            Finding(
-                level="warning",
-                what=f"{worst_inertia(impossible)}: joints hardly move, and trials fail in "
-                "collisions or without contact",
-                what_to_do=f"correct the inertias in the model{mend if solid else ''}",
-            )
+        findings.warning(
+            f"{worst_inertia(impossible)}: joints hardly move, and trials fail in "
+            "collisions or without contact",
+            f"correct the inertias in the model{mend if solid else ''}",
         )
     inertia = joint_inertia(hand.mj_model, hand.neutral)
     for row, moved, armature in zip(joints, inertia, hand.mj_model.dof_armature, strict=True):
@@ -165,16 +153,13 @@ def _check_inertias(hand: Hand, joints: Sequence[JointRow], findings: list[Findi
             continue
         time = float(np.sqrt(2 * moved / strength))  # from rest over 1 rad
         if time > SLOWEST:
-            findings.append(
-                Finding(
-                    level="warning",
-                    what=f"{row.name} moves {moved:.3g} kg m2 (armature {armature:.3g}) by "
-                    f"{strength:.3g} N m at most: {time:.2g} s for 1 rad, and it lags behind "
-                    "every plan",
-                    what_to_do="correct the armature of the joint (armature under "
-                    "[joint_defaults]) or the inertias of the links, or give its actuator more "
-                    "force",
-                )
+            findings.warning(
+                f"{row.name} moves {moved:.3g} kg m2 (armature {armature:.3g}) by "
+                f"{strength:.3g} N m at most: {time:.2g} s for 1 rad, and it lags behind "
+                "every plan",
+                "correct the armature of the joint (armature under "
+                "[joint_defaults]) or the inertias of the links, or give its actuator more "
+                "force",
             )
 
 
@@ -209,56 +194,44 @@ def _workspaces(hand: Hand, rng: np.random.Generator) -> tuple[WorkspaceRow, ...
     )
 
 
-def _touches(hand: Hand, findings: list[Finding]) -> tuple[TouchRow, ...]:
+def _touches(hand: Hand, findings: Findings) -> tuple[TouchRow, ...]:
     """Parts that overlap at rest and must not, as coal and as MuJoCo see it."""
     q = hand.neutral
-    state = HandState(hand, q)
+    poses = placed_geometries(hand, q)
     in_mujoco = {(a, b) for a, b, d in touching_geoms(hand.mj_model, q) if d < 0}
     out = []
-    for i, a in enumerate(hand.geometries):
-        for b in hand.geometries[i + 1 :]:
-            if a.joint_id == b.joint_id or frozenset((a.name, b.name)) in hand.allowed_pairs:
-                continue
-            pair = DistancePair(a.geometry, b.geometry)
-            depth = pair.distance(
-                SE3(state.joint_pose(a.joint_id)) * a.T_joint_geometry,
-                SE3(state.joint_pose(b.joint_id)) * b.T_joint_geometry,
-            )
-            names = (min(a.name, b.name), max(a.name, b.name))
-            if depth >= TOUCHING and names not in in_mujoco:
-                continue
-            out.append(
-                TouchRow(
-                    first=names[0],
-                    second=names[1],
-                    coal=float(depth),
-                    mujoco=geom_distance(hand.mj_model, q, a.name, b.name),
-                    collides_in_mujoco=names in in_mujoco,
-                )
-            )
-    body = {g.name: g.body for g in hand.geometries}
-    for row in out:
-        findings.append(
-            Finding(
-                level="warning",
-                what=f"{row.first} and {row.second} overlap by {-1e3 * row.coal:.2f} mm at rest",
-                what_to_do=f'if they always do, write exclude = [["{body[row.first]}", '
-                f'"{body[row.second]}"]] under [repair]; a pose in which they part will do as well',
+    for i, j in separate_pairs(hand):
+        a, b = hand.geometries[i], hand.geometries[j]
+        depth = DistancePair(a.geometry, b.geometry).distance(poses[i], poses[j])
+        names = (min(a.name, b.name), max(a.name, b.name))
+        if depth >= TOUCHING and names not in in_mujoco:
+            continue
+        out.append(
+            TouchRow(
+                first=names[0],
+                second=names[1],
+                coal=float(depth),
+                mujoco=geom_distance(hand.mj_model, q, a.name, b.name),
+                collides_in_mujoco=names in in_mujoco,
             )
         )
+    body = {g.name: g.body for g in hand.geometries}
+    for row in out:
+        findings.warning(
+            f"{row.first} and {row.second} overlap by {-1e3 * row.coal:.2f} mm at rest",
+            f'if they always do, write exclude = [["{body[row.first]}", '
+            f'"{body[row.second]}"]] under [repair]; a pose in which they part will do as well',
+        )
         if abs(row.coal - row.mujoco) > DISTANCE_TOL:
-            findings.append(
-                Finding(
-                    level="note",
-                    what=f"coal says {1e3 * row.coal:.2f} mm and MuJoCo {1e3 * row.mujoco:.2f} mm "
-                    f"for {row.first} and {row.second}",
-                    what_to_do="nothing: engines measure deep overlaps differently",
-                )
+            findings.note(
+                f"coal says {1e3 * row.coal:.2f} mm and MuJoCo {1e3 * row.mujoco:.2f} mm "
+                f"for {row.first} and {row.second}",
+                "nothing: engines measure deep overlaps differently",
             )
     return tuple(out)
 
 
-def _kinematics_error(hand: Hand, rng: np.random.Generator, findings: list[Finding]) -> float:
+def _kinematics_error(hand: Hand, rng: np.random.Generator, findings: Findings) -> float:
     """Largest distance (m) between the same body in Pinocchio and in MuJoCo."""
     model = hand.mj_model
     frames = [hand.pin_model.getBodyId(body_name(model, i)) for i in range(1, model.nbody)]
@@ -269,12 +242,9 @@ def _kinematics_error(hand: Hand, rng: np.random.Generator, findings: list[Findi
         ours = np.array([data.oMf[f].translation for f in frames])
         worst = max(worst, float(np.abs(ours - body_positions(model, q)[1:]).max()))
     if worst > KINEMATICS_TOL:
-        findings.append(
-            Finding(
-                level="error",
-                what=f"Pinocchio and MuJoCo place a body {1e3 * worst:.3g} mm apart",
-                what_to_do="report it with the model: opposable crosscheck shows where",
-            )
+        findings.error(
+            f"Pinocchio and MuJoCo place a body {1e3 * worst:.3g} mm apart",
+            "report it with the model: opposable crosscheck shows where",
         )
     return worst
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.bridge.structure import ModelStructure, TendonPart
-from planner.couplings import Coupling, coupled_extreme
-from planner.describe.reasons import Reason
-from planner.description import ActuatorDescription, CouplingDescription
+from planner.describe.proposal import Notes
+from planner.joints.couplings import Coupling, coupled_extreme
+from planner.joints.description import CouplingDescription
 from planner.spatial import FloatArray
 
 LEAST_TRAVEL = 0.05
@@ -27,16 +27,6 @@ other, below which the stop becomes an open question: nine of ten agree."""
 
 NARROW = 0.25
 """A tendon ties its joints if its limits span less than this share of the joints' ranges (-)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drive:
-    """Lines of a description with reasons; ``questions`` are for the user."""
-
-    couplings: tuple[CouplingDescription, ...] = ()
-    actuators: tuple[ActuatorDescription, ...] = ()
-    reasons: tuple[Reason, ...] = ()
-    questions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,11 +69,12 @@ def stops_and_springs(
     lower: FloatArray,
     upper: FloatArray,
     contacts: Sequence[PadContact],
-) -> Drive:
+    notes: Notes,
+) -> tuple[CouplingDescription, ...]:
     """Couplings for limited and for elastic tendons that hold joints which nothing else holds."""
     names = [j.name for j in structure.joints]
     held = [a.row for a in structure.actuators] + [c.row for c in equalities]
-    out, reasons = [], []
+    out = []
     for tendon in structure.tendons:
         tied = np.flatnonzero(tendon.row)
         settled = _is_driven(structure, tendon) or in_span(tendon.row, [c.row for c in equalities])
@@ -107,17 +98,15 @@ def stops_and_springs(
                 )
                 out.append(coupling)
                 held.append(tendon.row)
-                reasons.append(
-                    Reason(
-                        key=f"couplings.{coupling.name}",
-                        value=f"{'lower' if sign > 0 else 'upper'} limit of tendon {tendon.name}",
-                        why="a contact that presses on the pad runs the tendon to this limit"
-                        + (
-                            ", and no actuator holds what it ties"
-                            if loose
-                            else "; its limits leave the joints hardly any freedom"
-                        ),
-                    )
+                notes.because(
+                    f"couplings.{coupling.name}",
+                    f"{'lower' if sign > 0 else 'upper'} limit of tendon {tendon.name}",
+                    "a contact that presses on the pad runs the tendon to this limit"
+                    + (
+                        ", and no actuator holds what it ties"
+                        if loose
+                        else "; its limits leave the joints hardly any freedom"
+                    ),
                 )
                 continue
         if loose and tendon.stiffness > 0:
@@ -130,15 +119,13 @@ def stops_and_springs(
             )
             out.append(coupling)
             held.append(tendon.row)
-            reasons.append(
-                Reason(
-                    key=f"couplings.{coupling.name}",
-                    value="the spring of the tendon at rest, as if it were stiff",
-                    why=f"only the spring of tendon {tendon.name} ({tendon.stiffness:g} N/m) holds "
-                    "what it ties; give the real coupling if you know it",
-                )
+            notes.because(
+                f"couplings.{coupling.name}",
+                "the spring of the tendon at rest, as if it were stiff",
+                f"only the spring of tendon {tendon.name} ({tendon.stiffness:g} N/m) holds "
+                "what it ties; give the real coupling if you know it",
             )
-    return Drive(couplings=tuple(out), reasons=tuple(reasons))
+    return tuple(out)
 
 
 def joint_stops(
@@ -147,7 +134,8 @@ def joint_stops(
     lower: FloatArray,
     upper: FloatArray,
     contacts: Sequence[PadContact],
-) -> Drive:
+    notes: Notes,
+) -> tuple[CouplingDescription, ...]:
     """Stops for joints that one actuator drives together: it holds their sum and nothing else.
 
     The rest is left to contact. A contact that presses on the pad runs one of the joints to an end
@@ -160,10 +148,10 @@ def joint_stops(
         lower: Joint limits (nv,).
         upper: Joint limits (nv,).
         contacts: What contacts ask of the joints.
+        notes: Gets reasons and open questions.
     """
     names = [j.name for j in structure.joints]
     rows, out = list(held), []
-    reasons, questions = [], []
     for actuator in structure.actuators:
         together = [int(k) for k in np.flatnonzero(actuator.row)]
         listed = " and ".join(names[k] for k in together)
@@ -187,23 +175,21 @@ def joint_stops(
                     name=name, joints={names[k]: sign}, value=_tidy(sign * end), kind="stop"
                 )
             )
-            reasons.append(
-                Reason(
-                    key=f"couplings.{name}",
-                    value=f"{'lower' if sign > 0 else 'upper'} end of the range of {names[k]}",
-                    why=f"actuator {actuator.name} drives {listed} together and holds their sum "
-                    f"alone: a contact that presses on the pad runs {names[k]} to this end of its "
-                    "range. No motor and no tie is added; if a gear of your hand ties the joints, "
-                    'describe it instead with kind = "equality"',
-                )
+            notes.because(
+                f"couplings.{name}",
+                f"{'lower' if sign > 0 else 'upper'} end of the range of {names[k]}",
+                f"actuator {actuator.name} drives {listed} together and holds their sum "
+                f"alone: a contact that presses on the pad runs {names[k]} to this end of its "
+                "range. No motor and no tie is added; if a gear of your hand ties the joints, "
+                'describe it instead with kind = "equality"',
             )
             if abs(balance) < AGREED:
-                questions.append(
+                notes.ask(
                     f"{listed} share the actuator {actuator.name}, and contacts on the pad run "
                     f"{names[k]} to either end of its range, as the finger stands: the stop at "
                     f"{end:.3g} holds in {50 * (1 + abs(balance)):.0f} % of the configurations"
                 )
-    return Drive(couplings=tuple(out), reasons=tuple(reasons), questions=tuple(questions))
+    return tuple(out)
 
 
 def _is_driven(structure: ModelStructure, tendon: TendonPart) -> bool:

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.describe.convex_links import ConvexLink, cone_directions
+from planner.describe.fingertips import ConvexLink, cone_directions
 from planner.describe.overlaps import TOUCHING
 from planner.describe.postures import PostureSolver
-from planner.describe.report import Finding, PadRow, PostureRow
-from planner.description import TaxelDescription
+from planner.describe.report import Findings, PadRow, PostureRow
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
+from planner.joints.description import TaxelDescription
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
 
@@ -33,7 +33,7 @@ ROUND_TOL = 2e-3
 """How far (m) a pad's geom may stand out before its sphere within the cone without a finding."""
 
 
-def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
+def check_pads(hand: Hand, findings: Findings) -> tuple[PadRow, ...]:
     """Every pad against its geom, and whether its finger can press; faults are noted."""
     solids = {g.name: ConvexLink(g) for g in hand.geometries}
     taking_part = {f.name for f in hand.choose_fingers()}
@@ -63,43 +63,31 @@ def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
         )
         out.append(row)
         if row.hidden > TOUCHING + 1e-4:
-            findings.append(
-                Finding(
-                    level="warning",
-                    what=f"another geom of its link stands {1e3 * row.hidden:.2f} mm out before "
-                    f"the pad of {finger.name}",
-                    what_to_do="put the pad on the outermost geom, or name the other one in "
-                    "drop_collision under [repair]",
-                )
+            findings.warning(
+                f"another geom of its link stands {1e3 * row.hidden:.2f} mm out before "
+                f"the pad of {finger.name}",
+                "put the pad on the outermost geom, or name the other one in "
+                "drop_collision under [repair]",
             )
         if row.stands_out > ROUND_TOL:
-            findings.append(
-                Finding(
-                    level="warning",
-                    what=f"the pad of {finger.name} is not round: {pad.geom} stands up to "
-                    f"{1e3 * row.stands_out:.1f} mm out before its sphere",
-                    what_to_do="make half_angle_deg smaller, or give the tip a sphere or capsule",
-                )
+            findings.warning(
+                f"the pad of {finger.name} is not round: {pad.geom} stands up to "
+                f"{1e3 * row.stands_out:.1f} mm out before its sphere",
+                "make half_angle_deg smaller, or give the tip a sphere or capsule",
             )
         if row.presses is None:
             if finger.name in taking_part and presses:
-                findings.append(
-                    Finding(
-                        level="error",
-                        what=f"the pressing force of {finger.name} is unknown",
-                        what_to_do="pads of the pinch posture must lie apart, and every actuator "
-                        "needs finite forces",
-                    )
+                findings.error(
+                    f"the pressing force of {finger.name} is unknown",
+                    "pads of the pinch posture must lie apart, and every actuator "
+                    "needs finite forces",
                 )
         elif row.presses < LEAST_PRESS:
-            findings.append(
-                Finding(
-                    level="error" if row.presses <= 0 else "warning",
-                    what=f"in the pinch posture {finger.name} presses with {row.presses:.2f} N at "
-                    "most",
-                    what_to_do="give its actuators more force, wider control ranges, or the "
-                    "posture joints further from the ends of their ranges",
-                )
+            findings.add(
+                "error" if row.presses <= 0 else "warning",
+                f"in the pinch posture {finger.name} presses with {row.presses:.2f} N at most",
+                "give its actuators more force, wider control ranges, or the "
+                "posture joints further from the ends of their ranges",
             )
     return tuple(out)
 
@@ -166,37 +154,25 @@ def _opposer(fingers: Sequence[Finger], state: HandState) -> int:
 
 
 def check_postures(
-    hand: Hand, fingers: Sequence[Finger], findings: list[Finding]
+    hand: Hand, fingers: Sequence[Finger], findings: Findings
 ) -> tuple[PostureRow, ...]:
     """Every posture: free width, how pads face each other, overlaps; faults are noted."""
     missing = [name for name in ("pinch", "open") if name not in hand.description.postures]
     for name in missing:
-        findings.append(
-            Finding(
-                level="error",
-                what=f"there is no posture {name!r}",
-                what_to_do=f"add a [postures.{name}] table; hands --describe proposes one",
-            )
+        findings.error(
+            f"there is no posture {name!r}",
+            f"add a [postures.{name}] table; opposable hands --describe proposes one",
         )
     if len(fingers) < 2:
-        findings.append(
-            Finding(
-                level="error",
-                what="fewer than two fingers take part",
-                what_to_do="name two or more in default_fingers",
-            )
-        )
+        findings.error("fewer than two fingers take part", "name two or more in default_fingers")
         return ()
     if len(fingers) == 2:
-        findings.append(
-            Finding(
-                level="error",
-                what="two fingers take part: a gripper, whose point contacts cannot close a grasp, "
-                "so that opposable run refuses it",
-                what_to_do="name a third finger in default_fingers if the hand has one; a gripper "
-                "is planned from Python alone, with soft contacts: GraspTask.create(hand, object, "
-                'contact_model="soft", mu_torsion=...)',
-            )
+        findings.error(
+            "two fingers take part: a gripper, whose point contacts cannot close a grasp, "
+            "so that opposable run refuses it",
+            "name a third finger in default_fingers if the hand has one; a gripper "
+            "is planned from Python alone, with soft contacts: GraspTask.create(hand, object, "
+            'contact_model="soft", mu_torsion=...)',
         )
     out = []
     solver = PostureSolver(hand, fingers)
@@ -224,61 +200,45 @@ def check_postures(
     return tuple(out)
 
 
-def _check_moved(hand: Hand, name: str, q: FloatArray, findings: list[Finding]) -> None:
+def _check_moved(hand: Hand, name: str, q: FloatArray, findings: Findings) -> None:
     """Note a posture that was moved onto the couplings, by how much, and the corrected lines."""
     moved = np.abs(q - hand.described_posture(name))
     changed = np.flatnonzero(moved > MOVED)
     if changed.size:
         lines = ", ".join(f"{hand.joint_names[k]} = {q[k]:.6g}" for k in changed)
-        findings.append(
-            Finding(
-                level="note",
-                what=f"posture {name!r} violates couplings and is taken as the nearest one that "
-                f"keeps them, up to {moved.max():.3f} rad (m) away",
-                what_to_do=f"nothing; or write under [postures.{name}]: {lines}",
-            )
+        findings.note(
+            f"posture {name!r} violates couplings and is taken as the nearest one that "
+            f"keeps them, up to {moved.max():.3f} rad (m) away",
+            f"nothing; or write under [postures.{name}]: {lines}",
         )
 
 
-def _judge_postures(rows: dict[str, PostureRow], findings: list[Finding]) -> None:
+def _judge_postures(rows: dict[str, PostureRow], findings: Findings) -> None:
     for name in ("pinch", "open"):
         row = rows.get(name)
         if row is None:
             continue
         if max(row.facing_deg) > 90.0:
-            findings.append(
-                Finding(
-                    level="error",
-                    what=f"in posture {name!r} a pad faces {max(row.facing_deg):.0f} degrees away "
-                    "from the pads opposite",
-                    what_to_do="turn the pad's axis to where the finger touches, or change the "
-                    "posture so that pads look at each other",
-                )
+            findings.error(
+                f"in posture {name!r} a pad faces {max(row.facing_deg):.0f} degrees away "
+                "from the pads opposite",
+                "turn the pad's axis to where the finger touches, or change the "
+                "posture so that pads look at each other",
             )
         if row.clearance < TOUCHING:
-            findings.append(
-                Finding(
-                    level="warning",
-                    what=f"in posture {name!r} the hand overlaps itself by "
-                    f"{-1e3 * row.clearance:.2f} mm",
-                    what_to_do="open the posture a little, or exclude the pair under [repair] if "
-                    "it always overlaps",
-                )
+            findings.warning(
+                f"in posture {name!r} the hand overlaps itself by {-1e3 * row.clearance:.2f} mm",
+                "open the posture a little, or exclude the pair under [repair] if "
+                "it always overlaps",
             )
     pinch, wide = rows.get("pinch"), rows.get("open")
     if pinch and pinch.gap < LEAST_GAP:
-        findings.append(
-            Finding(
-                level="warning",
-                what=f"the pinch posture leaves {1e3 * pinch.gap:.0f} mm between the pads",
-                what_to_do="open it to some 40 mm: starts lie between pinch and open",
-            )
+        findings.warning(
+            f"the pinch posture leaves {1e3 * pinch.gap:.0f} mm between the pads",
+            "open it to some 40 mm: starts lie between pinch and open",
         )
     if wide and wide.gap < LEAST_OPENING:
-        findings.append(
-            Finding(
-                level="warning",
-                what=f"the open posture leaves {1e3 * wide.gap:.0f} mm between the pads",
-                what_to_do="open it as wide as the hand can",
-            )
+        findings.warning(
+            f"the open posture leaves {1e3 * wide.gap:.0f} mm between the pads",
+            "open it as wide as the hand can",
         )

@@ -17,9 +17,10 @@ import numpy as np
 import pinocchio as pin
 
 from planner.bridge import LinkGeometry
-from planner.couplings import nearest_on_couplings
-from planner.describe.report import Finding
+from planner.describe.report import Findings
 from planner.hands.hand import Hand
+from planner.joints.couplings import nearest_on_couplings
+from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray
 
@@ -50,6 +51,21 @@ ALWAYS = 0.9
 """Share from which on an overlap is reported as built into the model."""
 
 
+def separate_pairs(hand: Hand) -> list[tuple[int, int]]:
+    """Numbers of the geometries of a hand, two by two, that move apart and must not touch."""
+    return [
+        (i, j)
+        for (i, a), (j, b) in combinations(enumerate(hand.geometries), 2)
+        if a.joint_id != b.joint_id and frozenset((a.name, b.name)) not in hand.allowed_pairs
+    ]
+
+
+def placed_geometries(hand: Hand, q: FloatArray) -> list[SE3]:
+    """Pose of each geometry of a hand in its base at joints (nq,)."""
+    state = HandState(hand, q)
+    return [SE3(state.joint_pose(g.joint_id)) * g.T_joint_geometry for g in hand.geometries]
+
+
 class HandGaps:
     """Signed distances by coal at joint placements that the caller computed."""
 
@@ -64,12 +80,7 @@ class HandGaps:
         self._balls = _balls(hand.geometries)
         self._joints = sorted({g.joint_id for g in hand.geometries})
         self._place = np.array([self._joints.index(g.joint_id) for g in hand.geometries], dtype=int)
-        pairs = [
-            (i, j)
-            for (i, a), (j, b) in combinations(enumerate(hand.geometries), 2)
-            if a.joint_id != b.joint_id and frozenset((a.name, b.name)) not in hand.allowed_pairs
-        ]
-        self._pairs = np.array(pairs, dtype=int).reshape(-1, 2)
+        self._pairs = np.array(separate_pairs(hand), dtype=int).reshape(-1, 2)
         self._exact: dict[tuple[int, int], DistancePair] = {}
         self._handles: dict[tuple[float, float], list[DistancePair]] = {}
         self._last: tuple[FloatArray, FloatArray, FloatArray] | None = None
@@ -231,11 +242,9 @@ def frequent_overlaps(hand: Hand, *, seed: int = 0) -> tuple[Overlap, ...]:
     return tuple(sorted(found.values(), key=lambda o: -o.share))
 
 
-def check_overlaps(hand: Hand, findings: list[Finding]) -> None:
+def check_overlaps(hand: Hand, findings: Findings) -> None:
     """Note pairs that overlap often in the postures that grasps start from."""
     if not {"open", "pinch"} <= set(hand.description.postures):
         return  # the missing ones are an error already
-    findings.extend(
-        Finding(level="warning", what=overlap.text, what_to_do=overlap.remedy)
-        for overlap in frequent_overlaps(hand)
-    )
+    for overlap in frequent_overlaps(hand):
+        findings.warning(overlap.text, overlap.remedy)

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.describe.convex_links import ConvexLink, cone_directions
-from planner.describe.fingertips import Fingertip
+from planner.describe.fingertips import ConvexLink, Fingertip, cone_directions
 from planner.spatial import FloatArray
 
 FIT_TOL = 2e-3

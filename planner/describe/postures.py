@@ -23,10 +23,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.couplings import nearest_on_couplings
 from planner.describe.overlaps import TOUCHING, HandGaps
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
+from planner.joints.couplings import nearest_on_couplings
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from planner.bridge import couplings_from_mujoco, hand_geometries
-from planner.bridge.measure import joint_inertia
+from planner.bridge.geometry import joint_inertia
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.structure import read_spec, structure_of
 from planner.describe.anatomy import (
@@ -25,12 +25,12 @@ from planner.describe.anatomy import (
     palm_body,
     palm_normal,
 )
-from planner.describe.drive import Drive, PadContact, joint_stops, stops_and_springs
+from planner.describe.drive import PadContact, joint_stops, stops_and_springs
 from planner.describe.fingertips import Fingertip, Skeleton
 from planner.describe.overlaps import frequent_overlaps
 from planner.describe.pads import PadFit
 from planner.describe.postures import PostureCandidate, PosturePart, PostureSolver
-from planner.describe.reasons import Notes, Proposal
+from planner.describe.proposal import Notes, Proposal
 from planner.describe.repairs import (
     prepared_model,
     repair_and_base,
@@ -40,10 +40,15 @@ from planner.describe.repairs import (
 )
 from planner.describe.servos import joint_defaults, missing_servos
 from planner.describe.tree import Branch, HandTree, finger_names, read_tree
-from planner.description import CouplingDescription, HandDescription
 from planner.errors import HandError
 from planner.hands.build import build_from_spec
 from planner.hands.catalog import find_hand, foreign_hand_model
+from planner.joints.description import (
+    ActuatorDescription,
+    CouplingDescription,
+    HandDescription,
+    JointDefaults,
+)
 from planner.spatial import FloatArray
 
 
@@ -162,7 +167,7 @@ class _Proposer:
                 "thin sheets that cover the pads by less than a millimetre; the solids below "
                 "them touch instead",
             )
-        drive, defaults = self._drive(model, skeleton, tree, fingers)
+        couplings, servos, defaults = self._drive(model, skeleton, tree, fingers)
         chosen = default_fingers(skeleton, names, tips, opposer, self.notes)
         wrist = tuple(structure.joints[j].name for j in tree.wrist)
         if wrist:
@@ -179,8 +184,8 @@ class _Proposer:
                 "wrist_joints": wrist,
                 "fingers": described,
                 "default_fingers": chosen,
-                "couplings": drive.couplings,
-                "actuators": drive.actuators,
+                "couplings": couplings,
+                "actuators": servos,
                 "joint_defaults": defaults,
                 "repair": description.repair.model_copy(update={"drop_collision": sheets}),
             }
@@ -211,29 +216,22 @@ class _Proposer:
         skeleton: Skeleton,
         tree: HandTree,
         fingers: Sequence[tuple[Branch, Fingertip, PadFit]],
-    ) -> tuple[Drive, Any]:
-        structure = skeleton.structure
+    ) -> tuple[tuple[CouplingDescription, ...], tuple[ActuatorDescription, ...], JointDefaults]:
+        structure, notes = skeleton.structure, self.notes
+        low, high = skeleton.q_lower, skeleton.q_upper
         equalities = couplings_from_mujoco(model)
         contacts = _contacts(skeleton, fingers)
-        stops = stops_and_springs(
-            structure, equalities, skeleton.q_lower, skeleton.q_upper, contacts
-        )
+        stops = stops_and_springs(structure, equalities, low, high, contacts, notes)
         index = {j.name: k for k, j in enumerate(structure.joints)}
         held = [a.row for a in structure.actuators] + [c.row for c in equalities]
-        held += [_row(coupling, index) for coupling in stops.couplings]
-        ends = joint_stops(structure, held, skeleton.q_lower, skeleton.q_upper, contacts)
-        held += [_row(coupling, index) for coupling in ends.couplings]
-        in_fingers = [j for branch, _, _ in fingers for j in branch.joints]
-        order = [*tree.wrist, *in_fingers]
+        held += [_row(coupling, index) for coupling in stops]
+        ends = joint_stops(structure, held, low, high, contacts, notes)
+        held += [_row(coupling, index) for coupling in ends]
+        order = [*tree.wrist, *(j for branch, _, _ in fingers for j in branch.joints)]
         order += [j for j in range(len(structure.joints)) if j not in order]
         inertia = joint_inertia(model, skeleton.neutral)
-        servos = missing_servos(structure, held, order, inertia)
-        defaults, why = joint_defaults(structure, servos.actuators, inertia)
-        self.notes.reasons.extend([*stops.reasons, *ends.reasons, *servos.reasons, *why])
-        self.notes.questions.extend([*stops.questions, *ends.questions, *servos.questions])
-        couplings = (*stops.couplings, *ends.couplings)
-        drive = Drive(couplings=couplings, actuators=servos.actuators)
-        return drive, defaults
+        servos = missing_servos(structure, held, order, inertia, notes)
+        return (*stops, *ends), servos, joint_defaults(structure, servos, inertia, notes)
 
     def _postures(self, description: HandDescription) -> HandDescription:
         """The best candidate as ``open`` and ``pinch``, others as ``open_2``, ``pinch_2``, ..."""

@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
 
 from planner.bridge import compile_spec, couplings_from_mujoco
-from planner.bridge.inertias import (
+from planner.bridge.load import compile_balanced
+from planner.bridge.numbers import (
     LEAST_INERTIA,
     LEAST_MASS,
+    check_numbers,
+    check_sizes,
     impossible_inertias,
     with_least_inertias,
     worst_inertia,
 )
-from planner.bridge.load import compile_balanced
-from planner.bridge.numbers import check_numbers, check_sizes
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.prepare import name_parts, prepare_spec
 from planner.bridge.structure import structure_of
 from planner.describe.drive import impossible_couplings
-from planner.describe.overlaps import TOUCHING
-from planner.describe.reasons import Notes
+from planner.describe.overlaps import TOUCHING, placed_geometries, separate_pairs
+from planner.describe.proposal import Notes
 from planner.describe.tree import find_base
-from planner.description import HandDescription, RepairDescription
 from planner.hands.build import build_from_spec
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.joints.description import HandDescription, RepairDescription
 from planner.proximity.convex import DistancePair
-from planner.spatial import SE3
 
 NARROW_HINGE, WIDE_HINGE = 0.1, 20.0
 """Widest range (rad) of all hinges below which a file was written in radians and read in degrees,
@@ -115,8 +113,7 @@ def with_possible_inertias(
         "with the stated inertias these links would hardly move: their radii of gyration exceed "
         "their size",
     )
-    repair = description.repair.model_copy(update={"inertia_from_geometry": wrong})
-    return description.model_copy(update={"repair": repair})
+    return _with_repair(description, inertia_from_geometry=wrong)
 
 
 def without_impossible_couplings(
@@ -141,8 +138,7 @@ def without_impossible_couplings(
         f"the model's couplings {', '.join(wrong)} contradict its joint ranges and are left "
         'out: give the real ones as [[couplings]] with kind = "equality"'
     )
-    repair = description.repair.model_copy(update={"drop_couplings": wrong})
-    return description.model_copy(update={"repair": repair})
+    return _with_repair(description, drop_couplings=wrong)
 
 
 def without_overlaps(spec: Any, description: HandDescription, notes: Notes) -> HandDescription:
@@ -158,7 +154,12 @@ def without_overlaps(spec: Any, description: HandDescription, notes: Notes) -> H
         f"they overlap in {100 * ALWAYS:.0f} % of all configurations, or at rest and in "
         f"{100 * OFTEN:.0f} %: neighbours by construction, or hulls of hollow parts",
     )
-    repair = description.repair.model_copy(update={"exclude": always})
+    return _with_repair(description, exclude=always)
+
+
+def _with_repair(description: HandDescription, **lines: Any) -> HandDescription:
+    """A description with lines of its ``[repair]`` replaced."""
+    repair = description.repair.model_copy(update=lines)
     return description.model_copy(update={"repair": repair})
 
 
@@ -180,17 +181,10 @@ def _overlapping(hand: Hand) -> tuple[tuple[str, str], ...]:
     """Pairs of bodies with geometries that overlap in nearly all configurations."""
     rng = np.random.default_rng(0)
     samples = rng.uniform(hand.q_lower, hand.q_upper, (OVERLAP_SAMPLES, hand.nq))
-    placed = []
-    for q in (hand.neutral, *samples):
-        state = HandState(hand, q)
-        placed.append(
-            [SE3(state.joint_pose(g.joint_id)) * g.T_joint_geometry for g in hand.geometries]
-        )
-    out = []
-    for i, j in combinations(range(len(hand.geometries)), 2):
+    placed = [placed_geometries(hand, q) for q in (hand.neutral, *samples)]
+    out: list[tuple[str, str]] = []
+    for i, j in separate_pairs(hand):
         a, b = hand.geometries[i], hand.geometries[j]
-        if a.joint_id == b.joint_id or frozenset((a.name, b.name)) in hand.allowed_pairs:
-            continue
         if _joints_between(hand.pin_model, a.joint_id, b.joint_id) > NEIGHBOURS:
             continue
         pair = DistancePair(a.geometry, b.geometry)

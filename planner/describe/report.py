@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from planner.plain import finite, short_repr
+from planner.arrays import finite, short_repr
 
 Level = Literal["error", "warning", "note"]
 
@@ -21,6 +21,30 @@ class Finding:
     level: Level
     what: str
     what_to_do: str
+
+
+class Findings(list[Finding]):
+    """What a check has found, in the order in which it was found."""
+
+    def add(self, level: Level, what: str, what_to_do: str) -> None:
+        """Note a finding."""
+        self.append(Finding(level=level, what=what, what_to_do=what_to_do))
+
+    def error(self, what: str, what_to_do: str) -> None:
+        """Note what forbids planning."""
+        self.add("error", what, what_to_do)
+
+    def warning(self, what: str, what_to_do: str) -> None:
+        """Note what costs grasps or realism."""
+        self.add("warning", what, what_to_do)
+
+    def note(self, what: str, what_to_do: str) -> None:
+        """Note what is worth knowing."""
+        self.add("note", what, what_to_do)
+
+    def worst_first(self) -> tuple[Finding, ...]:
+        """Errors, then warnings, then notes."""
+        return tuple(sorted(self, key=lambda f: ("error", "warning", "note").index(f.level)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.bridge.structure import ModelStructure
-from planner.describe.drive import Drive, in_span
-from planner.describe.reasons import Reason
-from planner.description import ActuatorDescription, JointDefaults
+from planner.describe.drive import in_span
+from planner.describe.proposal import Notes
+from planner.joints.description import ActuatorDescription, JointDefaults
 from planner.spatial import FloatArray
 
 LARGEST_EFFORT = {"hinge": 5.0, "slide": 500.0}
@@ -42,7 +42,8 @@ def missing_servos(
     held: Sequence[FloatArray],
     joints: Sequence[int],
     inertia: FloatArray,
-) -> Drive:
+    notes: Notes,
+) -> tuple[ActuatorDescription, ...]:
     """Servos for joints that neither actuators nor couplings hold, nearest to the palm first.
 
     Args:
@@ -50,11 +51,11 @@ def missing_servos(
         held: Rows (nv,) of actuators and couplings.
         joints: Every joint, in the order in which servos are preferred.
         inertia: (nv,), what each joint moves in the model, its rotor included, kg m2 (kg).
+        notes: Gets reasons and open questions.
     """
     rows = list(held)
     inertia = inertia + _missing_armature(structure)
     groups: dict[tuple[float, float], list[str]] = {}
-    reasons, questions = [], []
     unsaid, unbelieved = [], []
     for j in joints:
         unit = np.eye(len(structure.joints))[j]
@@ -89,40 +90,42 @@ def missing_servos(
             )
         )
     if actuators:
-        reasons.append(
-            Reason(
-                key="actuators",
-                value=f"position servos for {sum(len(a.joints) for a in actuators)} joints",
-                why="neither an actuator nor a coupling of the model holds them; kp brings the "
-                f"whole force at {SERVO_TRAVEL['hinge']} rad ({1e3 * SERVO_TRAVEL['slide']:g} mm), "
-                "damping makes that of the joint critical for the inertia that the heaviest of "
-                "them moves, rotor and all",
-            )
+        notes.because(
+            "actuators",
+            f"position servos for {sum(len(a.joints) for a in actuators)} joints",
+            "neither an actuator nor a coupling of the model holds them; kp brings the "
+            f"whole force at {SERVO_TRAVEL['hinge']} rad ({1e3 * SERVO_TRAVEL['slide']:g} mm), "
+            "damping makes that of the joint critical for the inertia that the heaviest of "
+            "them moves, rotor and all",
         )
     if unbelieved:
         worst = max(structure.joints[index[n]].effort for n in unbelieved)
-        questions.append(
+        notes.ask(
             f"the model allows up to {worst:g} N m on {_listed(unbelieved)}, more than most "
             f"fingers have: {USUAL_EFFORT['hinge']} N m is proposed; set force_limit to the file's "
             "where that is your hand's"
         )
     if unsaid:
-        questions.append(
+        notes.ask(
             f"the model does not say how strong {_listed(unsaid)} are: {USUAL_EFFORT['hinge']} N m "
             f"({USUAL_EFFORT['slide']} N) is proposed; set force_limit to your hand's"
         )
-    return Drive(actuators=tuple(actuators), reasons=tuple(reasons), questions=tuple(questions))
+    return tuple(actuators)
 
 
 def joint_defaults(
-    structure: ModelStructure, added: Sequence[ActuatorDescription], inertia: FloatArray
-) -> tuple[JointDefaults, tuple[Reason, ...]]:
+    structure: ModelStructure,
+    added: Sequence[ActuatorDescription],
+    inertia: FloatArray,
+    notes: Notes,
+) -> JointDefaults:
     """Damping and friction with which servos work, and rotors for joints that have none.
 
     Args:
         structure: The hand.
         added: Proposed servos.
         inertia: (nv,), what each joint moves in the model, its rotor included, kg m2 (kg).
+        notes: Gets reasons and open questions.
     """
     if added:
         inertia = inertia + _missing_armature(structure)
@@ -141,43 +144,37 @@ def joint_defaults(
     driven = kp > 0
     slow = driven & (damping > SLOWEST_JOINT * kp)
     sticky = driven & (friction > STICKIEST_JOINT * force)
-    reasons, values = [], {}
+    values = {}
     if slow.any():
         worst = int(np.argmax(np.where(slow, damping / np.where(driven, kp, 1.0), 0.0)))
         values["damping"] = _two_digits(float(np.nanmax(2 * np.sqrt(kp * inertia)[driven])) / 2)
-        reasons.append(
-            Reason(
-                key="joint_defaults.damping",
-                value=f"{values['damping']:g} N m s/rad, half the critical damping",
-                why=f"the model says {damping[worst]:g} for {structure.joints[worst].name}, whose "
-                f"servo has kp {kp[worst]:g}: it would take {damping[worst] / kp[worst]:.1f} s to "
-                "close most of an error",
-            )
+        notes.because(
+            "joint_defaults.damping",
+            f"{values['damping']:g} N m s/rad, half the critical damping",
+            f"the model says {damping[worst]:g} for {structure.joints[worst].name}, whose "
+            f"servo has kp {kp[worst]:g}: it would take {damping[worst] / kp[worst]:.1f} s to "
+            "close most of an error",
         )
     if sticky.any():
         worst = int(np.argmax(np.where(sticky, friction, 0.0)))
         values["frictionloss"] = 0.0
-        reasons.append(
-            Reason(
-                key="joint_defaults.frictionloss",
-                value="0",
-                why=f"the model says {friction[worst]:g} for {structure.joints[worst].name}, whose "
-                f"servo gives {force[worst]:g} at most: it would hardly move",
-            )
+        notes.because(
+            "joint_defaults.frictionloss",
+            "0",
+            f"the model says {friction[worst]:g} for {structure.joints[worst].name}, whose "
+            f"servo gives {force[worst]:g} at most: it would hardly move",
         )
     if added and _missing_armature(structure).any():
         values["least_armature"] = USUAL_ARMATURE
         kept = [j.name for j in structure.joints if j.armature >= USUAL_ARMATURE]
-        reasons.append(
-            Reason(
-                key="joint_defaults.least_armature",
-                value=f"{USUAL_ARMATURE:g} kg m2",
-                why="the proposed servos have rotors, which the model does not know; light links "
-                "would swing at rates that a time step of 2 ms does not resolve"
-                + (f"; {_listed(kept)} keep the armature that the model gives" if kept else ""),
-            )
+        notes.because(
+            "joint_defaults.least_armature",
+            f"{USUAL_ARMATURE:g} kg m2",
+            "the proposed servos have rotors, which the model does not know; light links "
+            "would swing at rates that a time step of 2 ms does not resolve"
+            + (f"; {_listed(kept)} keep the armature that the model gives" if kept else ""),
         )
-    return JointDefaults(**values), tuple(reasons)
+    return JointDefaults(**values)
 
 
 def _missing_armature(structure: ModelStructure) -> FloatArray:

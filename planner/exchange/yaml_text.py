@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from planner.arrays import LARGEST_FLOAT
 from planner.errors import FileFormatError, TaskError, shown
-from planner.plain import LARGEST_FLOAT
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
 UNIT_TOL = 1e-3

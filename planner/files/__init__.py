@@ -5,7 +5,7 @@ What is public here is loaded when it is first used: a plan needs no movement.
 
 from typing import TYPE_CHECKING
 
-from planner.system.lazy_names import lazy_names
+from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
     from planner.files.data import PLAN_VERSION, PlanFile, TaskData, task_data, task_from_data

@@ -19,9 +19,8 @@ from planner.contacts import ContactModel
 from planner.errors import FileFormatError, TaskError
 from planner.hands.catalog import hand_names
 from planner.hands.hand import Hand
-from planner.objects import GraspObject
+from planner.objects import GraspObject, Region, TouchRegion
 from planner.plan import BestOf, GraspPlan, SolveRecord
-from planner.regions import Region, TouchRegion
 from planner.schema import StrictData
 from planner.shapes import shape_from_dict, shape_to_dict
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz

@@ -9,7 +9,6 @@ from typing import Required, TypedDict, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.actuation import Actuation
 from planner.arrays import checked_number, finite_array, float_array, per_item
 from planner.contacts import Cone, ContactSet, check_contacts
 from planner.contacts.friction import check_edges
@@ -18,6 +17,7 @@ from planner.forces.costs import QuadraticCost
 from planner.forces.friction_part import friction_part
 from planner.forces.problem import ForceProblem
 from planner.forces.torque_limits import TorqueCase, TorqueLimits, loaded_rows
+from planner.joints.actuation import Actuation
 from planner.spatial import FloatArray
 from planner.system.threads import made_once
 

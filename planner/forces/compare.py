@@ -17,12 +17,12 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.actuation import Actuation
 from planner.contacts import ContactSet
 from planner.errors import ContactError
 from planner.forces.build import LimitArguments, build_force_problem
 from planner.forces.infeasible import explain_infeasibility
 from planner.forces.loop import STEP_TOL, ForceLoop
+from planner.joints.actuation import Actuation
 from planner.numerics.qp_workspace import DEFAULT_SOLVER, solver_names
 from planner.spatial import FloatArray
 

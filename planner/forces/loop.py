@@ -20,7 +20,6 @@ from typing import Any, Unpack, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.actuation import Actuation
 from planner.arrays import checked_number, finite_given, float_array, per_item
 from planner.contacts import ContactSet, Pyramid, check_frames
 from planner.errors import ContactError, shown
@@ -30,6 +29,7 @@ from planner.forces.least_violation import Relaxation
 from planner.forces.screen import force_table, wrench_text
 from planner.forces.torque_limits import TorqueCase, TorqueLimits, loaded_rows
 from planner.forces.workspace import ContactWorkspace
+from planner.joints.actuation import Actuation
 from planner.numerics.dense_qp import DenseQp
 from planner.numerics.qp_workspace import DEFAULT_SOLVER, QpWorkspace, qp_workspace
 from planner.spatial import FloatArray

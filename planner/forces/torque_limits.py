@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.actuation import STOP_TOL, Actuation
+from planner.joints.actuation import STOP_TOL, Actuation
 from planner.spatial import FloatArray
 from planner.system.threads import built, made_once
 

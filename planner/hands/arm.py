@@ -17,10 +17,10 @@ import pinocchio as pin
 from pydantic import Field
 
 from planner.bridge import LinkGeometry, load_spec
-from planner.bridge.mount import ARM_PREFIX, mount_spec
-from planner.description import Finite, Vector
+from planner.bridge.edit import ARM_PREFIX, mount_spec
 from planner.errors import HandError, NotFoundError
 from planner.hands.description_toml import read_toml, validated
+from planner.joints.description import Finite, Vector
 from planner.schema import StrictData
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 

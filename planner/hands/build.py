@@ -24,13 +24,13 @@ from planner.bridge.geometry import allowed_pairs
 from planner.bridge.load import model_bytes, model_files
 from planner.bridge.numbers import check_numbers
 from planner.bridge.structure import read_spec
-from planner.couplings import check_held
-from planner.description import HandDescription
 from planner.errors import HandError
 from planner.hands.arm import Mount
 from planner.hands.description_toml import MirrorAxis, reflection_signs
 from planner.hands.fingers import Resolver
 from planner.hands.hand import Hand
+from planner.joints.couplings import check_held
+from planner.joints.description import HandDescription
 
 __all__ = ["build_from_spec", "build_hand", "hand_on_arm"]
 

@@ -21,9 +21,10 @@ from importlib import metadata
 from pathlib import Path
 
 from planner.errors import ModelError, NotFoundError
-from planner.system.environment import Held
-from planner.system.models import models_dir
+from planner.registry import Registry
+from planner.system.package import models_dir
 from planner.system.plugins import plugin, plugin_names
+from planner.system.process import Held
 
 __all__ = [
     "FOREIGN_HANDS",
@@ -51,7 +52,7 @@ _GYM = "package:gymnasium_robotics/envs/assets"
 _ALLEGRO = "package:example-robot-data/robots/allegro_hand_description/urdf"
 _SUITE = "package:robosuite/models/assets/grippers"
 
-FOREIGN_HANDS = {
+_KNOWN = {
     "gymnasium-robotics:adroit": f"{_GYM}/adroit_hand/adroit_pen.xml",
     "gymnasium-robotics:shadow": f"{_GYM}/hand/reach.xml",
     "example-robot-data:allegro_left": f"{_ALLEGRO}/allegro_left_hand.urdf",
@@ -63,8 +64,15 @@ FOREIGN_HANDS = {
     "robosuite:jaco_three_finger": f"{_SUITE}/jaco_three_finger_gripper.xml",
     "robosuite:robotiq_3f": f"{_SUITE}/robotiq_gripper_s.xml",
 }
-"""Hands that others ship in packages, ``PACKAGE:NAME`` -> model. The fragment ``hand/robot.xml`` of
+"""Hands in packages that we know, ``PACKAGE:NAME`` -> model. The fragment ``hand/robot.xml`` of
 gymnasium-robotics is empty by itself, so a scene that includes it stands here."""
+
+FOREIGN_HANDS: Registry[str | Path] = Registry("hand", group="opposable.hands", error=ModelError)
+"""Hands of others: name -> path of a description or model, or ``package:PACKAGE/PATH``. A package
+adds its own by an entry point of the group ``opposable.hands``, which names such a path."""
+
+for _name, _model in _KNOWN.items():
+    FOREIGN_HANDS.add(_name, _model)
 
 _NOT_CACHED = "is not cached, and a file that is read downloads nothing; if you trust the file, run"
 """Message about a model that a file names and that is not cached."""
@@ -95,8 +103,9 @@ def foreign_hand_model(name: str) -> str | None:
 
     The package may be spelt with underscores, as it is imported.
     """
-    package, _, inside = name.partition(":")
-    return FOREIGN_HANDS.get(f"{package.replace('_', '-')}:{inside}")
+    package, colon, inside = name.partition(":")
+    model = FOREIGN_HANDS.get(f"{package.replace('_', '-')}:{inside}" if colon else name)
+    return None if model is None else str(model)
 
 
 def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
@@ -150,7 +159,7 @@ def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
 def hand_reference(name_or_path: str | Path) -> str:
     """Reference to the same hand from any folder: the name, or the absolute path."""
     text = str(name_or_path)
-    is_name = text in hand_names() or (
+    is_name = text in (*hand_names(), *FOREIGN_HANDS) or (
         not os.path.exists(text) and (":" in text or text in plugin_names("hands"))
     )
     return text if is_name else str(Path(name_or_path).absolute())
@@ -194,7 +203,7 @@ def _how_to_install(package: str) -> str:
     """
     if package in sys.stdlib_module_names:
         return "is a module of Python itself, which has no models; correct the name"
-    known = {name.partition(":")[0] for name in FOREIGN_HANDS}
+    known = {name.partition(":")[0] for name in _KNOWN}
     if package.replace("_", "-") in known:
         return f"is not installed; {ASSETS_HINT} or pip install {package.replace('_', '-')}"
     return (

@@ -4,7 +4,7 @@ A hand of the other side is described by reference, ``mirror_of``: it has the mo
 description of that hand, both reflected through a coordinate plane of the base's frame. Names of
 bodies, joints, tips and pads stay those of the hand it mirrors. See
 ``models/hands/shadow_hand_left/hand.toml``. In the same way ``motors_of`` makes of any hand one
-with torque motors (``planner.bridge.motors``), whose stops are ties: joints that a tendon and its
+with torque motors (``planner.bridge.edit``), whose stops are ties: joints that a tendon and its
 stop keep together in a grasp move together. See ``models/hands/shadow_hand_torque/hand.toml``.
 """
 
@@ -21,9 +21,9 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from planner.bridge.load import model_files
-from planner.description import FingerDescription, HandDescription, TaxelDescription, Vector
 from planner.errors import HandError, shown
 from planner.hands.catalog import PACKAGE_SCHEME, model_file
+from planner.joints.description import FingerDescription, HandDescription, TaxelDescription, Vector
 from planner.schema import StrictData, faults_of
 from planner.spatial import FloatArray
 

@@ -17,9 +17,9 @@ import pinocchio as pin
 
 from planner.bridge import LinkGeometry, couplings_from_mujoco
 from planner.bridge.pinocchio_model import body_name
-from planner.couplings import Coupling, check_couplings, independent_couplings
-from planner.description import FingerDescription, HandDescription
 from planner.errors import HandError, NotFoundError
+from planner.joints.couplings import Coupling, check_couplings, independent_couplings
+from planner.joints.description import FingerDescription, HandDescription
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray, IntArray
 

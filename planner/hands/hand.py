@@ -21,13 +21,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.actuation import Actuation
 from planner.bridge import LinkGeometry
-from planner.couplings import Coupling, nearest_on_couplings
-from planner.description import HandDescription
 from planner.errors import HandError, NotFoundError, TaskError, shown
 from planner.hands.arm import Arm
 from planner.hands.fingers import Finger
+from planner.joints.actuation import Actuation
+from planner.joints.couplings import Coupling, nearest_on_couplings
+from planner.joints.description import HandDescription
 from planner.showing import in_notebook
 from planner.spatial import FloatArray, IntArray, fixed_array
 

@@ -31,7 +31,7 @@ from planner.numerics.casadi_buffers import BufferedFunction
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.field_points import Field
 from planner.synthesis.terms.term import Row, Term
-from planner.system.stage_times import stage
+from planner.system.threads import stage
 
 LEVER = 0.035
 """Distance (m) of a contact from the axis that makes a shift comparable to a turn."""

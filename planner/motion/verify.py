@@ -30,8 +30,13 @@ from planner.synthesis.unknowns import Unknowns
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
 from planner.verification.geometry import contacts_of, verify_geometry
-from planner.verification.grasp import no_closure, no_forces, plan_forces, verify_grasp
-from planner.verification.projection import project_onto_surface
+from planner.verification.grasp import (
+    no_closure,
+    no_forces,
+    plan_forces,
+    project_onto_surface,
+    verify_grasp,
+)
 
 SUBKNOTS = 3
 """Knots of the plan per interval of the solver: 10 degrees apart where the solver's are 30."""

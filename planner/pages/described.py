@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from planner.describe.reasons import Reason
+from planner.describe.proposal import Reason
 from planner.hands.arm import read_mount
 from planner.hands.description_toml import read_description
 from planner.hands.hand import Hand

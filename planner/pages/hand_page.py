@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from planner.couplings import nearest_on_couplings
+from planner.arrays import without_prefix
 from planner.describe import CheckReport
 from planner.hands.hand import Hand
+from planner.joints.couplings import nearest_on_couplings
 from planner.kinematics.state import HandState
 from planner.pages.arrows import arrow_part
 from planner.pages.blocks import Block, Command, Facts, Sentence
@@ -20,7 +21,6 @@ from planner.pages.own_assets import own_scripts
 from planner.pages.page import Page
 from planner.pages.rows import IDENTITY_ROW
 from planner.pages.scene import Actor, Model, Scene, View
-from planner.plain import without_prefix
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["hand_page"]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from planner.objects import GraspObject
+from planner.objects import GraspObject, TouchRegion
 from planner.pages.blocks import Block, Facts, Sentence
 from planner.pages.level_set import zero_level_set
 from planner.pages.own_assets import own_scripts
@@ -17,11 +17,10 @@ from planner.pages.page import Page, without_folder
 from planner.pages.rows import IDENTITY_ROW, pose_row
 from planner.pages.scene import Actor, Model, Part, Scene
 from planner.pages.surroundings import object_model, table_model
-from planner.regions import TouchRegion
 from planner.shapes import Mesh
+from planner.shapes.mesh import surface_triangles
 from planner.shapes.meshes.simplify import simplified
 from planner.shapes.stable import StablePose
-from planner.shapes.triangulation import surface_triangles
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["mesh_page"]

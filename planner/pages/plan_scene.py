@@ -14,7 +14,7 @@ from planner.pages.scene import Actor, Contacts, Layer, Model, View
 from planner.pages.surroundings import ShownObject, object_model, obstacle_model, table_model
 from planner.pages.viewpoint import hand_points, views_of
 from planner.plan import GraspPlan
-from planner.shapes.triangulation import surface_points
+from planner.shapes.mesh import surface_points
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 

@@ -10,9 +10,8 @@ import trimesh
 
 from planner.pages.scene import Layer, Model, Part
 from planner.shapes import Shape
-from planner.shapes.mesh import Mesh
+from planner.shapes.mesh import Mesh, surface_triangles
 from planner.shapes.meshes.simplify import simplified
-from planner.shapes.triangulation import surface_triangles
 from planner.spatial import FloatArray, IntArray
 from planner.task import Obstacle
 

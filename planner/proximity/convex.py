@@ -28,7 +28,7 @@ import coal
 import numpy as np
 
 from planner.errors import ModelError
-from planner.shapes.closest_point import nearest_on_cylinder
+from planner.shapes.base import nearest_on_cylinder
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["FAILED", "DistancePair", "Proximity", "distance_request"]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planner.proximity.convex import Proximity
 from planner.proximity.mesh_depth import TOLERANCE, Exit, Moved, Start, shortest_exit
 from planner.proximity.mesh_gaps import MeshGaps
-from planner.shapes.meshes.ball_tree import BallTree
+from planner.shapes.meshes.nearest_triangle import BallTree
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["CROSSING", "ClosedMesh", "MeshPair", "maybe_within"]

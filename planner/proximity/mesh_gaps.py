@@ -15,7 +15,7 @@ import numpy as np
 from planner.numerics.kernels import kernels_are_compiled
 from planner.proximity.bodies import ConvexBodies
 from planner.proximity.tree_kernels import gaps_to_triangles
-from planner.shapes.meshes.ball_tree import BallTree
+from planner.shapes.meshes.nearest_triangle import BallTree
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["MeshGaps"]

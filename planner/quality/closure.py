@@ -26,10 +26,10 @@ from typing import Any
 
 import numpy as np
 
+from planner.arrays import finite
 from planner.contacts import ContactSet
 from planner.errors import ContactError, PlannerError
 from planner.numerics.lp import LpSolution, solve_lp
-from planner.plain import finite
 from planner.quality.cones import primitive_wrenches
 from planner.spatial import FloatArray
 

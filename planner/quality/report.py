@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from planner.arrays import short_repr
 from planner.contacts import ContactSet, check_contacts
 from planner.errors import ContactError
-from planner.plain import short_repr
 from planner.quality.ball import check_hull, measure_hull
 from planner.quality.closure import ClosureResult, force_closure
 from planner.quality.cones import primitive_wrenches

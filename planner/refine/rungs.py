@@ -41,7 +41,7 @@ from planner.synthesis.seeds.draw import frozen_joints, opposed_forces
 from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.registry import register_term
 from planner.synthesis.terms.term import Role, Rows, Term
-from planner.system.stage_times import stage
+from planner.system.threads import stage
 from planner.task import GraspTask
 
 SMALLEST_RANGE = 1e-3

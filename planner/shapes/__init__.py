@@ -5,24 +5,9 @@ from planner.shapes.box import Box
 from planner.shapes.capsule import Capsule
 from planner.shapes.cylinder import Cylinder
 from planner.shapes.ellipsoid import Ellipsoid
-from planner.shapes.made import (
-    Bowl,
-    Channel,
-    Cup,
-    Hammer,
-    Knot,
-    LBracket,
-    Mug,
-    Pan,
-    Plate,
-    Superquadric,
-    Teacup,
-    Torus,
-    Tube,
-)
+from planner.shapes.made import Channel, Hammer, Knot, LBracket, Mug, Superquadric, Torus
 from planner.shapes.mesh import Mesh
 from planner.shapes.registry import (
-    SHAPES,
     SIZED_SHAPES,
     register_shape,
     shape_from_dict,
@@ -31,9 +16,9 @@ from planner.shapes.registry import (
 )
 from planner.shapes.sphere import Sphere
 from planner.shapes.stable import StablePose
+from planner.shapes.vessels import Bowl, Cup, Pan, Plate, Teacup, Tube
 
 __all__ = [
-    "SHAPES",
     "SIZED_SHAPES",
     "Bowl",
     "Box",

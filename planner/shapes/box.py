@@ -11,8 +11,7 @@ from typing import Any, ClassVar, Self
 import coal
 import numpy as np
 
-from planner.shapes.base import ALIGNED, Shape, checked_extents, checked_points
-from planner.shapes.closest_point import ON_SURFACE, sign
+from planner.shapes.base import ALIGNED, ON_SURFACE, Shape, checked_extents, checked_points, sign
 from planner.shapes.stable import StablePose, stable_poses
 from planner.shapes.surface import CODE_DIM, KEPT, Patch, Surface, box_clearance, edge_margin
 from planner.spatial import FloatArray, fixed_array

@@ -11,14 +11,13 @@ import coal
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes.base import Shape, checked_length, checked_points
-from planner.shapes.closest_point import unit
+from planner.shapes.base import Shape, Sized, checked_points, unit
 from planner.shapes.surface import KEPT, Patch, Surface, soft_norm
 from planner.spatial import FloatArray
 
 
 @dataclass(frozen=True)
-class Capsule(Shape):
+class Capsule(Sized, Shape):
     """A capsule about z: all points within ``radius`` of a segment. It rests lying along world x.
 
     Attributes:
@@ -33,11 +32,7 @@ class Capsule(Shape):
     radius: float
     height: float
 
-    def __post_init__(self) -> None:
-        """Check the sizes."""
-        for name in self.size_names:
-            value = checked_length(self.kind, name, getattr(self, name))
-            object.__setattr__(self, name, value)
+    def _check(self) -> None:
         if self.height <= 2 * self.radius:
             raise ObjectError(
                 f"capsule: height {self.height} m includes both caps and must be more than twice "
@@ -48,11 +43,6 @@ class Capsule(Shape):
     def core(self) -> float:
         """Distance between the centres of the caps, m."""
         return self.height - 2 * self.radius
-
-    @property
-    def sizes(self) -> tuple[float, ...]:
-        """Radius and full height, m."""
-        return self.radius, self.height
 
     @property
     def half_extents(self) -> FloatArray:

@@ -10,14 +10,13 @@ import casadi as ca
 import coal
 import numpy as np
 
-from planner.shapes.base import ALIGNED, Shape, checked_length, checked_points
-from planner.shapes.closest_point import nearest_on_cylinder
+from planner.shapes.base import ALIGNED, Shape, Sized, checked_points, nearest_on_cylinder
 from planner.shapes.surface import KEPT, Patch, Surface, edge_margin, soft_max, soft_norm
 from planner.spatial import FloatArray
 
 
 @dataclass(frozen=True)
-class Cylinder(Shape):
+class Cylinder(Sized, Shape):
     """A cylinder about z. It rests standing.
 
     Attributes:
@@ -31,17 +30,6 @@ class Cylinder(Shape):
     turns_tips: ClassVar[bool] = False
     radius: float
     height: float
-
-    def __post_init__(self) -> None:
-        """Check the sizes."""
-        for name in self.size_names:
-            value = checked_length(self.kind, name, getattr(self, name))
-            object.__setattr__(self, name, value)
-
-    @property
-    def sizes(self) -> tuple[float, ...]:
-        """Radius and full height, m."""
-        return self.radius, self.height
 
     @property
     def half_extents(self) -> FloatArray:

@@ -20,8 +20,7 @@ import casadi as ca
 import coal
 import numpy as np
 
-from planner.shapes.base import Shape, checked_extents, checked_points
-from planner.shapes.closest_point import sign, unit
+from planner.shapes.base import Shape, checked_extents, checked_points, sign, unit
 from planner.shapes.surface import KEPT, Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 

@@ -1,32 +1,35 @@
 """Solids bounded by triangles: convex or not, of one body or several, with cavities.
 
-Every query is on the true triangles. ``Mesh.field`` is the smooth distance for contact
-synthesis.
+Every query is on the true triangles. ``Mesh.field`` is the smooth distance for contact synthesis.
+``surface_triangles`` and ``surface_points`` give any shape's surface as triangles and as evenly
+spread points.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes.base import Shape, checked_points
-from planner.shapes.closest_point import ON_SURFACE, unit
-from planner.shapes.convex import convex_geometry
+from planner.shapes.base import ON_SURFACE, Shape, checked_points, unit
 from planner.shapes.field.distance_field import DistanceField
-from planner.shapes.field.grid_distance import FIELD_VERSION, field_fits, fit_mesh_field
-from planner.shapes.meshes.ball_tree import BallTree
-from planner.shapes.meshes.checking import check_solid, checked_once
+from planner.shapes.field.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
+from planner.shapes.hulls import convex_geometry, hull_of
 from planner.shapes.meshes.io import read_mesh
-from planner.shapes.meshes.nearest_triangle import NearestTriangles
-from planner.shapes.meshes.polyhedron import Polyhedron, checked_triangles, digest_of
-from planner.shapes.meshes.rays import pierced
-from planner.shapes.meshes.triangles import winding_number
+from planner.shapes.meshes.mending import check_solid, checked_once
+from planner.shapes.meshes.nearest_triangle import BallTree, NearestTriangles
+from planner.shapes.meshes.triangles import (
+    Polyhedron,
+    checked_triangles,
+    digest_of,
+    pierced,
+    winding_number,
+)
 from planner.shapes.stable import StablePose, stable_poses
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
@@ -282,7 +285,7 @@ class Mesh(Shape):
 
     @cached_property
     def coal_hull(self) -> Any:
-        """The convex hull as a ``coal.Convex``: to a micrometre, see ``planner.shapes.convex``."""
+        """The convex hull as a ``coal.Convex``: to a micrometre, see ``planner.shapes.hulls``."""
         return convex_geometry(self.hull_vertices)
 
     def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
@@ -422,3 +425,50 @@ class Mesh(Shape):
     def resting_rotation(self) -> FloatArray:
         """Of the first stable pose."""
         return self.resting_poses()[0].rotation
+
+
+FINENESS = 4
+"""Subdivisions of the icosahedron in whose directions a convex shape is seen: 2562, 4 degrees
+apart, so that chords of a sphere lie within 0.1 % of its radius."""
+
+FAR = 100.0
+"""From how far away (bounding radii) it is seen."""
+
+
+def surface_triangles(shape: Shape) -> tuple[FloatArray, IntArray]:
+    """Vertices (n, 3), m, and faces (m, 3), counter-clockwise from outside, of a shape.
+
+    A mesh has its own. The other kinds are convex: the hull of the points nearest to far points all
+    around, which are on the true surface.
+
+    Raises:
+        ObjectError: It is smaller than rounding.
+    """
+    import trimesh  # here, since trimesh loads slowly
+
+    if isinstance(shape, Mesh):
+        return shape.vertices, shape.faces
+    directions = np.asarray(trimesh.creation.icosphere(subdivisions=FINENESS).vertices)
+    points, _ = shape.closest_point(FAR * shape.bounding_radius * directions)
+    hull = hull_of(points)
+    if hull is None:
+        raise ObjectError(f"{shape.spec} is too small to have a surface of triangles; enlarge it")
+    return hull.points, hull.faces
+
+
+@lru_cache(maxsize=64)
+def surface_points(shape: Shape, n: int) -> FloatArray:
+    """Points (n, 3), m, spread evenly by area over a shape's surface; always the same."""
+    vertices, faces = surface_triangles(shape)
+    corners = vertices[faces]
+    sides = corners[:, 1:] - corners[:, :1]
+    areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    rng = np.random.default_rng(0)
+    ends = np.cumsum(areas)
+    # one in each of n equal shares of the area
+    chosen = np.searchsorted(ends, (np.arange(n) + rng.random(n)) / n * ends[-1], side="right")
+    chosen = np.minimum(chosen, len(faces) - 1)
+    u, v = np.sqrt(rng.random(n)), rng.random(n)
+    weights = np.column_stack([1.0 - u, u * (1.0 - v), u * v])
+    points: FloatArray = np.einsum("nk,nkd->nd", weights, corners[chosen])
+    return points

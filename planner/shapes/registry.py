@@ -1,8 +1,7 @@
 """Every kind of shape by its name, and how a new one is added.
 
-A new primitive is one file: a subclass of ``Shape`` with its ``surface``. A line in ``_OWN`` below,
-or ``register_shape`` from outside of this package, makes it known to specifications, files, plans
-and simulations.
+A new primitive is one file: a subclass of ``Shape`` with its ``surface``. ``register_shape``
+makes it known to specifications, files, plans and simulations.
 
 As plain data for JSON a shape is ``{"kind": "cylinder", "radius_m": 0.03, "height_m": 0.1}``. A
 mesh of a file is its path, scale and digest: the file must be there, unchanged, when it is read
@@ -20,46 +19,45 @@ from typing import Any, TypeVar
 import numpy as np
 
 from planner.errors import NotFoundError, ObjectError, shown
+from planner.registry import Registry
 from planner.shapes.base import Shape
 from planner.shapes.box import Box
 from planner.shapes.capsule import Capsule
 from planner.shapes.cylinder import Cylinder
 from planner.shapes.ellipsoid import Ellipsoid
-from planner.shapes.made import (
-    Bowl,
-    Channel,
-    Cup,
-    Hammer,
-    Knot,
-    LBracket,
-    Mug,
-    Pan,
-    Plate,
-    Superquadric,
-    Teacup,
-    Torus,
-    Tube,
-)
+from planner.shapes.made import Channel, Hammer, Knot, LBracket, Mug, Superquadric, Torus
 from planner.shapes.mesh import Mesh
 from planner.shapes.sphere import Sphere
-
-_OWN: tuple[type[Shape], ...] = (
-    *(Sphere, Box, Cylinder, Capsule, Ellipsoid),
-    *(Mug, LBracket, Torus, Hammer, Superquadric, Knot),
-    *(Cup, Teacup, Bowl, Pan, Plate, Channel, Tube),
-)
-
-SIZED_SHAPES: dict[str, type[Shape]] = {}
-"""Every kind of shape that its sizes determine, by its name."""
-
-SHAPES: dict[str, type[Shape]] = {Mesh.kind: Mesh}
-"""Every kind of shape by its name."""
+from planner.shapes.vessels import Bowl, Cup, Pan, Plate, Teacup, Tube
 
 _S = TypeVar("_S", bound=type[Shape])
 
 
+def _check(kind: str, shape: type[Shape]) -> None:
+    if not kind.isidentifier() or kind != kind.lower():
+        raise ObjectError(
+            f"shape kind {shown(kind)}: give one word of lower-case letters and digits"
+        )
+    if kind != shape.kind:
+        raise ObjectError(f"shape kind {shown(kind)}: the class calls itself {shown(shape.kind)}")
+    if len(shape.default_sizes) != len(shape.size_names):
+        raise ObjectError(
+            f"shape {shown(kind)} has {len(shape.default_sizes)} default sizes; give one for each "
+            f"of {', '.join(shape.size_names)}"
+        )
+    shape.from_sizes(shape.default_sizes)
+
+
+SIZED_SHAPES: Registry[type[Shape]] = Registry(
+    "shape", group="opposable.shapes", error=ObjectError, check=_check
+)
+"""Every kind of shape that its sizes determine, by its name."""
+
+
 def register_shape(shape: _S) -> _S:
     """Make a kind of shape known by its name; usable as a decorator of the class.
+
+    A package of others needs no call: an entry point of the group ``opposable.shapes`` will do.
 
     Args:
         shape: A subclass of ``Shape``. ``from_sizes(default_sizes)`` makes one of it.
@@ -68,26 +66,17 @@ def register_shape(shape: _S) -> _S:
         ObjectError: The name is taken or not a word, or the default sizes are not one number for
             each of ``size_names``.
     """
-    kind = shape.kind
-    if not kind.isidentifier() or kind != kind.lower():
-        raise ObjectError(
-            f"shape kind {shown(kind)}: give one word of lower-case letters and digits"
-        )
-    if SHAPES.get(kind, shape) is not shape:
-        raise ObjectError(
-            f"shape kind {shown(kind)} is {SHAPES[kind].__name__} already; choose another"
-        )
-    if len(shape.default_sizes) != len(shape.size_names):
-        raise ObjectError(
-            f"shape {shown(kind)} has {len(shape.default_sizes)} default sizes; give one for each "
-            f"of {', '.join(shape.size_names)}"
-        )
-    shape.from_sizes(shape.default_sizes)
-    SIZED_SHAPES[kind] = SHAPES[kind] = shape
+    if shape.kind == Mesh.kind:
+        raise ObjectError(f"shape kind {shown(shape.kind)} is Mesh already; choose another name")
+    SIZED_SHAPES.add(shape.kind, shape)
     return shape
 
 
-for _shape in _OWN:
+for _shape in (
+    *(Sphere, Box, Cylinder, Capsule, Ellipsoid),
+    *(Mug, LBracket, Torus, Hammer, Superquadric, Knot),
+    *(Cup, Teacup, Bowl, Pan, Plate, Channel, Tube),
+):
     register_shape(_shape)
 
 _FILE_KEYS = {"path", "scale", "repair", "sha256"}
@@ -127,16 +116,17 @@ def shape_from_dict(data: object) -> Shape:
         )
     kind = data.get("kind")
     if not isinstance(kind, str):
-        raise ObjectError(f'a shape has kind {shown(kind)}; give "kind" as one of {sorted(SHAPES)}')
-    if kind not in SHAPES:
-        raise NotFoundError("shape", kind, SHAPES)
+        kinds = sorted((*SIZED_SHAPES, Mesh.kind))
+        raise ObjectError(f'a shape has kind {shown(kind)}; give "kind" as one of {kinds}')
     given = {str(key) for key in data} - {"kind"}
     if kind == Mesh.kind:
         return _mesh_from_dict(data, given)
-    keys = _keys(SHAPES[kind])
+    if kind not in SIZED_SHAPES:
+        raise NotFoundError("shape", kind, (*SIZED_SHAPES, Mesh.kind))
+    keys = _keys(SIZED_SHAPES[kind])
     if given != set(keys):
         raise ObjectError(f"a {kind} has {sorted(given)}; it needs {sorted(keys)} and no others")
-    return SHAPES[kind](**{name: data[key] for key, name in keys.items()})
+    return SIZED_SHAPES[kind](**{name: data[key] for key, name in keys.items()})
 
 
 def _keys(shape: Any) -> dict[str, str]:
@@ -188,8 +178,8 @@ def _mesh_from_dict(data: Mapping[Any, Any], given: set[str]) -> Mesh:
         if told != mesh.mended:
             raise ObjectError(
                 f"the mesh file {path!r} was mended as {shown(told)} when it was stored, "
-                f"and now as {mesh.mended!r}: it was changed since, or manifold3d is installed on "
-                'one side only; plan again, or pip install "opposable[meshes]"'
+                f"and now as {mesh.mended!r}: it was changed since, or another version mended it; "
+                "plan again"
             )
         raise ObjectError(
             f"the mesh file {path!r} is not the one that was stored: it was changed "

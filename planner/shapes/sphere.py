@@ -10,14 +10,13 @@ import casadi as ca
 import coal
 import numpy as np
 
-from planner.shapes.base import Shape, checked_length, checked_points
-from planner.shapes.closest_point import unit
+from planner.shapes.base import Shape, Sized, checked_points, unit
 from planner.shapes.surface import KEPT, Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 
 
 @dataclass(frozen=True)
-class Sphere(Shape):
+class Sphere(Sized, Shape):
     """A ball.
 
     Attributes:
@@ -29,15 +28,6 @@ class Sphere(Shape):
     default_sizes: ClassVar[tuple[float, ...]] = (0.035,)
     ball_like: ClassVar[bool] = True
     radius: float
-
-    def __post_init__(self) -> None:
-        """Check the size."""
-        object.__setattr__(self, "radius", checked_length(self.kind, "radius", self.radius))
-
-    @property
-    def sizes(self) -> tuple[float, ...]:
-        """Radius, m."""
-        return (self.radius,)
 
     @property
     def half_extents(self) -> FloatArray:

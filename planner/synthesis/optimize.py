@@ -36,7 +36,7 @@ from planner.synthesis.residuals import Residuals
 from planner.synthesis.symbols import GraspPoint
 from planner.synthesis.terms.link_distance import find_link_distances
 from planner.synthesis.terms.resistance import N_DIRECTIONS
-from planner.system.stage_times import stage
+from planner.system.threads import stage
 from planner.task import GraspTask
 
 TURN_SCALE, SHIFT_SCALE, JOINT_SCALE, POINT_SCALE, FORCE_SCALE = 0.3, 0.02, 0.3, 0.01, 0.5

@@ -26,8 +26,7 @@ from planner.synthesis.terms.link_distance import LINKS, LinkDistances, TrueLink
 from planner.synthesis.terms.resistance import Resistance
 from planner.synthesis.terms.source import ActiveRows, RowSource, names_of
 from planner.synthesis.terms.term import Row, WrittenTerm
-from planner.system.stage_times import stage
-from planner.system.threads import BUILDING, built
+from planner.system.threads import BUILDING, built, stage
 
 
 class Residuals:

@@ -1,18 +1,28 @@
 """``verify_grasp``: a base pose and joints become a plan if everything holds, else a ``Failure``.
 
 The search asks it about what the solver found, and whoever reads a plan from a file asks it again.
+
+The solver's solution touches a model of the object (the smooth field of a mesh) with a model of the
+pad (a sphere). Both are right to some tenths of a millimetre. ``project_onto_surface`` moves the
+fingers' own joints by the least amount that brings every pad onto the true surface and closes the
+couplings,
+
+    min |dq|  s.t.  n_i' J_i dq = -gap_i,   C dq = d - C q,   wrist and base as they are,
+
+repeated until gaps and couplings are met (``planner.numerics.ik_step``).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from planner.approach.pregrasp import Approach, find_approach, verify_approach
 from planner.collision.moving_hand import moving_hand
-from planner.collision.pad_contact import pad_contacts
+from planner.collision.pad_contact import pad_contact_queries, pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
@@ -22,22 +32,63 @@ from planner.forces import (
     distribute_forces,
     gravity_wrench,
 )
+from planner.numerics.ik_step import Task, ik_step
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import ClosureResult, force_closure, plainly_closed
-from planner.spatial import SE3, FloatArray
-from planner.system.stage_times import stage
+from planner.spatial import SE3, FloatArray, IntArray
+from planner.system.threads import stage
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES, FRICTION_SHARE
 from planner.verification.geometry import contacts_of, verify_geometry
 
-__all__ = [
-    "force_arguments",
-    "no_closure",
-    "no_forces",
-    "plan_forces",
-    "verify_grasp",
-    "with_grip",
-]
+GAP_TOL = 2e-5
+"""Gap (m) that counts as none: a twenty-fifth of what counts as touching."""
+
+COUPLING_TOL = 1e-7
+"""Violation of a coupling (rad) that counts as none: a tenth of what is allowed in the verdict."""
+
+STEPS = 8
+"""Most steps."""
+
+FARTHEST = 0.006
+"""Largest gap (m) that is still a matter of models; more than that is no solution."""
+
+
+def project_onto_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
+    """Joints (nq,) near q with every pad on the true surface, as far as limits let them.
+
+    The verdict on it is ``planner.verification.geometry``'s; q itself if it touches already, or is
+    too far off.
+    """
+    hand, touching = task.hand, pad_contact_queries(task)
+    matrix, value = hand.coupling_matrix
+    index = _moved(task)
+    lower, upper = hand.q_lower[index], hand.q_upper[index]
+    turn = T_world_base.rotation.T @ task.T_world_object.rotation
+    q = q.copy()
+    for _ in range(STEPS):
+        found = touching.gaps(T_world_base, q)
+        missing = value - matrix @ q
+        worst = float(np.abs(found.gaps).max())
+        arrived = worst <= GAP_TOL and float(np.abs(missing).max(initial=0.0)) <= COUPLING_TOL
+        if arrived or worst > FARTHEST:
+            break
+        rates = np.einsum("ni,nij->nj", found.outward @ turn.T, found.jacobians)
+        touch = Task(np.vstack([rates, matrix])[:, index], np.concatenate([-found.gaps, missing]))
+        q[index] = ik_step(touch, q[index], lower, upper)
+    return q
+
+
+@lru_cache(maxsize=8)
+def _moved(task: GraspTask) -> IntArray:
+    """Joints (k,) that may move: the task's fingers, and what is coupled on fingers left out."""
+    hand = task.hand
+    coupled = np.flatnonzero(np.abs(hand.coupling_matrix[0]).sum(axis=0))
+    held = np.concatenate([hand.wrist_index, hand.arm_index])
+    mine = np.concatenate([f.q_index for f in task.fingers])
+    found = np.union1d(mine, np.setdiff1d(coupled, held))
+    found.flags.writeable = False
+    return found
 
 
 def verify_grasp(

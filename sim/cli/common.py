@@ -175,7 +175,7 @@ def told_command(context: typer.Context) -> str:
 
 def print_json(data: dict[str, Any]) -> None:
     """JSON on stdout, for machines; a number that is not finite becomes null."""
-    from planner.plain import finite
+    from planner.arrays import finite
 
     sys.stdout.write(json.dumps(finite(data), indent=1, allow_nan=False) + "\n")
 

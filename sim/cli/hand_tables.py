@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from planner.arrays import without_prefix
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.plain import without_prefix
 from sim.cli.common import say
 
 if TYPE_CHECKING:

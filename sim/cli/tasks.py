@@ -29,8 +29,7 @@ from sim.cli.options import (
 if TYPE_CHECKING:
     from planner.forces import ExpectedLoad
     from planner.hands.hand import Hand
-    from planner.objects import GraspObject
-    from planner.regions import TouchRegion
+    from planner.objects import GraspObject, TouchRegion
     from planner.spatial import SE3
     from planner.task import GraspTask, Obstacle
 
@@ -296,7 +295,7 @@ class TaskOptions:
         return {"wrist_q": [math.radians(v) for v in numbers("--wrist", self.wrist, count)]}
 
     def _touch_region(self) -> TouchRegion | None:
-        from planner.regions import TouchRegion, parse_region
+        from planner.objects import TouchRegion, parse_region
 
         if not self.touch and not self.avoid:
             return None

@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.actuation import STOP_TOL, Actuation
+from planner.joints.actuation import STOP_TOL, Actuation
 from planner.spatial import FloatArray
 
 MOST_OFF = 0.22

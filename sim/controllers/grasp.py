@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.actuation import Actuation
 from planner.hands.hand import Hand
+from planner.joints.actuation import Actuation
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Sense

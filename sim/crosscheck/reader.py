@@ -31,8 +31,8 @@ import numpy as np
 import pinocchio as pin
 
 from planner.bridge import compile_spec, load_spec
-from planner.bridge.inertias import impossible_inertias, worst_inertia
 from planner.bridge.load import compile_balanced
+from planner.bridge.numbers import impossible_inertias, worst_inertia
 from planner.bridge.structure import read_spec
 from planner.errors import ModelError, PlannerError
 from planner.hand_loading import load_hand

@@ -10,7 +10,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from planner.plain import finite, short_repr
+from planner.arrays import finite, short_repr
 from sim.crosscheck.parts import QUANTITIES, Difference, Quantity, Tally, Tolerances
 
 SCHEMA = 1

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.errors import FileFormatError, TaskError
-from planner.system.interrupts import interrupts_wait
+from planner.system.process import interrupts_wait
 from sim.episodes.episode import AnyReport, Episode, Robot, episodes_of
 from sim.episodes.formats import Asked, EpisodeWriter, format_named
 from sim.report import TrialReport

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from planner.errors import FileFormatError, NotFoundError
-from planner.system.models import models_dir
+from planner.system.package import models_dir
 
 SUFFIX = ".npz"
 """Ending of a policy's file."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.quality import closure_and_epsilon
 from planner.spatial import SE3, FloatArray, IntArray, signed_twist
-from planner.system.interrupts import interrupts_wait
+from planner.system.process import interrupts_wait
 from sim.contacts import ContactHistory
 from sim.contacts.pads import read_pads
 from sim.manipulation.timeline import ManipulationPhase

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import finite
 from planner.files.movements import manipulation_from_dict, manipulation_to_dict
 from planner.motion.manipulation import ManipulationPlan
-from planner.plain import finite
 from planner.quality import QualityReport
 from planner.showing import Shown, in_notebook
 from planner.spatial import FloatArray

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from planner.arrays import finite
 from planner.certify import NEAR, Neighbourhood
-from planner.plain import finite
 from planner.spatial import FloatArray
 from sim.controllers import Event
 from sim.recording import Recording, Samples

@@ -15,8 +15,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from planner.arrays import finite
 from planner.errors import FileFormatError
-from planner.plain import finite
 from planner.version import written_by
 from sim.protocols.outcome import Outcome
 from sim.reality import draws_in_words

@@ -27,7 +27,7 @@ from planner.errors import FileFormatError, HandError, TaskError
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from planner.system.interrupts import interrupts_wait
+from planner.system.process import interrupts_wait
 from sim.carrier import Timeline
 from sim.controllers.base import PHASES, Controller, Observation, Sense
 from sim.controllers.schedule import TOUCH_FORCE

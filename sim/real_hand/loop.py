@@ -18,12 +18,11 @@ from typing import Any
 import numpy as np
 from rich.console import Console, ConsoleOptions, RenderResult
 
-from planner.arrays import checked_number
+from planner.arrays import checked_number, finite, short_repr
 from planner.errors import HandError, PlannerError, TaskError
 from planner.hands.hand import Hand
-from planner.plain import finite, short_repr
 from planner.spatial import FloatArray
-from planner.system.interrupts import interrupts_wait
+from planner.system.process import interrupts_wait
 from sim.controllers.base import Controller, Phase
 from sim.real_hand.interface import (
     Clock,

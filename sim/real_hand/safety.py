@@ -19,10 +19,10 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from planner.actuation import Actuation
 from planner.arrays import checked_count, checked_number, float_array
 from planner.errors import NotFoundError, TaskError, shown
 from planner.hands.hand import Hand
+from planner.joints.actuation import Actuation
 from planner.spatial import FloatArray, IntArray
 from sim.real_hand.interface import HandReading
 

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from planner.system.lazy_names import lazy_names
+from planner.system.package import lazy_names
 from sim.reality.drawn import Drawn, drawn_numbers, draws_in_words
 from sim.reality.errors import (
     IDEAL,

@@ -16,9 +16,8 @@ import math
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, TypeAlias
 
-from planner.arrays import checked_number
+from planner.arrays import checked_number, finite
 from planner.errors import NotFoundError, TaskError, shown
-from planner.plain import finite
 from sim.controllers.touch import EXACT
 from sim.presets import Presets
 

@@ -44,7 +44,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.actuation import Actuation
+from planner.joints.actuation import Actuation
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.task import GraspTask

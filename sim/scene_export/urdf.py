@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.shapes import Ellipsoid
-from planner.shapes.triangulation import surface_triangles
+from planner.shapes.mesh import surface_triangles
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from sim.scene_export.mjcf import MESHES, MeshFile
 

@@ -27,11 +27,11 @@ import mujoco
 import numpy as np
 
 import sim.scene_export.mjcf as check_script
+from planner.arrays import finite
 from planner.errors import FileFormatError
 from planner.exchange.formats import GraspFormat, Writing, register_format
 from planner.files import write_json
 from planner.hands.hand import Hand
-from planner.plain import finite
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from planner.version import written_by

@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import FileFormatError, TaskError
-from planner.shapes.decomposition.hulls import hull_of
+from planner.shapes.hulls import hull_of
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
 INSTALL = 'pip install "opposable[drake]"'

@@ -30,7 +30,7 @@ from functools import cached_property
 
 import numpy as np
 
-from planner.description import FingerDescription, PadDescription, TaxelDescription
+from planner.joints.description import FingerDescription, PadDescription, TaxelDescription
 from planner.spatial import FloatArray
 
 DEFAULT_SPACING = 0.002

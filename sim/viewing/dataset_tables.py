@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from planner.arrays import finite
 from planner.batch import GraspSet
 from planner.batch.dataset import MOST_COMPARED
 from planner.batch.diversity import GraspFeatures, distances
 from planner.batch.rows import reading
 from planner.batch.store import ATTEMPTS, GRASPS
-from planner.plain import finite
 from planner.plan import GraspPlan
 
 COLUMNS = {

@@ -44,7 +44,7 @@ class ViewOptions:
 
     Attributes:
         alternatives: How many further grasps of a plan's task to plan and show beside it.
-        touch: Where fingers may touch an object, each as ``planner.regions.parse_region`` reads it.
+        touch: Where fingers may touch an object, each as ``planner.objects.parse_region`` reads it.
         avoid: Where they must not.
         repair: Whether to mend a mesh however much that changes.
         strict: Whether to refuse a mesh that would have to be mended.

@@ -5,10 +5,9 @@ from __future__ import annotations
 import struct
 
 from planner.errors import ObjectError
-from planner.objects import object_names, parse_object
+from planner.objects import TouchRegion, object_names, parse_object, parse_region
 from planner.pages.mesh_page import mesh_page
 from planner.pages.page import Page
-from planner.regions import TouchRegion, parse_region
 from planner.shapes.meshes.io import CONVERTIBLE, MESH_SUFFIXES
 from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.target import Target

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from planner.arrays import finite, short_repr
 from planner.batch.rows import arrow
 from planner.errors import TaskError
 from planner.files import whole_file
-from planner.plain import finite, short_repr
 
 
 @dataclass(frozen=True, kw_only=True)

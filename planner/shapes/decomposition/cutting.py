@@ -15,7 +15,7 @@ from itertools import count
 
 import numpy as np
 
-from planner.shapes.decomposition.hulls import Hull, clip, crossing_points, hull_of
+from planner.shapes.hulls import Hull, clip, crossing_points, hull_of
 from planner.shapes.mesh import Mesh
 from planner.shapes.meshes.triangles import cover
 from planner.spatial import FloatArray, IntArray

@@ -21,11 +21,9 @@ import numpy as np
 
 from planner.shapes.base import Shape
 from planner.shapes.decomposition.cutting import Guards, cut
-from planner.shapes.decomposition.hulls import Hull, hull_of
-from planner.shapes.mesh import Mesh
-from planner.shapes.meshes.polyhedron import moments
-from planner.shapes.meshes.triangles import cover
-from planner.shapes.triangulation import surface_triangles
+from planner.shapes.hulls import Hull, hull_of
+from planner.shapes.mesh import Mesh, surface_triangles
+from planner.shapes.meshes.triangles import cover, moments
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
 

@@ -12,7 +12,6 @@ from collections.abc import Callable
 import numpy as np
 
 from planner.shapes.field.distance_field import DistanceField, Level
-from planner.shapes.field.pyramid import grid_nodes
 from planner.spatial import FloatArray, IntArray
 
 RIM_STEP = 1e-5
@@ -255,3 +254,9 @@ def _refined(level: Level, ratio: int, first: IntArray, shape: tuple[int, ...]) 
         start, ratio = 2 * (start + 1), ratio // 2
     box = tuple(slice(a, a + s) for a, s in zip(first - start, shape, strict=True))
     return np.ascontiguousarray(c[box])
+
+
+def grid_nodes(first: IntArray, shape: tuple[int, ...], h: float) -> FloatArray:
+    """Nodes (nx ny nz, 3) of a grid, m: first node (3,), counts (3,), spacing (m)."""
+    axes = [(f + np.arange(s)) * h for f, s in zip(first, shape, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

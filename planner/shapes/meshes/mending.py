@@ -1,26 +1,47 @@
-"""Meshes that nearly bound a solid, mended where that changes nothing that matters.
+"""From triangles to the surface of a solid: sound as given, mended, or refused in words.
 
-A mesh that is not sound as it is given is mended: edges (``repair``), triangles that cross others
-of their own body (``patches``), bodies that overlap (``union``, or ``wrapping`` without
-manifold3d). The result is sound, its distance from what was given is measured, and it is accepted
-if a grasp would not notice.
+A mesh that is not sound as it is given is mended. First its edges, so that each is of two triangles
+that run through it oppositely: triangles without extent go, and so do repeated ones; nearly equal
+vertices on open edges become one; flaps that hang on an edge of three triangles go; neighbours are
+wound alike; holes are closed. manifold3d does the rest: it cuts surfaces apart that touch along an
+edge, fills holes, evens out what crosses itself, and unites bodies that overlap. The result is
+sound, its distance from what was given is measured, and it is accepted if a grasp would not notice.
+
+Edges are mended by hand: ``trimesh.repair`` closes holes and turns faces only with networkx, which
+nothing else here needs, and does not say what it changed; manifold3d refuses open edges.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import coal
 import numpy as np
 
-from planner.shapes.meshes.deviation import deviation
-from planner.shapes.meshes.edges import bodies_of, body_volumes, paired_edges
-from planner.shapes.meshes.holes import hole_widths
-from planner.shapes.meshes.patches import crossed_in_bodies, without_crossings
-from planner.shapes.meshes.repair import right_side_out, with_paired_edges
-from planner.shapes.meshes.soundness import Fault, faults_of
-from planner.shapes.meshes.union import manifold_is_installed, united
-from planner.shapes.meshes.wrapping import wrapped
+from planner.errors import ObjectError
+from planner.shapes.meshes.crossing import crossing_pairs, folded_pairs, near_pairs
+from planner.shapes.meshes.nearest_triangle import NearestTriangles, coal_tree
+from planner.shapes.meshes.soundness import (
+    Fault,
+    bodies_of,
+    body_volumes,
+    directed_edges,
+    faults_of,
+    joined,
+    nested,
+    paired_edges,
+    size_fault,
+    surroundings,
+    undirected_edges,
+)
+from planner.shapes.meshes.triangles import cover, digest_of
 from planner.spatial import FloatArray, IntArray
+from planner.system.disk_cache import read_arrays, write_arrays
+
+Surface = tuple[FloatArray, IntArray]
+"""Vertices (n, 3), m, and faces (m, 3)."""
 
 MOVED = 2e-4
 """Largest distance (m) by which mending may move the surface unasked: less than half of the 0.5 mm
@@ -38,6 +59,8 @@ WIDEST_HOLE = 0.3
 """A hole is closed on request if its extent is at most this fraction of the object's: a wider one
 is no defect, but the shape itself (an open shell)."""
 
+MERGE = 1e-5
+"""Vertices on open edges nearer than this fraction of the longest extent become one."""
 
 NOTHING = 1e-6
 """Distance (m) that is told as none: to which distances are measured."""
@@ -45,12 +68,26 @@ NOTHING = 1e-6
 TOLD_VOLUME = 1e-4
 """Share by which the volume changes, from which on it is told."""
 
-WRAP_CELLS = (96, 192)
-"""Cells along the longest extent when a surface is wrapped, coarse first: 1 mm on an object of 10
-cm, and half of that where the surface moves too far."""
+CUTS = 6
+"""Rounds in which crossing triangles are cut out and their holes closed, at most."""
 
-WRAP_ROUNDS = 6
-"""Rounds of cutting and filling, at most, after wrapping: a second each."""
+SIMPLIFIED = (2.5e-5, 5e-5, 1e-4, 2e-4)
+"""Tolerances (m) to which a surface is simplified if cuts leave crossings, up to ``MOVED``."""
+
+ISLAND = 0.02
+"""Share of all triangles below which what a cut leaves alone goes too."""
+
+MOST_POINTS = 3_000
+"""Points, about, on the triangles of either surface that the other has not."""
+
+SAME = 1e-12
+"""Distance (m) below which the middles of two triangles are one: rounding."""
+
+CHECK_VERSION = "v4"
+"""Changes where checks or mending do, so that stored results are made anew."""
+
+FIGURES = ("moved", "hole", "volume_change")
+"""Numbers of a ``Mending`` that are stored."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,10 +142,97 @@ class Mending:
         return ""
 
 
-def too_wide(vertices: FloatArray, faces: IntArray) -> str:
+def checked_once(name: str, vertices: FloatArray, faces: IntArray) -> Mending | None:
+    """As ``check_solid``; what was found is kept in the disk cache."""
+    key = f"{CHECK_VERSION}-{digest_of(vertices, faces)}"
+    known = read_arrays("sound", key)
+    if known is not None and set(known) == {"sound"}:
+        return None
+    if known is not None:
+        try:
+            return _restored(known)
+        except (KeyError, ValueError, TypeError, IndexError):
+            pass  # of another form: made anew
+    mending = check_solid(name, vertices, faces)
+    write_arrays("sound", key, {"sound": np.ones(1)} if mending is None else _stored(mending))
+    return mending
+
+
+def _stored(mending: Mending) -> dict[str, FloatArray | IntArray]:
+    return {
+        "vertices": mending.vertices,
+        "faces": mending.faces,
+        "figures": np.array([getattr(mending, name) for name in FIGURES]),
+        "done": np.frombuffer("\n".join(mending.done).encode(), dtype=np.uint8).astype(np.int64),
+    }
+
+
+def _restored(known: dict[str, FloatArray]) -> Mending:
+    vertices = known["vertices"].reshape(-1, 3)
+    faces = known["faces"].reshape(-1, 3).astype(np.int64)
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError("faces of vertices that are not there")
+    done = known["done"].astype(np.uint8).tobytes().decode()
+    figures = dict(zip(FIGURES, known["figures"].astype(float).tolist(), strict=True))
+    return Mending(vertices=vertices, faces=faces, done=tuple(done.split("\n")), **figures)
+
+
+def check_solid(
+    name: str, vertices: FloatArray, faces: IntArray, *, repair: bool = False, strict: bool = False
+) -> Mending | None:
+    """How the surface of a solid was mended; None if it is sound as it is.
+
+    Args:
+        name: What to call it in messages.
+        vertices: (n, 3), m.
+        faces: (m, 3).
+        repair: Whether to accept what mending changes, however much that is.
+        strict: Whether to refuse what would have to be mended.
+
+    Raises:
+        ObjectError: It bounds no solid; says what is wrong, where, and what can be done.
+    """
+    if repair and strict:
+        raise ObjectError(
+            f"{name}: repair and strict are both asked for; give one of them: --repair accepts "
+            "what mending changes, --strict refuses what would have to be mended"
+        )
+    wrong_size = size_fault(vertices)
+    if wrong_size:
+        file = name if Path(name).suffix else "FILE"
+        remedy = wrong_size.remedy.replace("FILE", file)
+        raise ObjectError(f"{name} {wrong_size.what}; sizes are in metres: {remedy}")
+    faults = faults_of(vertices, faces)
+    if not faults:
+        return None
+    what = f"{name} is not the surface of a solid: {'; '.join(fault.what for fault in faults)}"
+    if strict:
+        raise ObjectError(
+            f"{what}; it is not mended, since --strict (strict=True) is given: leave that out, or "
+            "mend it in the program that made it"
+        )
+    mending = mended(vertices, faces)
+    if mending.faults:
+        tried = "; ".join(mending.done) if mending.done else "nothing could be mended"
+        left = "; ".join(fault.what for fault in mending.faults)
+        hole = _too_wide(mending.vertices, mending.faces) if len(mending.faces) else ""
+        left = f"{left}; {hole}" if hole else left
+        raise ObjectError(
+            f"{what}. Mending was tried ({tried}), and then {left}; close it, or unite its parts, "
+            "in the program that made it"
+        )
+    if mending.too_much and not repair:
+        raise ObjectError(
+            f"{what}; {mending.too_much}: accept that with --repair (repair=True), or mend it in "
+            "the program that made it"
+        )
+    return mending
+
+
+def _too_wide(vertices: FloatArray, faces: IntArray) -> str:
     """The widest hole that no mending closes, and the limit, in words; "" if there is none."""
     length = float(np.ptp(vertices, axis=0).max())
-    width = max(hole_widths(vertices, faces), default=0.0)
+    width = max((_width(vertices, ring) for ring in rims(faces)), default=0.0)
     if width <= WIDEST_HOLE * length:
         return ""
     return (
@@ -126,17 +250,21 @@ def mended(vertices: FloatArray, faces: IntArray) -> Mending:
         faces: (m, 3).
     """
     done: list[str] = []
-    widest = WIDEST_HOLE * float(np.ptp(vertices, axis=0).max())
-    v, f = with_paired_edges(vertices, faces, widest, done)
+    v, f = _with_paired_edges(vertices, faces, done)
     if len(f) == 0 or paired_edges(f) is None:
         faults = faults_of(v, f) if len(f) else faults_of(vertices, faces)
         return Mending(vertices=v, faces=f, done=tuple(done), faults=faults)
-    f = right_side_out(v, f, done)
-    closed, volume = (v, f), _volume(v, f)
-    v, f, change = _uncrossed(v, f, volume, done)
+    f = _right_side_out(v, f, done)
+    closed, volume, change = (v, f), _volume(v, f), 0.0
+    crossed = _crossed(v, f)
+    if len(crossed):
+        v, f, how = _uncrossed(v, f)
+        done.append(f"{len(crossed)} triangles crossed, {how}")
+        change = abs(_volume(v, f) / volume - 1) if volume > 0 else np.inf
     faults = faults_of(v, f)
-    if faults and volume > 0:
-        v, f = _one_solid(v, f, done)
+    if faults and volume > 0 and not len(_crossed(v, f)):
+        done.append(f"{len(np.unique(bodies_of(f)))} parts that overlap or touch united")
+        v, f = united(v, f)
         faults = faults_of(v, f)
     if faults:
         return Mending(vertices=v, faces=f, done=tuple(done), faults=faults)
@@ -155,50 +283,373 @@ def _volume(vertices: FloatArray, faces: IntArray) -> float:
     return float(body_volumes(vertices, faces, bodies_of(faces)).sum())
 
 
-def _uncrossed(
-    vertices: FloatArray, faces: IntArray, volume: float, done: list[str]
-) -> tuple[FloatArray, IntArray, float]:
-    """Without triangles that cross others of their own body, and the share of volume that went.
+# edges
 
-    Cut out and filled or, where that moves the surface too far and a grid does not, wrapped.
+
+def _with_paired_edges(vertices: FloatArray, faces: IntArray, done: list[str]) -> Surface:
+    """Vertices (n, 3), m, and faces (m, 3) with as few faulty edges as can be had.
+
+    Args:
+        vertices: (n, 3), m.
+        faces: (m, 3).
+        done: Gets the repairs, in words.
     """
-    crossed = crossed_in_bodies(vertices, faces)
-    if len(crossed) == 0:
-        return vertices, faces, 0.0
-    given, how = (vertices, faces), "cut out and filled"
-    best = without_crossings(vertices, faces)
-    sound = best is not None and not faults_of(*best)
-    if best is None or not sound or deviation(given, best) > MOVED:
-        other = _wrapped(vertices, faces)
-        if not faults_of(*other) and (not sound or deviation(given, other) <= MOVED):
-            best, how = other, "wrapped on a grid"
-    if best is None:
-        return vertices, faces, 0.0
-    done.append(f"{len(crossed)} triangles crossed, {how}")
-    return *best, abs(_volume(*best) / volume - 1) if volume > 0 else np.inf
+    if paired_edges(faces) is not None:
+        return vertices, faces
+    widest = WIDEST_HOLE * float(np.ptp(vertices, axis=0).max())
+    faces = _once(faces, done)
+    if len(faces) == 0:
+        return vertices, faces
+    faces = _once(_merged(vertices, faces, done), done)
+    faces = _alike(_without_flaps(faces, done), done)
+    vertices, faces, widths = _with_closed_holes(vertices, faces, widest)
+    if widths:
+        done.append(f"{len(widths)} hole(s) closed, up to {1e3 * max(widths):.2g} mm wide")
+    if paired_edges(faces) is None:
+        apart = _manifold(vertices, faces)  # cuts apart what touches along an edge
+        if not apart.is_empty():
+            _, counts = np.unique(undirected_edges(faces), return_counts=True)
+            crowded = int((counts > 2).sum())
+            done.append(f"{crowded} edge(s) of more than two triangles cut apart")
+            vertices, faces = _surface(apart)
+    return vertices, faces
 
 
-def _one_solid(
-    vertices: FloatArray, faces: IntArray, done: list[str]
-) -> tuple[FloatArray, IntArray]:
-    """Bodies that overlap, touch or lie in each other as one solid."""
-    parts = len(np.unique(bodies_of(faces)))
-    if manifold_is_installed():
-        v, f = united(vertices, faces)
-        how = "united"
-    else:
-        v, f = _wrapped(vertices, faces)
-        how = "wrapped on a grid, since manifold3d is not installed"
-    done.append(f"{parts} parts that overlap or touch {how}")
-    return v, f
+def _once(faces: IntArray, done: list[str]) -> IntArray:
+    """No triangle with two equal corners, none twice; two wound oppositely enclose nothing and go.
+
+    Where two solids share a face, what goes is the wall between them.
+    """
+    extended = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    left: IntArray = faces[extended]
+    if len(left) == 0:
+        return left
+    after = (np.argmin(left, axis=1)[:, None] + np.array([1, 2])) % 3
+    second, third = np.take_along_axis(left, after, axis=1).T
+    _, first, of_face = np.unique(
+        np.sort(left, axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    sense = np.bincount(of_face.ravel(), np.where(second < third, 1.0, -1.0))
+    left = np.take(left, np.sort(first[sense != 0]), axis=0)
+    if len(left) < len(faces):
+        done.append(f"{len(faces) - len(left)} repeated or empty triangle(s) removed")
+    return left
 
 
-def _wrapped(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Wrapped, with edges of two triangles each and without crossings, as far as can be had."""
+def _merged(vertices: FloatArray, faces: IntArray, done: list[str]) -> IntArray:
+    """One vertex for all on open edges that are nearly equal."""
+    from scipy.spatial import cKDTree  # here, since SciPy loads slowly
+
+    _, of_edge, counts = np.unique(undirected_edges(faces), return_inverse=True, return_counts=True)
+    rim = np.unique(np.concatenate(directed_edges(faces))[np.tile(counts[of_edge] == 1, 2)])
+    grain = MERGE * float(np.ptp(vertices, axis=0).max())
+    near = cKDTree(vertices[rim]).query_pairs(grain, output_type="ndarray") if len(rim) else rim
+    if len(near) == 0:
+        return faces
+    group = joined(near[:, 0], near[:, 1], len(rim))
+    _, first = np.unique(group, return_index=True)
+    target = np.arange(len(vertices))
+    target[rim] = rim[first[group]]
+    done.append(f"{len(rim) - len(first)} repeated vertices merged")
+    return np.asarray(target[faces])
+
+
+def _without_flaps(faces: IntArray, done: list[str]) -> IntArray:
+    """No sheet that ends in the open and hangs on a surface only by edges of three or more."""
+    keys = undirected_edges(faces)
+    _, of_edge, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    shared = counts[of_edge].reshape(-1, 3)
+    pairs = np.argsort(of_edge, kind="stable")[np.repeat(counts == 2, counts)].reshape(-1, 2) // 3
+    sheet = joined(pairs[:, 0], pairs[:, 1], len(faces))
+    ends = np.bincount(sheet, (shared == 1).any(axis=1)) > 0
+    hangs = np.bincount(sheet, (shared > 2).any(axis=1)) > 0
+    flap = (ends & hangs)[sheet]
+    if flap.all() or not flap.any():
+        return faces
+    done.append(f"{int(flap.sum())} triangle(s) of flaps removed")
+    rest: IntArray = faces[~flap]
+    return rest
+
+
+def _alike(faces: IntArray, done: list[str]) -> IntArray:
+    """Turn triangles until neighbours run through their common edge in opposite directions.
+
+    Each triangle is a node twice, as it is and turned, linked with its neighbours' that agree: the
+    component of one triangle as it is tells which of its body are to be turned.
+    """
+    keys = undirected_edges(faces)
+    tail, _ = directed_edges(faces)
+    order = np.argsort(keys, kind="stable")
+    counts = np.unique(keys, return_counts=True)[1]
+    pairs = order[np.repeat(counts == 2, counts)].reshape(-1, 2)
+    one, other = pairs[:, 0] // 3, pairs[:, 1] // 3
+    unlike = tail[pairs[:, 0]] == tail[pairs[:, 1]]
+    if not unlike.any():
+        return faces
+    size = len(faces)
+    row = np.r_[one, one + size]
+    column = np.r_[np.where(unlike, other + size, other), np.where(unlike, other, other + size)]
+    label = joined(row, column, 2 * size)
+    body = bodies_of(faces)
+    _, first = np.unique(body, return_index=True)
+    kept = label[first][np.unique(body, return_inverse=True)[1]]
+    turned = (label[:size] != kept) & (label[size:] == kept)
+    # the smaller part of a body is the wrongly wound one; _right_side_out judges whole bodies
+    share = np.bincount(body, weights=turned) / np.maximum(np.bincount(body), 1)
+    turned ^= (share > 0.5)[body] & (label[:size] != label[size:])
+    if turned.any():
+        done.append(f"{int(turned.sum())} triangle(s) turned to agree with their neighbours")
+    out: IntArray = faces.copy()
+    out[turned] = out[turned][:, ::-1]
+    return out
+
+
+def _right_side_out(vertices: FloatArray, faces: IntArray, done: list[str]) -> IntArray:
+    """Turn bodies inside out whose normals point inwards, unless they are cavities in another."""
+    body = bodies_of(faces)
+    volumes = body_volumes(vertices, faces, body)
+    if (volumes > 0).all():
+        return faces
+    corners = vertices[faces]
+    # whether a body lies in others does not depend on how they are wound
+    turned = volumes[body] < 0
+    corners[turned] = corners[turned][:, ::-1]
+    around = surroundings(corners, body, len(volumes))
+    wrong = (volumes < 0) & (around == 0)
+    if wrong.any():
+        done.append(f"{int(wrong.sum())} part(s) whose normals pointed inwards turned")
+    out = faces.copy()
+    out[wrong[body]] = out[wrong[body]][:, ::-1]
+    return out
+
+
+# holes
+
+
+def rims(faces: IntArray) -> list[IntArray]:
+    """The rims of all holes, each the vertices in the order in which a filling runs round.
+
+    A rim that meets itself in a vertex is told as several loops.
+    """
+    tail, head = directed_edges(faces)
+    n = int(faces.max()) + 1
+    is_open = ~np.isin(tail * n + head, head * n + tail)
+    following: dict[int, list[int]] = {}
+    for a, b in zip(head[is_open].tolist(), tail[is_open].tolist(), strict=True):
+        following.setdefault(a, []).append(b)
+    loops = []
+    for start in list(following):
+        path = [start]
+        while following.get(path[-1]):
+            step = following[path[-1]].pop()
+            if step in path:
+                at = path.index(step)
+                loops.append(np.array(path[at:]))
+                del path[at + 1 :]
+            else:
+                path.append(step)
+    return [loop for loop in loops if len(loop) >= 3]
+
+
+def _width(vertices: FloatArray, ring: IntArray) -> float:
+    """Extent (m) of a hole: the longest side of the box around its rim."""
+    return float(np.ptp(vertices[ring], axis=0).max())
+
+
+def _with_closed_holes(
+    vertices: FloatArray, faces: IntArray, widest: float
+) -> tuple[FloatArray, IntArray, list[float]]:
+    """Vertices, faces, and the widths (m) of the holes that were closed.
+
+    A rim is filled by manifold3d, seen along its mean normal.
+
+    Args:
+        vertices: (n, 3), m.
+        faces: (m, 3), consistently wound.
+        widest: Largest extent of a hole that is closed, m.
+    """
+    import manifold3d
+
+    parts, widths = [faces], []
+    for ring in rims(faces):
+        width = _width(vertices, ring)
+        if width > widest:
+            continue
+        widths.append(width)
+        out = vertices[ring] - vertices[ring].mean(axis=0)
+        normal = np.cross(out, np.roll(out, -1, axis=0)).sum(axis=0)
+        first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+        across = np.column_stack([first, np.cross(normal, first)])
+        flat = out @ (across / np.maximum(np.linalg.norm(across, axis=0), SAME))
+        filling = manifold3d.triangulate([np.ascontiguousarray(flat)])
+        parts.append(ring[np.asarray(filling, dtype=np.int64).reshape(-1, 3)])
+    return vertices, np.concatenate(parts), widths
+
+
+# crossings and overlaps
+
+
+def _manifold(vertices: FloatArray, faces: IntArray) -> Any:
+    """A surface as a ``manifold3d.Manifold``; empty if its edges are not paired."""
+    import manifold3d  # here, since only faulty meshes need it
+
+    used, own = np.unique(faces, return_inverse=True)
+    mesh = manifold3d.Mesh64(
+        np.ascontiguousarray(vertices[used]),
+        np.ascontiguousarray(own.reshape(-1, 3), dtype=np.uint64),
+    )
+    return manifold3d.Manifold(mesh)
+
+
+def _surface(solid: Any) -> Surface:
+    """Vertices and faces of a ``manifold3d.Manifold``."""
+    mesh = solid.to_mesh64()
+    points = np.array(mesh.vert_properties, dtype=np.float64)[:, :3]
+    return points, np.array(mesh.tri_verts, dtype=np.int64)
+
+
+def _crossed(vertices: FloatArray, faces: IntArray) -> IntArray:
+    """Triangles (k,) that cross, or lie on, others of their own body.
+
+    Where edges are not of two triangles each: the triangles on such edges.
+    """
+    across = paired_edges(faces)
+    if across is None:
+        _, of_edge, counts = np.unique(
+            undirected_edges(faces), return_inverse=True, return_counts=True
+        )
+        return np.flatnonzero((counts[of_edge].reshape(-1, 3) != 2).any(axis=1))
+    corners, body = vertices[faces], bodies_of(faces)
+    one, other = crossing_pairs(corners, near_pairs(vertices, faces))
+    own = body[one] == body[other]
+    folded = folded_pairs(corners, across)
+    return np.unique(np.concatenate([one[own], other[own], *folded]))
+
+
+def _uncrossed(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray, str]:
+    """A surface whose bodies do not cross themselves, and how it came about; as far as can be had.
+
+    Where few triangles cross, mostly slivers that decimation folded over, they go and the holes are
+    closed. Where more cross, the whole surface is simplified by a tenth of a millimetre or so.
+    """
     v, f = vertices, faces
-    for cells in WRAP_CELLS:
-        v, f = with_paired_edges(*wrapped(vertices, faces, cells), 0.0, [])
-        v, f = without_crossings(v, f, rounds=WRAP_ROUNDS) or (v, f)
-        if not faults_of(v, f) and deviation((vertices, faces), (v, f)) <= MOVED:
+    for _ in range(CUTS):
+        faulty = _crossed(v, f)
+        if len(faulty) == 0:
+            return v, f, "cut out and filled"
+        left = np.delete(f, faulty, axis=0)
+        if len(left) == 0:
             break
-    return v, f
+        parts = bodies_of(left)
+        large = np.bincount(parts) >= ISLAND * len(left)
+        v, f, _ = _with_closed_holes(v, _without_pinches(left[large[parts]]), np.inf)
+        used, f = np.unique(f, return_inverse=True)
+        v, f = v[used], f.reshape(-1, 3)
+    whole = _manifold(vertices, faces)
+    for tolerance in SIMPLIFIED:
+        v, f = _surface(whole.simplify(tolerance))
+        if len(f) and len(_crossed(v, f)) == 0:
+            return v, f, f"simplified to {1e3 * tolerance:g} mm"
+    return vertices, faces, "which neither cutting nor simplifying ends"
+
+
+def _without_pinches(faces: IntArray) -> IntArray:
+    """Without the triangles at vertices in which rims meet, so that every rim is simple."""
+    while True:
+        tail, head = directed_edges(faces)
+        n = int(faces.max()) + 1
+        is_open = ~np.isin(tail * n + head, head * n + tail)
+        pinched = np.bincount(tail[is_open], minlength=n) > 1
+        bad = pinched[faces].any(axis=1)
+        if not bad.any() or bad.all():
+            return faces
+        faces = faces[~bad]
+
+
+def united(vertices: FloatArray, faces: IntArray) -> Surface:
+    """The union of the bodies of a surface, by manifold3d.
+
+    A body that is wound inwards is a cavity if another lies around it, and of matter otherwise.
+
+    Args:
+        vertices: (n, 3), m.
+        faces: (m, 3), each body closed, consistently wound, and not crossing itself.
+    """
+    import manifold3d
+
+    body = bodies_of(faces)
+    volumes = body_volumes(vertices, faces, body)
+    turned = np.where((volumes < 0)[body][:, None], faces[:, ::-1], faces)
+    cavities: dict[int, list[int]] = {}
+    matter = set(range(len(volumes)))
+    pairs = [(inner, outer) for inner, outer, _ in nested(vertices[turned], body, len(volumes))]
+    for cavity in sorted({inner for inner, _ in pairs if volumes[inner] < 0}):
+        # of the body closest around it; matter of another body fills it
+        around = [outer for inner, outer in pairs if inner == cavity]
+        owner = min(around, key=lambda outer: abs(float(volumes[outer])))
+        matter.discard(cavity)
+        cavities.setdefault(owner, []).append(cavity)
+    solids = [_manifold(vertices, turned[body == number]) for number in range(len(volumes))]
+    parts = []
+    for number in sorted(matter):
+        hollow = [solids[k] for k in cavities.get(number, ())]
+        subtract = manifold3d.OpType.Subtract
+        parts.append(manifold3d.Manifold.batch_boolean([solids[number], *hollow], subtract))
+    return _surface(manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add))
+
+
+# how far the surface moved
+
+
+def deviation(given: Surface, mended: Surface) -> float:
+    """Largest distance (m) between two surfaces where they differ, to a micrometre.
+
+    Of points of the mended surface from the given one, and of points of the given one outside the
+    mended solid from its surface. What lies inside is matter, and could never be touched.
+
+    Args:
+        given: Vertices (n, 3), m, and faces (m, 3).
+        mended: The same of a sound surface.
+    """
+    fresh, gone = _only_in(mended, given), _only_in(given, mended)
+    moved = 0.0
+    if len(fresh):
+        moved = float(_distances(given, _points(mended[0][mended[1][fresh]])).max())
+    if len(gone):
+        points = _points(given[0][given[1][gone]])
+        surface, _, normal = NearestTriangles(*mended).nearest(points)
+        gap = points - surface
+        outside = np.einsum("nd,nd->n", gap, normal) > 0
+        moved = max(moved, float(np.linalg.norm(gap[outside], axis=1).max(initial=0.0)))
+    return moved
+
+
+def _only_in(one: Surface, other: Surface) -> IntArray:
+    """Faces (k,) of the first surface that the second has not, however they are wound."""
+    mine, theirs = (np.round(v[f].mean(axis=1) / SAME).astype(np.int64) for v, f in (one, other))
+    known = set(map(tuple, theirs.tolist()))
+    return np.flatnonzero([tuple(middle) not in known for middle in mine.tolist()])
+
+
+def _points(corners: FloatArray) -> FloatArray:
+    """Points spread over triangles (k, 3, 3), and some of their corners."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    area = float(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum()) / 2
+    length = float(np.linalg.norm(edges, axis=2).max(axis=1).sum())  # needles have no area
+    spread, _ = cover(corners, max(float(np.sqrt(area / MOST_POINTS)), length / MOST_POINTS, SAME))
+    own = np.unique(corners.reshape(-1, 3), axis=0)
+    return np.concatenate([p[:: max(1, len(p) // MOST_POINTS)] for p in (spread, own)])
+
+
+def _distances(surface: Surface, points: FloatArray) -> FloatArray:
+    """Distances (n,), m, of points (n, 3) from triangles that need not bound anything."""
+    tree, probe = coal_tree(*surface), coal.Sphere(0.0)  # coal keeps no reference of its own
+    measure = coal.ComputeDistance(tree, probe)
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    identity, pose = coal.Transform3s.Identity(), coal.Transform3s.Identity()
+    out = np.empty(len(points))
+    for i, point in enumerate(points):
+        pose.setTranslation(point)
+        result.clear()
+        out[i] = measure(identity, pose, request, result)
+    return np.maximum(out, 0.0)

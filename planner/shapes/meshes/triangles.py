@@ -1,13 +1,22 @@
-"""Exact geometry of single triangles: nearest points, winding numbers, crossings, covering points.
+"""Exact geometry of triangles: nearest points, winding numbers, crossings, rays, moments.
 
-Everything is vectorised over pairs or points, in m, and knows nothing of meshes and their topology.
+Single triangles are vectorised over pairs or points, in m, and know nothing of meshes and their
+topology. ``Polyhedron`` is a solid of them as bare arrays. Rays find walls of any thickness, unlike
+a march through the smooth distance: coal's tree finds the triangles, closed form measures.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Any, Self
+
+import coal
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import float_array
+from planner.errors import ObjectError
 from planner.spatial import FloatArray, IntArray
 
 FACE = 6
@@ -172,3 +181,168 @@ def _counting(counts: IntArray) -> IntArray:
     ends = np.cumsum(counts)
     out: IntArray = np.arange(int(ends[-1])) - np.repeat(ends - counts, counts)
     return out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Polyhedron:
+    """A solid bounded by triangles, with its centre of mass at the origin.
+
+    Attributes:
+        vertices: (n, 3), m; read-only.
+        faces: (m, 3), indices of vertices, counter-clockwise seen from outside; read-only.
+        offset: The centre of mass (3,) where it was before, m.
+        volume: m3.
+        second_moments: (3, 3) about the centre of mass, m5.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    offset: FloatArray
+    volume: float
+    second_moments: FloatArray
+
+    @classmethod
+    def centred(cls, vertices: FloatArray, faces: IntArray) -> Self:
+        """From vertices (n, 3), m, about any origin, and faces (m, 3) that bound a solid.
+
+        Raises:
+            ObjectError: See ``checked_triangles``.
+        """
+        points, triangles = checked_triangles("mesh", vertices, faces)
+        v, f = np.array(points), np.array(triangles)
+        volume, center, second = moments(v[f])
+        v -= center
+        v.setflags(write=False)
+        f.setflags(write=False)
+        second -= volume * np.outer(center, center)
+        return cls(vertices=v, faces=f, offset=center, volume=volume, second_moments=second)
+
+
+def moments(corners: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Volume (m3), centroid (3,) and second moments (3, 3), m5, about the origin.
+
+    Each triangle spans a tetrahedron with the origin, of determinant D: volume D/6, first moments
+    D/24 (a + b + c), second moments D/120 (a a' + b b' + c c' + s s') with s = a + b + c (Tonon,
+    "Explicit exact formulas for the 3-D tetrahedron inertia tensor", 2004).
+    """
+    a, b, c = (corners[:, k] for k in range(3))
+    d = np.einsum("nd,nd->n", a, np.cross(b, c))
+    total = a + b + c
+    volume = float(d.sum() / 6)
+    center = np.einsum("n,nd->d", d, total) / 24 / volume
+    second = sum(np.einsum("n,ni,nj->ij", d, v, v) for v in (a, b, c, total)) / 120
+    return volume, center, np.asarray(second)
+
+
+def digest_of(vertices: FloatArray, faces: IntArray) -> str:
+    """SHA-256 of vertices (n, 3) and faces (m, 3), as hexadecimal; the same on every machine."""
+    content = sha256(np.ascontiguousarray(vertices, dtype="<f8").tobytes())
+    content.update(np.ascontiguousarray(faces, dtype="<i8").tobytes())
+    return content.hexdigest()
+
+
+def checked_triangles(
+    name: str, vertices: FloatArray, faces: IntArray
+) -> tuple[FloatArray, IntArray]:
+    """Vertices (n, 3), m, as float64 and faces (m, 3) as int64.
+
+    Raises:
+        ObjectError: Other shapes, NaN or infinity, no faces, or faces of vertices that are not
+            there.
+    """
+    v = float_array(f"{name}: vertices", vertices, error=ObjectError)
+    try:
+        f = np.asarray(faces)
+        if isinstance(faces, np.ma.MaskedArray) and faces.mask.any():
+            raise ValueError("some of it is masked")
+    except ValueError as fault:  # rows of different lengths
+        raise ObjectError(f"{name}: faces are no array ({fault}); give integers (m, 3)") from fault
+    if v.ndim != 2 or v.shape[1:] != (3,) or not np.isfinite(v).all():
+        raise ObjectError(f"{name}: vertices have shape {v.shape}; give finite (n, 3), in m")
+    if f.ndim != 2 or f.shape[1:] != (3,) or not np.issubdtype(f.dtype, np.integer) or len(f) == 0:
+        raise ObjectError(f"{name}: faces are {f.dtype} of shape {f.shape}; give integers (m, 3)")
+    if f.min() < 0 or f.max() >= len(v):
+        raise ObjectError(
+            f"{name}: faces name vertex {f.min()} to {f.max()}, but there are 0 to {len(v) - 1}"
+        )
+    return v, f.astype(np.int64)
+
+
+NEEDLE = 1e-7
+"""Radius (m) of the capsule by which coal looks for triangles."""
+
+MOST = 1000
+"""Most triangles on a line that coal tells."""
+
+
+def pierced(
+    tree: Any,
+    corners: FloatArray,
+    starts: FloatArray,
+    directions: FloatArray,
+    length: float,
+    *,
+    least: float,
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Triangles that rays pass through: number of the ray, depth (m), triangle; (k,) each.
+
+    Sorted by ray, then by depth. A ray through an edge meets one of its triangles, both, or by
+    rounding none.
+
+    Args:
+        tree: The triangles as a coal geometry (``coal_tree``).
+        corners: The same (m, 3 corners, 3), m.
+        starts: Where rays begin (n, 3), m.
+        directions: Unit vectors (n, 3).
+        length: Of the rays, m.
+        least: Depth (m) from which on they are looked at: they may begin on the surface.
+    """
+    rays, triangles = _near(tree, starts, directions, length)
+    a, b, c = (corners[triangles, k] for k in range(3))
+    along, origin = directions[rays], starts[rays]
+    # Moeller and Trumbore, "Fast, minimum storage ray/triangle intersection", 1997
+    across = np.cross(along, c - a)
+    volume = np.einsum("kd,kd->k", b - a, across)
+    inverse = 1.0 / np.where(volume != 0.0, volume, np.inf)
+    to_start = origin - a
+    u = np.einsum("kd,kd->k", to_start, across) * inverse
+    turned = np.cross(to_start, b - a)
+    v = np.einsum("kd,kd->k", along, turned) * inverse
+    depth = np.einsum("kd,kd->k", c - a, turned) * inverse
+    met = (volume != 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
+    met &= (depth >= least) & (depth <= length)
+    rays, triangles, depth = rays[met], triangles[met], depth[met]
+    order = np.lexsort((triangles, depth, rays))
+    return rays[order], depth[order], triangles[order]
+
+
+def _near(
+    tree: Any, starts: FloatArray, directions: FloatArray, length: float
+) -> tuple[IntArray, IntArray]:
+    """Pairs of ray and triangle (k,) that a thin capsule along the ray touches."""
+    request, result = coal.CollisionRequest(), coal.CollisionResult()
+    request.num_max_contacts = MOST
+    needle, here, pose = (
+        coal.Capsule(NEEDLE, length),
+        coal.Transform3s.Identity(),
+        coal.Transform3s(),
+    )
+    rotations = _along_z(directions)
+    rays, triangles = [], []
+    for i, middle in enumerate(starts + length / 2 * directions):
+        pose.setRotation(rotations[i])
+        pose.setTranslation(middle)
+        result.clear()
+        coal.collide(tree, here, needle, pose, request, result)
+        found = [result.getContact(k).b1 for k in range(result.numContacts())]
+        rays += [i] * len(found)
+        triangles += found
+    return np.array(rays, dtype=np.int64), np.array(triangles, dtype=np.int64)
+
+
+def _along_z(directions: FloatArray) -> FloatArray:
+    """Rotations (n, 3, 3) whose third columns are unit vectors (n, 3)."""
+    aside = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
+    x = np.cross(aside, directions)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.stack([x, np.cross(directions, x), directions], axis=2)

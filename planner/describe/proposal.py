@@ -1,7 +1,6 @@
-"""``write_description``: a description as a TOML file, with the reasons as comments in it.
+"""A proposal: a description, a reason for each guess, and open questions; and how it is written.
 
-Python reads TOML but does not write it. A hand description needs little of it: strings, numbers,
-lists, and tables one and two levels deep.
+Floats are written with every digit: reading them back gives the same hand.
 """
 
 from __future__ import annotations
@@ -10,13 +9,65 @@ import json
 import os
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from planner.describe.reasons import Proposal, Reason
-from planner.description import HandDescription
 from planner.errors import FileFormatError
 from planner.hands.catalog import PACKAGE_SCHEME
+from planner.joints.description import HandDescription
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reason:
+    """The reason for a line of a description.
+
+    Attributes:
+        key: The line: "palm_body", "fingers.index.pad", "postures.pinch".
+        value: The choice, in words.
+        why: The evidence in the model, and evidence that would change it.
+    """
+
+    key: str
+    value: str
+    why: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposal:
+    """A hand description proposed from the structure of a model.
+
+    Attributes:
+        description: The description; valid, and as complete as the model allows.
+        reasons: One for every guess, in the order of the description.
+        open_questions: What the structure leaves open or contradicts, each with a remedy.
+    """
+
+    description: HandDescription
+    reasons: tuple[Reason, ...]
+    open_questions: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Notes:
+    """Notes taken while a proposal is made.
+
+    Attributes:
+        reasons: One per line of the description.
+        questions: Open questions.
+    """
+
+    reasons: list[Reason] = field(default_factory=list)
+    questions: list[str] = field(default_factory=list)
+
+    def because(self, key: str, value: str, why: str) -> None:
+        """Note a reason."""
+        self.reasons.append(Reason(key=key, value=value, why=why))
+
+    def ask(self, question: str) -> None:
+        """Note an open question."""
+        self.questions.append(question)
+
 
 COMMENT_WIDTH = 98
 """Width of a comment, characters."""
@@ -89,8 +140,8 @@ def description_text(
             lines += _line("body", finger.tip.body) + _line("position", finger.tip.position)
         lines.append("[fingers.pad]")
         lines += _comments([because[f"{key}.pad"]] if f"{key}.pad" in because else [])
-        for field, value in finger.pad.model_dump(exclude_none=True).items():
-            lines += _line(field, value)
+        for key_of_pad, value in finger.pad.model_dump(exclude_none=True).items():
+            lines += _line(key_of_pad, value)
     for coupling in d.couplings:
         lines += ["", "[[couplings]]"]
         lines += _line("name", coupling.name, because.get(f"couplings.{coupling.name}"))

@@ -1,22 +1,53 @@
-"""Objects whose triangles are woven from rings: brackets, torus, superquadric and knot.
+"""Objects that a few sizes make: woven from rings, or a file of ``models/objects`` that is scaled.
 
 A ring is a closed row of points; a surface is a stack of rings, wound so that normals point
-outwards when a ring runs counter-clockwise about the direction of the stack. Their sizes are no
-scales of one mesh: the thickness of a bracket, the tube of a torus, the exponents of a
-superquadric change its form.
+outwards when a ring runs counter-clockwise about the direction of the stack. Sizes that are no
+scales of one mesh are woven: the thickness of a bracket, the tube of a torus, the exponents of a
+superquadric change the form.
 """
 
 from __future__ import annotations
 
+import re
+from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from planner.arrays import checked_number
 from planner.errors import ObjectError
-from planner.shapes.made.base import Made
+from planner.shapes.base import Sized
+from planner.shapes.mesh import Mesh
+from planner.shapes.meshes.triangles import Polyhedron
 from planner.spatial import FloatArray, IntArray
+from planner.system.package import models_dir
+
+
+class Made(Sized, Mesh):  # type: ignore[misc]
+    """A mesh that is made from a few sizes.
+
+    A subclass is a frozen dataclass, compared as meshes are (``eq=False``), whose fields are its
+    sizes: names, order and defaults of a specification are those of the fields.
+    """
+
+    source: ClassVar[None] = None  # type: ignore[misc]
+
+    def __init_subclass__(cls) -> None:
+        """Take the names and defaults of the fields."""
+        names = [name for name, kind in cls.__annotations__.items() if kind == "float"]
+        cls.size_names = tuple(names)
+        cls.default_sizes = tuple(getattr(cls, name, 0.0) for name in names)
+
+    @abstractmethod
+    def _triangles(self) -> tuple[FloatArray, IntArray]:
+        """Vertices (n, 3), m, and outward faces (m, 3)."""
+
+    @cached_property
+    def _solid(self) -> Polyhedron:  # type: ignore[override]
+        return Polyhedron.centred(*self._triangles())
+
 
 TORUS_AROUND, TORUS_ACROSS = 72, 36
 """Points around the ring and around its tube: the facets deviate by 0.1 mm at the default size."""
@@ -67,8 +98,6 @@ class LBracket(Made):
     """
 
     kind: ClassVar[str] = "lbracket"
-    size_names: ClassVar[tuple[str, ...]] = ("length", "height", "width", "thickness")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.09, 0.08, 0.045, 0.025)
     length: float = 0.09
     height: float = 0.08
     width: float = 0.045
@@ -100,8 +129,6 @@ class Channel(Made):
     """
 
     kind: ClassVar[str] = "channel"
-    size_names: ClassVar[tuple[str, ...]] = ("length", "height", "width", "thickness")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.06, 0.06, 0.08, 0.002)
     length: float = 0.06
     height: float = 0.06
     width: float = 0.08
@@ -144,8 +171,6 @@ class Torus(Made):
     """
 
     kind: ClassVar[str] = "torus"
-    size_names: ClassVar[tuple[str, ...]] = ("ring", "tube")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.035, 0.015)
     ring: float = 0.035
     tube: float = 0.015
 
@@ -183,8 +208,6 @@ class Superquadric(Made):
     """
 
     kind: ClassVar[str] = "superquadric"
-    size_names: ClassVar[tuple[str, ...]] = ("x", "y", "z", "e1", "e2")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.06, 0.06, 0.09, 0.5, 0.5)
     pure_numbers: ClassVar[tuple[str, ...]] = ("e1", "e2")
     x: float = 0.06
     y: float = 0.06
@@ -235,8 +258,6 @@ class Knot(Made):
     """
 
     kind: ClassVar[str] = "knot"
-    size_names: ClassVar[tuple[str, ...]] = ("radius", "tube")
-    default_sizes: ClassVar[tuple[float, ...]] = (0.04, 0.007)
     radius: float = 0.04
     tube: float = 0.007
 
@@ -267,3 +288,82 @@ class Knot(Made):
             c[:, 0, None] * across[:, None] + c[:, 1, None] * up[:, None]
         )
         return rings.reshape(-1, 3), stacked(rings, closed=True)
+
+
+SLENDER, SQUAT = 6.0, 1.4
+"""Largest and smallest height of a mug, in radii."""
+
+SHORTEST_HEAD, SHORTEST_HANDLE = 2.5, 2.0
+"""Smallest width of a hammer's head and length of its handle, in radii of the head."""
+
+
+def read_object(name: str) -> tuple[FloatArray, IntArray]:
+    """Vertices (n, 3), m, and faces (m, 3) of ``models/objects/NAME.ply``, as they are stored.
+
+    Read by NumPy: the digest of a default mesh depends on the stored order, and trimesh takes 0.1 s
+    of CPU to import (``python -X importtime -c "import trimesh"``).
+    """
+    content = (models_dir() / "objects" / f"{name}.ply").read_bytes()
+    head, _, body = content.partition(b"end_header\n")
+    n, m = (int(count) for count in re.findall(rb"element \w+ (\d+)", head))
+    vertices = np.frombuffer(body, "<f8", 3 * n).reshape(n, 3)
+    rows = np.frombuffer(body, [("corners", "u1"), ("at", "<i4", 3)], m, offset=vertices.nbytes)
+    return vertices, rows["at"]
+
+
+@dataclass(frozen=True, eq=False)
+class Mug(Made):
+    """A cup about z, open at the top, with a handle towards +x.
+
+    Attributes:
+        radius: Outer radius of the cup, m.
+        height: Of the cup, m.
+    """
+
+    kind: ClassVar[str] = "mug"
+    radius: float = 0.04
+    height: float = 0.09
+
+    def _check(self) -> None:
+        if not SQUAT * self.radius <= self.height <= SLENDER * self.radius:
+            raise ObjectError(
+                f"mug: height {self.height} m does not go with radius {self.radius} m; give a "
+                f"height from {SQUAT} to {SLENDER} radii"
+            )
+
+    def _triangles(self) -> tuple[FloatArray, IntArray]:
+        vertices, faces = read_object(self.kind)
+        radius, height = self.default_sizes
+        across = self.radius / radius
+        return vertices * [across, across, self.height / height], faces
+
+
+@dataclass(frozen=True, eq=False)
+class Hammer(Made):
+    """A head along x on a handle along z; round at the default proportions, else oval.
+
+    Attributes:
+        length: From the end of the handle to the top of the head, m.
+        head: Width of the head, end to end, m.
+        radius: Of the head, across the handle, m.
+    """
+
+    kind: ClassVar[str] = "hammer"
+    length: float = 0.20
+    head: float = 0.09
+    radius: float = 0.02
+
+    def _check(self) -> None:
+        handle = self.length - 2 * self.radius
+        if self.head < SHORTEST_HEAD * self.radius or handle < SHORTEST_HANDLE * self.radius:
+            raise ObjectError(
+                f"hammer: head {self.head} m and length {self.length} m are too short for radius "
+                f"{self.radius} m; give a head of at least {SHORTEST_HEAD} radii and a length of "
+                f"at least {SHORTEST_HANDLE + 2} radii"
+            )
+
+    def _triangles(self) -> tuple[FloatArray, IntArray]:
+        vertices, faces = read_object(self.kind)
+        length, head, radius = self.default_sizes
+        factors = [self.head / head, self.radius / radius, self.length / length]
+        return vertices * factors, faces

@@ -1,7 +1,7 @@
 """``Coupling``: a linear tie between joints, C q = d, and sets of them without contradiction.
 
-A kinematic coupling says which q exist; the transmission (``planner.actuation``) says which torques
-exist.
+A kinematic coupling says which q exist; the transmission (``planner.joints.actuation``) says which
+torques exist.
 """
 
 from __future__ import annotations

@@ -322,7 +322,7 @@ class HandDescription(StrictData):
         repair: What is wrong in the model file.
         joint_defaults: Passive properties of all joints.
         actuators: Servos that are added.
-        motors: Replace all actuators and tendons by torque motors, see ``planner.bridge.motors``;
+        motors: Replace all actuators and tendons by torque motors, see ``planner.bridge.edit``;
             couplings are equalities then.
         fingers: The fingers, with tips and pads.
         couplings: Linear relations between joints.

@@ -1,7 +1,8 @@
-"""Public names of a package that are imported when they are first used (PEP 562).
+"""Of a package: public names that are imported when they are first used (PEP 562), and its models.
 
-The two packages use it in their ``__init__``: ``import planner.contacts`` loads NumPy alone, not
-four engines.
+The two packages use ``lazy_names`` in their ``__init__``: ``import planner.contacts`` loads NumPy
+alone, not four engines. The models that come with Opposable are beside the code, in a wheel or a
+checkout.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from pathlib import Path
 
-__all__ = ["lazy_names"]
+from planner.errors import ModelError
 
 
 def lazy_names(
@@ -35,3 +37,16 @@ def lazy_names(
         return sorted({*vars(sys.modules[package]), *homes})
 
     return get, names
+
+
+def models_dir() -> Path:
+    """Folder that holds ``hands/NAME/``, ``arms/NAME/`` and ``objects/NAME.ply``.
+
+    Raises:
+        ModelError: Neither an installed nor a checked-out model folder exists.
+    """
+    here = Path(__file__).resolve().parents[1]
+    for folder in (here / "_models", here.parent / "models"):
+        if (folder / "hands").is_dir():
+            return folder
+    raise ModelError(f"the models are missing beside {here}; install Opposable again")

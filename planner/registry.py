@@ -1,0 +1,128 @@
+"""``Registry``: things of one kind by name, ours and those that others add.
+
+What is added is found by name wherever such a thing is named: on the command line, in files, in
+options. A package of others adds it by an entry point, which needs no import by the user::
+
+    [project.entry-points."opposable.shapes"]
+    cone = "my_package.cone:Cone"
+
+Ours come first; nothing of others is imported before its name is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, MutableMapping
+from importlib import metadata
+from typing import Generic, TypeVar
+
+from planner.errors import NotFoundError, PlannerError, TaskError, shown
+
+__all__ = ["Registry"]
+
+T = TypeVar("T")
+
+
+class Registry(MutableMapping[str, T], Generic[T]):
+    """A mapping of names to things, in the order in which they were added.
+
+    Attributes:
+        kind: What a message calls one of them, for example "shape".
+        group: Group of the entry points by which packages add some; "" for none.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        *,
+        group: str = "",
+        error: type[PlannerError] = TaskError,
+        check: Callable[[str, T], None] | None = None,
+    ) -> None:
+        """Begin empty.
+
+        Args:
+            kind: What a message calls one of them.
+            group: Group of entry points.
+            error: What is raised where something cannot be added.
+            check: Raises ``error`` if a thing is not usable under a name.
+        """
+        self.kind, self.group = kind, group
+        self._error, self._check = error, check
+        self._known: dict[str, T] = {}
+        self._points: dict[str, metadata.EntryPoint] | None = None
+
+    def add(self, name: str, thing: T) -> T:
+        """Add a thing; the same one may be added again.
+
+        Raises:
+            PlannerError: ``error`` of the registry: the name is another's, or it is not usable.
+        """
+        if self._known.get(name, thing) is not thing:
+            known = getattr(self._known[name], "__name__", "there")
+            raise self._error(f"{self.kind} {shown(name)} is {known} already; choose another name")
+        if self._check is not None:
+            self._check(name, thing)
+        self._known[name] = thing
+        return thing
+
+    def named(self, name: str, hint: str = "") -> T:
+        """The thing of a name.
+
+        Args:
+            name: Its name.
+            hint: What else the user can do, a sentence for the message.
+
+        Raises:
+            NotFoundError: There is none.
+        """
+        if name not in self:
+            raise NotFoundError(self.kind, name, self, hint)
+        return self[name]
+
+    def _brought(self) -> dict[str, metadata.EntryPoint]:
+        """Entry points by name, looked for once; none is loaded."""
+        if self._points is None:
+            found = metadata.entry_points(group=self.group) if self.group else ()
+            self._points = {point.name: point for point in found}
+        return self._points
+
+    def _load(self, point: metadata.EntryPoint) -> T:
+        """Add what an entry point names.
+
+        Raises:
+            PlannerError: ``error`` of the registry: it cannot be imported, or is not usable.
+        """
+        try:
+            thing = point.load()
+        except (ImportError, AttributeError) as fault:
+            raise self._error(
+                f"{self.kind} {shown(point.name)} of the entry point {point.value!r} cannot be "
+                f"loaded ({fault}); mend or uninstall the package that brings it"
+            ) from fault
+        return self.add(point.name, thing)
+
+    def __getitem__(self, name: str) -> T:
+        """The thing of a name; KeyError if there is none."""
+        if name not in self._known and name in self._brought():
+            return self._load(self._brought()[name])
+        return self._known[name]
+
+    def __setitem__(self, name: str, thing: T) -> None:
+        """See ``add``."""
+        self.add(name, thing)
+
+    def __delitem__(self, name: str) -> None:
+        """Forget a thing."""
+        del self._known[name]
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a thing of a name; it is not loaded."""
+        return name in self._known or name in self._brought()
+
+    def __iter__(self) -> Iterator[str]:
+        """Names, ours in the order in which they were added, then those that packages bring."""
+        yield from [*self._known, *(name for name in self._brought() if name not in self._known)]
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len({*self._known, *self._brought()})
