@@ -163,7 +163,7 @@ def navigation(folder: Path, extensions: list[str]) -> dict[str, list[tuple[str,
         items = BeautifulSoup(text, "html.parser").select(".sidebar-tree li")
         found[name] = [
             (
-                str(item.find("a").text) if item.find("a") else "",
+                "".join(link.text for link in item.select(":scope > a")),
                 {"current", "current-page"} <= set(item["class"]),
                 item.select_one(":scope > input[checked]") is not None,
             )

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bs4 import BeautifulSoup, Tag
+from bs4.element import AttributeValueList
 from sphinx.application import Sphinx
 
 BEFORE_FURO, AFTER_FURO = 400, 600
@@ -31,9 +32,9 @@ class Navigation:
 
     def __post_init__(self) -> None:
         """Find the entries."""
-        for item in self.soup.find_all("li"):
-            if (link := item.find("a")) is not None:
-                self.items.setdefault(str(link["href"]), item)
+        for link in self.soup.select("li > a[href]"):
+            if link.parent is not None:
+                self.items.setdefault(str(link["href"]), link.parent)
 
     def at(self, address: str) -> str:
         """The navigation with the page at an address as the current one, what holds it opened."""
@@ -41,10 +42,11 @@ class Navigation:
             return str(self.soup)
         here = self.items[address]
         opened = [here, *(parent for parent in here.parents if parent.name == "li")]
-        boxes = [box for item in opened if (box := item.find("input", recursive=False))]
-        before = [list(item.get("class") or []) for item in opened]
+        boxes = [box for item in opened for box in item.select(":scope > input")]
+        before = [AttributeValueList(item.get_attribute_list("class")) for item in opened]
         for item, classes in zip(opened, before, strict=True):
-            item["class"] = [*classes, "current", *(["current-page"] if item is here else [])]
+            mine = ["current", "current-page"] if item is here else ["current"]
+            item["class"] = AttributeValueList([*classes, *mine])
         for box in boxes:
             box["checked"] = ""
         text = str(self.soup)
