@@ -98,17 +98,19 @@ def test_commands_named_in_a_sentence_exist(page: Path) -> None:
 
 
 def test_no_line_is_run_on_two_pages() -> None:
-    """What a page shows costs time: each command is run once over all of them."""
+    """Each command is run once over all of them, but for the plan that a page begins with."""
     seen: dict[str, str] = {}
     for page in RUNNING:
         for block in blocks(page):
             if block.note("skip") or block.note("file"):
                 continue
             for line, command in block.commands:
+                if command.startswith("opposable plan "):
+                    continue
                 here = f"{name_of(page)}:{line}"
                 assert command not in seen, f"{here} runs what {seen[command]} runs: {command}"
                 seen[command] = here
-    assert len(seen) > 40
+    assert len(seen) > 30
 
 
 @pytest.mark.slow
