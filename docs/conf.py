@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
+# a dozen plans for examples of formats: compiling loops for them would take longer than they do
+os.environ.setdefault("OPPOSABLE_COMPILE", "0")
 
 from planner.version import __version__  # noqa: E402
 
@@ -21,6 +24,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "machinery.mathml",
+    "machinery.navigation",
     "machinery.api",
     "machinery.docstrings",
     "machinery.commands",
@@ -28,6 +32,7 @@ extensions = [
     "machinery.zoo",
     "machinery.messages",
     "machinery.results",
+    "machinery.terms",
 ]
 exclude_patterns = ["machinery"]
 root_doc = "index"

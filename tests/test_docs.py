@@ -98,6 +98,22 @@ def test_commands_named_in_a_sentence_exist(page: Path) -> None:
         assert command.get_command(context, named) is not None, named
 
 
+def test_no_line_is_run_on_two_pages() -> None:
+    """Each command is run once over all of them, but for the plan that a page begins with."""
+    seen: dict[str, str] = {}
+    for page in RUNNING:
+        for block in blocks(page):
+            if block.note("skip") or block.note("file"):
+                continue
+            for line, command in block.commands:
+                if command.startswith("opposable plan "):
+                    continue
+                here = f"{name_of(page)}:{line}"
+                assert command not in seen, f"{here} runs what {seen[command]} runs: {command}"
+                seen[command] = here
+    assert len(seen) > 30
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", RUNNING, ids=name_of)
 def test_a_page_does_what_it_shows(page: Path, tmp_path: Path) -> None:

@@ -20,12 +20,15 @@ import machinery.examples as examples
 import machinery.formats as formats
 import machinery.messages as messages
 import machinery.public as public
+import machinery.terms as terms
 
 import planner
 import sim
 from planner import GraspTask, load_hand, parse_object, plan_grasp, read_plan
 from planner.errors import PlannerError
 from planner.files import read_contacts
+from planner.motion.terms import MOTION_TERMS
+from planner.synthesis.terms.registry import TERMS
 from sim.cli import main
 from sim.physics import PRESETS
 from sim.verdict import REASONS
@@ -218,6 +221,15 @@ def test_a_template_names_what_is_put_in(tmp_path: Path, monkeypatch: pytest.Mon
         ("HandError", "<what> is missing"),
         ("HandError", "nothing"),
     ]
+
+
+def test_every_term_is_explained_on_a_page() -> None:
+    assert "```{terms}" in (ROOT / "docs" / "how" / "problem.md").read_text(encoding="utf-8")
+    table = terms.table()
+    for term in (*TERMS.values(), *MOTION_TERMS):
+        row = next(line for line in table.splitlines() if line.startswith(f"| `{term.name}` |"))
+        assert row.endswith(f"| {terms.meaning(term)} |")
+        assert terms.meaning(term)
 
 
 def test_every_reason_of_a_trial_is_explained() -> None:

@@ -93,7 +93,7 @@ def page(title: str, rooms: list[str]) -> str:
 def first_page() -> str:
     """The list of the pages, and the names that a script imports from the packages themselves."""
     lines = ["API", "===", ""]
-    lines += ["Units, frames and signs are those of the :doc:`glossary </glossary>`.", ""]
+    lines += ["Units, frames and signs are those of the :doc:`conventions </how/conventions>`.", ""]
     lines += [".. toctree::", "   :maxdepth: 1", "", *(f"   {slug(t)}" for t in groups()), ""]
     for package in PACKAGES:
         title = f"from {package} import ..."

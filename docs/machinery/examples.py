@@ -21,6 +21,10 @@ from planner.exchange.table import table_of
 from planner.files import plan_to_dict
 from planner.files.movements import gait_to_dict, manipulation_to_dict, motion_to_dict
 from sim import TrialReport, manipulate, simulate
+from planner.files.gaits import gait_to_dict
+from planner.files.manipulations import manipulation_to_dict
+from planner.files.motions import motion_to_dict
+from sim import ManipulationTimeline, TrialReport, manipulate, simulate
 
 MOST_ITEMS = 2
 """Items of a list that are shown."""
@@ -131,4 +135,5 @@ def manipulation() -> str:
 
 def manipulation_report() -> str:
     """What happened in a manipulation."""
-    return shortened(manipulate(_manipulation()).to_dict())
+    quick = ManipulationTimeline(approach=0.4, lift=0.4, carry=0.2, retreat=0.2, height=0.03)
+    return shortened(manipulate(_manipulation(), timeline=quick).to_dict())

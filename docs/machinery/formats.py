@@ -271,7 +271,7 @@ def dataset() -> str:
     """The page of the table of grasps that ``opposable batch`` writes."""
     title = "Dataset of grasps"
     lines = [title, "=" * len(title), ""]
-    lines += ["``opposable batch`` writes a folder: ``manifest.json`` says what was asked for, and"]
+    lines += ["``opposable batch`` writes a folder: ``manifest.json`` says what was requested, and"]
     lines += ["Parquet files hold the grasps. Lists of joints are as long as the hand has joints"]
     lines += ["(16 here); ``GraspSet`` reads the folder.", ""]
     lines += [".. list-table::", "   :header-rows: 1", "   :class: names", ""]
@@ -286,11 +286,10 @@ def pages() -> dict[str, str]:
     """Name of a file -> its text."""
     names = [*(form.file for form in FORMATS), "dataset"]
     first = ["File formats", "============", ""]
-    first += ["``opposable export --schema KIND`` prints the JSON Schema of what is JSON."]
-    first += ["Files say their version; unknown fields, NaN and infinity are refused with the"]
-    first += ["field's name. Units"]
-    first += ["are in the names: ``_m``, ``_N``, ``_rad``; the :doc:`glossary </glossary>` has the"]
-    first += ["conventions.", "", ".. toctree::", "   :maxdepth: 1", ""]
+    first += ["``opposable schema KIND`` prints the JSON Schema of what is JSON. Files say their"]
+    first += ["version; unknown fields, NaN and infinity are refused with the field's name. Units"]
+    first += ["are in the names: ``_m``, ``_N``, ``_rad``; frames and signs are those of the"]
+    first += [":doc:`conventions </how/conventions>`.", "", ".. toctree::", "   :maxdepth: 1", ""]
     first += [f"   {name}" for name in names]
     written = {f"{form.file}.rst": page(form) for form in FORMATS}
     return {"index.rst": "\n".join([*first, ""]), **written, "dataset.rst": dataset()}

@@ -68,7 +68,7 @@ LESS = 25.0
 
 @dataclass(frozen=True, kw_only=True)
 class Trust:
-    """How much contacts are believed; calibrated on trials, see docs/how/estimation.md.
+    """How much contacts are believed; calibrated on trials, see docs/how/sensors.md.
 
     Attributes:
         creep: Random walk between object and pad, m / sqrt(s).

@@ -68,7 +68,7 @@ class Term:
         wording: One row in words; ``{}`` stands for what it concerns, ``elsewhere`` if nothing.
         elsewhere: See ``wording``.
         lacking: What it says of hand and object if no attempt satisfies it, and what to change: a
-            clause after "that is:". Also in docs/how/problem.md.
+            clause after "that is:". Shown in docs/how/problem.md.
         judged: How the verdict on the true geometry judges it, for print.
         judge: A verdict of its own on a grasp, or on a knot of a motion, that all others have
             passed: None, or why it fails. The task of a knot is that of the motion's start.
