@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -297,6 +299,32 @@ def test_a_slip_is_seen_within_50_ms_and_noise_is_not() -> None:
         assert 4 <= steps <= LATENCY / DT
 
 
+def test_noise_of_slow_pads_is_no_slip() -> None:
+    """Pads of 100 Hz tell each reading at five control steps, with the same noise."""
+    rng = np.random.default_rng(0)
+    noise, last = 0.002, 4  # m/s, each axis
+
+    def seen(detector: SlipDetector, velocity: FloatArray, step: int) -> int:
+        told = replace(reading(velocity), time=0.01 * (step // (last + 1)))
+        return int(detector.update(DT, told).sum())
+
+    detector, alarms = SlipDetector(4), 0
+    for step in range(10_000):  # 20 s of four fingers
+        if step % (last + 1) == 0:
+            velocity = noise * rng.standard_normal((4, 3)) * [0, 1, 1]
+        alarms += seen(detector, velocity, step)
+    assert alarms == 0
+    for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
+        detector, step, alarms = SlipDetector(1), 0, 0
+        while not alarms:
+            if step % (last + 1) == 0:
+                white = noise * rng.standard_normal(3) * [0, 1, 1]
+                velocity = (0.008 * np.array([0, np.cos(angle), np.sin(angle)]) + white)[None]
+            alarms = seen(detector, velocity, step)
+            step += 1
+        assert 0.03 <= step * DT <= 0.1
+
+
 def test_an_alarm_takes_as_many_steps_whenever_it_begins() -> None:
     """Times are sums of steps: their rounding must not cost a step."""
     needed = set()
@@ -316,6 +344,26 @@ def test_an_unloaded_contact_does_not_slip() -> None:
     detector = SlipDetector(1)
     for _ in range(50):
         assert not detector.update(DT, reading(np.array([[0.0, 0.1, 0.0]]), force=0.01)).any()
+
+
+# --- forces ------------------------------------------------------------------------------------
+
+
+def test_forces_that_stay_are_not_missed(plan: GraspPlan) -> None:
+    """Where the programme has no answer the last forces go on, and so does what they exert."""
+
+    class NoAnswer:
+        allowed, left_over = False, np.full(6, np.nan)
+
+    controller = ObjectImpedance(plan)
+    contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+    controller.forces = contacts.forces.copy()
+    controller._loop.step = lambda *_, **__: NoAnswer()  # type: ignore[method-assign,assignment]
+    wanted = contacts.wrench() + np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.02])
+    missed = controller._distribute(
+        wanted, contacts.center, plan.q, 1.0, held_back=np.zeros(len(contacts)), eases=True
+    )
+    np.testing.assert_allclose(missed, [-1.0, 0.0, 0.0, 0.0, 0.0, -0.02], atol=1e-9)
 
 
 # --- torques -----------------------------------------------------------------------------------

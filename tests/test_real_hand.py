@@ -343,12 +343,14 @@ def test_fingers_in_another_order_are_matched(plan: GraspPlan) -> None:
         position=np.arange(12.0).reshape(4, 3),
         normal=np.zeros((4, 3)),
         sliding=np.zeros((4, 3)),
+        time=1.5,
     )
     reading = replace(hand.read(), touch=np.arange(4.0), pads=pads)
     seen = observer.observe(reading, "hold", 0.0)
     assert seen.normal_forces.tolist() == [3.0, 2.0, 1.0, 0.0]
     assert seen.pads.normal_force.tolist() == [3.0, 2.0, 1.0, 0.0]
     assert seen.pads.position[0].tolist() == [9.0, 10.0, 11.0]
+    assert seen.pads.time == 1.5
     hand.finger_names = names[:2]
     with pytest.raises(NotFoundError, match="no finger of the interface"):
         Observer(hand, plan.task.hand, plan)

@@ -412,11 +412,16 @@ class ObjectImpedance:
             step = self._loop.step(-wrench, q=q, min_normal=0.0)
         if step.allowed:
             self.forces = step.forces.copy()
-        if np.isnan(
-            step.left_over
-        ).any():  # no solution: the last forces stay, the whole wrench is missed
-            return -wrench
+        if np.isnan(step.left_over).any():  # no solution: the last forces stay
+            return self._exerted(center) - wrench
         return step.left_over.copy()
+
+    def _exerted(self, center: FloatArray) -> FloatArray:
+        """Wrench (6,) of the contact forces about a point, base axes."""
+        forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
+        torques = np.cross(self._points - center, forces)
+        torques += self.forces[:, 3:] * self._frames[:, :, 0]
+        return np.concatenate([forces.sum(axis=0), torques.sum(axis=0)])
 
     def _judge(self, elapsed: float, wrench: FloatArray, missed: FloatArray) -> None:
         """Note when a wrench is infeasible, and give up when that lasts."""

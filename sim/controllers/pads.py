@@ -40,6 +40,8 @@ class PadReading:
             without contact; or a single 0 of pads that do not feel it.
         slipping: (n,), which pads notice by themselves that they slip; None of pads whose slip
             follows from ``sliding`` alone.
+        time: When it was felt, s: the same reading told again has the same time. None of pads that
+            are read anew whenever they are asked.
     """
 
     normal_force: FloatArray
@@ -49,6 +51,7 @@ class PadReading:
     sliding: FloatArray
     spin: FloatArray = field(default_factory=lambda: np.zeros(1))
     slipping: NDArray[np.bool_] | None = None
+    time: float | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and signs; whether numbers are finite is for whoever reads a hand.

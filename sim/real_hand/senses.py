@@ -18,6 +18,8 @@ from dataclasses import fields
 from functools import partial
 from typing import Any, cast
 
+import numpy as np
+
 from planner.errors import HandError, NotFoundError
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
@@ -170,7 +172,7 @@ class Observer:
             return pads
         given = {field.name: getattr(pads, field.name) for field in fields(pads)}
         own = {
-            name: value if value is None or len(value) == 1 else value[self._fingers]
+            name: value if np.size(value) == 1 else value[self._fingers]
             for name, value in given.items()
         }
         return PadReading(**own)

@@ -219,6 +219,7 @@ class RealSenses:
             position=np.where(there[:, None], exact.position, np.nan),
             normal=np.where(there[:, None], exact.normal, np.nan),
             sliding=np.where(there[:, None], exact.sliding + _tangential(slid, normal), np.nan),
+            time=truth.time if self._late else None,
         )
         if self._as_it_is:
             return noisy
