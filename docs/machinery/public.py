@@ -111,7 +111,6 @@ GROUPS: dict[str, list[str]] = {
         "sim.protocols",
         "sim.creep",
         "sim.scene_export",
-        "sim.second_engine",
     ],
     "Cross-checking models": [
         "sim.crosscheck",

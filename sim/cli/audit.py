@@ -178,7 +178,7 @@ def _executed(simulate: bool) -> Any:
     """What executes a grasp; None if nothing does."""
     if not simulate:
         return None
-    from sim.protocols.given_grasp import hold_given_grasp
+    from sim.protocols.dexgraspbench import hold_given_grasp
 
     return hold_given_grasp
 
