@@ -50,8 +50,7 @@ from sim.viewing import (
     show,
     warnings_of,
 )
-from sim.viewing.dataset_tables import DatasetTables
-from sim.viewing.of_dataset import DatasetSite
+from sim.viewing.dataset import DatasetSite, DatasetTables
 
 RUN = CliRunner()
 

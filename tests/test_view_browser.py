@@ -25,9 +25,8 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.task import GraspTask
 from sim.viewing import Target, ViewOptions, recognise
-from sim.viewing.dataset_tables import DatasetTables
-from sim.viewing.of_dataset import DatasetSite
-from sim.viewing.of_plan import page_of_plan
+from sim.viewing.dataset import DatasetSite, DatasetTables
+from sim.viewing.files import page_of_plan
 
 NEAR = 1e-3
 """How far (m) what is drawn may be from what Pinocchio computes."""
