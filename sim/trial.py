@@ -36,8 +36,7 @@ from sim.controllers import PHASES, AnyController, Phase
 from sim.controllers.retouch import AGAIN_TIME, closed
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.estimation import AnyEstimator
-from sim.looking.film import check_video
-from sim.looking.picture import draw_tape, moments_of
+from sim.looking.picture import check_video, draw_tape, moments_of
 from sim.physics import AnyPhysics
 from sim.reality import AnyReality
 from sim.recorder import Recorder

@@ -24,11 +24,9 @@ from planner.kinematics.state import HandState
 from planner.motion.gait import plan_gait
 from planner.objects import GraspObject, parse_object
 from planner.pages.described import comments_of, described_lines, named_joints
-from planner.pages.level_set import zero_level_set
-from planner.pages.mesh_page import mesh_page
-from planner.pages.object_motion import object_motion
-from planner.pages.opening import has_browser
-from planner.pages.page import Page, read_page_data, write_page
+from planner.pages.mesh_page import mesh_page, zero_level_set
+from planner.pages.motion_page import object_motion
+from planner.pages.page import Page, has_browser, read_page_data, write_page
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.shapes import Mesh

@@ -19,7 +19,7 @@ from planner.motion import plan_motion
 from planner.objects import parse_object
 from planner.pages.motion_page import motion_page
 from planner.pages.page import Page, write_page
-from planner.pages.rows import pose_row
+from planner.pages.scene import pose_row
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz

@@ -517,7 +517,7 @@ def check_films(*files: Path | None) -> None:
         FileFormatError: A folder that does not exist.
         TaskError: A film of an unknown kind, or one that needs a package.
     """
-    from sim.looking.film import check_video
+    from sim.looking.picture import check_video
 
     for file in files:
         check_folder(file)

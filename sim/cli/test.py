@@ -91,8 +91,8 @@ def test(
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
-    from sim.looking.backend import why_not
-    from sim.looking.film import check_video
+    from sim.looking.painter import why_not
+    from sim.looking.picture import check_video
     from sim.protocols import (
         IN_ALL,
         Settings,

@@ -23,12 +23,11 @@ from planner.errors import TaskError
 from planner.exchange.dexgraspbench.squeeze import without_servos
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, IntArray, contact_frames, pose_change
-from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import ContactRows
 from sim.protocols.drake_scene import INSTALL, TIME_STEP, DrakeScene, load_drake_scene
 from sim.protocols.outcome import AXES, Conditions, Outcome, axis_of
+from sim.recorder import closure_columns, contact_columns
 from sim.recording import Samples
 from sim.scene import HAND_PREFIX
 from sim.scene_export import export_scene
@@ -120,25 +119,12 @@ def _samples(plan: GraspPlan, seen: Held, mu: float) -> Samples:
     """What Drake did, judged by the code that judges every trial."""
     task = plan.task
     rows = _rows(plan, seen, mu)
-    counts, merged = rows.counts(), rows.merged
-    m, n = len(seen.time), len(task.finger_names)
-    own = [rows.names.index(finger) for finger in task.finger_names]
-    where = merged.moment, merged.finger
-    normal, used = np.zeros((m, len(rows.names))), np.full((m, len(rows.names)), np.nan)
-    normal[where] = merged.forces[:, 0]
-    used[where] = merged.friction_utilisation()
-    length = task.object.shape.bounding_radius
-    both = [closure_and_epsilon(merged.at(k), length=length) for k in range(m)]
+    m, length = len(seen.time), task.object.shape.bounding_radius
     columns: dict[str, Any] = {
+        **contact_columns(rows, task.finger_names),
+        **closure_columns(rows, length),
         "time": seen.time,
         "phase": ["hold"] * m,
-        "contacts": counts[:, own],
-        "palm_contacts": np.delete(counts, own, axis=1).sum(axis=1),
-        "normal_force": normal[:, own],
-        "friction_utilisation": used[:, own],
-        "closed": [closed for closed, _ in both],
-        "closed_unmerged": [force_closure(rows.at(k), CLOSURE_EDGES).closed for k in range(m)],
-        "epsilon": [epsilon for _, epsilon in both],
         # the hand's base stands still: movement in the world is movement in the hand
         "slip_mm": seen.moved_mm,
         "slip_deg": seen.turned_deg,
@@ -149,7 +135,7 @@ def _samples(plan: GraspPlan, seen: Held, mu: float) -> Samples:
         "collision": [""] * m,
         "saturated": [()] * m,
     }
-    return Samples.of(columns, n)
+    return Samples.of(columns, len(task.finger_names))
 
 
 def _rows(plan: GraspPlan, seen: Held, mu: float) -> ContactRows:

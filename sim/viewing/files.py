@@ -11,11 +11,9 @@ from planner.files import plan_from_dict
 from planner.files.gaits import gait_from_dict
 from planner.files.manipulations import manipulation_from_dict
 from planner.files.motions import motion_from_dict
-from planner.pages.alternatives import with_alternatives
-from planner.pages.motion_page import motion_page
-from planner.pages.object_motion import AnyMotion
+from planner.pages.motion_page import AnyMotion, motion_page
 from planner.pages.page import Page
-from planner.pages.plan_page import plan_page
+from planner.pages.plan_page import plan_page, with_alternatives
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.synthesis.options import SynthesisOptions

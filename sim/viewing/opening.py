@@ -23,8 +23,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from planner.errors import FileFormatError, PlannerError, TaskError
 from planner.files.whole import whole_file
 from planner.pages.blocks import Sentence
-from planner.pages.opening import has_browser, temporary_page
-from planner.pages.page import Page, page_html
+from planner.pages.page import Page, has_browser, page_html, temporary_page
 
 HOST = "127.0.0.1"
 """Where it listens."""

@@ -1,7 +1,4 @@
-"""A hand by name, description or model: sliders, postures, reasons, findings.
-
-An object by its specification, a mesh file, or a body of a model.
-"""
+"""What is viewed by name or model: a hand with sliders and findings, an object or mesh."""
 
 from __future__ import annotations
 
