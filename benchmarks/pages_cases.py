@@ -16,7 +16,7 @@ from planner.errors import PlannerError
 from planner.motion.manipulation import ManipulationPlan, manipulation_task, plan_manipulation
 from planner.objects import parse_object
 from planner.pages.plan_page import RATE
-from planner.pages.rows import pose_row, pose_rows
+from planner.pages.scene import pose_row, pose_rows
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import FloatArray

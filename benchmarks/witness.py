@@ -1,7 +1,7 @@
 """``run_witness``: grasps that hold in MuJoCo, held by their commands alone in Drake.
 
 Each plan is exported (``sim.scene_export``), and the export is held for 2 s under gravity by the
-check that ships with it, in MuJoCo, and in Drake (``sim.second_engine``).
+check that ships with it, in MuJoCo, and in Drake (``sim.protocols.drake``).
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from benchmarks.run import ObjectJob, measure
 from planner.errors import PlannerError, TaskError
 from planner.search import plan_grasp
 from sim.physics import PhysicsOptions
+from sim.protocols.drake import hold_in_drake
+from sim.protocols.drake_scene import drake_missing
 from sim.runner import Check, Runner
 from sim.scene_export import export_scene
 from sim.scene_export.mjcf import hold
-from sim.second_engine import drake_missing, hold_in_drake
 from sim.tables import Row, grouped, share, table_of
 
 FORMAT = "opposable-bench-witness"

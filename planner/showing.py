@@ -101,7 +101,7 @@ class Shown:
 
         Without a browser the path of the page, a temporary file, is printed.
         """
-        _named("planner.pages.opening:show_page")(page_of(self))
+        _named("planner.pages.page:show_page")(page_of(self))
 
     def save(self, path: Path | str) -> None:
         """Write its file (JSON), from which it can be read again.

@@ -288,7 +288,7 @@ MENAGERIE = PRESETS.register(
     PhysicsOptions(
         name="menagerie",
         timestep=0.002,  # MuJoCo's default
-        integrator="implicitfast",  # the LEAP hand asks for it; Euler: see mujoco_default
+        integrator="implicitfast",  # the LEAP hand asks for it; Euler: see MUJOCO_DEFAULT
         cone="elliptic",
         condim=6,
         # of the two scenes the smaller: 0.5 0.01 0.003 beside Shadow, 0.7 0.002 0.002 beside

@@ -64,15 +64,15 @@ class Presets(Mapping[str, Preset]):
         Raises:
             TaskError: Another one has that name, or what was given is of another type.
         """
-        given: Any = preset
         kind = type(self.usual)
-        if not isinstance(given, kind):
+        if not isinstance(preset, kind):
             raise TaskError(
-                f"{shown(given)} is no {self.kind}; give a {kind.__name__} with a name of its own"
+                f"{shown(preset)} is no {self.kind}; give a {kind.__name__} with a name of its own"
             )
-        if preset != self._known.setdefault(given.name, preset):
+        name: str = vars(preset)["name"]
+        if preset != self._known.setdefault(name, preset):
             raise TaskError(
-                f"a preset of {self.kind} is called {given.name!r} already; give another name"
+                f"a preset of {self.kind} is called {name!r} already; give another name"
             )
         return preset
 

@@ -165,23 +165,14 @@ class Recorder:
 
     def _make_samples(self) -> Samples:
         raw = self._contacts.rows()
-        counts = raw.counts()
-        own = [raw.names.index(finger) for finger in self._fingers]
-        normal, used = self._per_finger(raw.merged)
+        columns = contact_columns(raw, self._fingers)
         collision, force = self._contacts.collisions(self._simulation.scene)
-        columns: dict[str, Any] = {
-            "contacts": counts[:, own],
-            "palm_contacts": np.delete(counts, own, axis=1).sum(axis=1),
-            "normal_force": normal,
-            "friction_utilisation": used,
-            "collision_N": force,
-            "collision": collision,
-        }
+        columns |= {"collision_N": force, "collision": collision}
         for name in _ROW:
             columns[name] = [row[name] for row in self._rows]
         columns |= self._movements()
         return Samples.of(
-            columns, len(self._fingers), later=partial(_closure, raw, length=self._length)
+            columns, len(self._fingers), later=partial(closure_columns, raw, length=self._length)
         )
 
     def _movements(self) -> dict[str, FloatArray]:
@@ -218,8 +209,9 @@ class Recorder:
         turn = np.array([pose.rotation for pose in self._poses])[merged.moment]
         shift = np.array([pose.translation for pose in self._poses])[merged.moment]
         local = np.einsum("nji,nj->ni", turn, merged.positions - shift)
-        position = self._spread(merged, local)[hold]  # (m, n, 3)
-        force = self._per_finger(merged)[0][hold]  # (m, n)
+        position = _spread(merged, local, self._fingers)[hold]  # (m, n, 3)
+        force = _spread(merged, merged.forces[:, :1], self._fingers)[hold, :, 0]  # (m, n)
+        force = np.nan_to_num(force)
         out = []
         for i, finger in enumerate(self._fingers):
             known = position[np.isfinite(position[:, i, 0]), i]
@@ -246,18 +238,6 @@ class Recorder:
             return NAN, NAN
         return pose_change(self._reference, self._simulation.T_palm_object)
 
-    def _per_finger(self, merged: ContactRows) -> tuple[FloatArray, FloatArray]:
-        """Normal force (N, 0 without contact) and friction utilisation (NaN), (m, n) each."""
-        normal = self._spread(merged, merged.forces[:, :1])[:, :, 0]
-        used = self._spread(merged, merged.friction_utilisation()[:, None])[:, :, 0]
-        return np.nan_to_num(normal), used
-
-    def _spread(self, merged: ContactRows, values: FloatArray) -> FloatArray:
-        """Values of merged contacts (K, d) by moment and finger, (m, n, d); NaN without contact."""
-        out = np.full((len(merged.centers), len(merged.names), values.shape[1]), NAN)
-        out[merged.moment, merged.finger] = values
-        return out[:, [merged.names.index(finger) for finger in self._fingers]]
-
 
 _ROW = ("time", "phase", "saturated")
 """What a sample notes itself; the contacts say the rest."""
@@ -275,7 +255,32 @@ def _changes(before: SE3, after: Sequence[SE3]) -> FloatArray:
     )
 
 
-def _closure(raw: ContactRows, length: float) -> dict[str, Any]:
+def contact_columns(rows: ContactRows, fingers: Sequence[str]) -> dict[str, Any]:
+    """Columns of ``Samples`` about contacts: how many, and forces and friction merged per finger.
+
+    Args:
+        rows: Contacts, not merged.
+        fingers: Names of those that take part, n.
+    """
+    counts, merged = rows.counts(), rows.merged
+    own = [rows.names.index(finger) for finger in fingers]
+    used = merged.friction_utilisation()[:, None]
+    return {
+        "contacts": counts[:, own],
+        "palm_contacts": np.delete(counts, own, axis=1).sum(axis=1),
+        "normal_force": np.nan_to_num(_spread(merged, merged.forces[:, :1], fingers)[:, :, 0]),
+        "friction_utilisation": _spread(merged, used, fingers)[:, :, 0],
+    }
+
+
+def _spread(merged: ContactRows, values: FloatArray, fingers: Sequence[str]) -> FloatArray:
+    """Values of merged contacts (K, d) by moment and finger, (m, n, d); NaN without contact."""
+    out = np.full((len(merged.centers), len(merged.names), values.shape[1]), NAN)
+    out[merged.moment, merged.finger] = values
+    return out[:, [merged.names.index(finger) for finger in fingers]]
+
+
+def closure_columns(raw: ContactRows, length: float) -> dict[str, Any]:
     """Closure and epsilon of the contacts of every moment.
 
     Args:

@@ -37,8 +37,7 @@ from planner.spatial import FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.gantry import GANTRY, Gantry, add_gantry, tuned_gantry
 from sim.looking.dress import HIDDEN_GROUP, dress_hand
-from sim.looking.scenery import OBJECT_MATERIAL, add_object_material, add_scenery
-from sim.looking.view import Subject
+from sim.looking.view import OBJECT_MATERIAL, Subject, add_object_material, add_scenery
 from sim.physics import CONTACT_SOLREF, PRESETS, AnyPhysics, PhysicsOptions
 
 __all__ = [

@@ -41,8 +41,8 @@ from sim.controllers import (
     ReportsLimits,
     controller_for,
 )
-from sim.looking.picture import draw_tape
-from sim.looking.tape import FRAME_RATE, Tape
+from sim.estimation import AnyEstimator, Estimator
+from sim.looking.picture import FRAME_RATE, Tape, draw_tape
 from sim.looking.viewer import Viewer
 from sim.physics import AnyPhysics
 from sim.reality import REALITIES, AnyReality, Reality, RealityOfTrial
@@ -452,7 +452,7 @@ def filmed(video: Path | None) -> Iterator[None]:
     """Draw a film of the first simulation that is made and run meanwhile; nothing without a file.
 
     Args:
-        video: File of the film; see ``sim.looking.film.FORMATS``. It is missing afterwards where
+        video: File of the film; see ``sim.looking.picture.FORMATS``. It is missing afterwards where
             this machine cannot draw.
     """
     if video is None:

@@ -22,7 +22,7 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.cli import app
-from sim.protocols.given_grasp import hold_given_grasp
+from sim.protocols.dexgraspbench import hold_given_grasp
 
 RUN = CliRunner()
 BOX = "box:0.05x0.05x0.08"

@@ -44,7 +44,7 @@ from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.protocols.disturbance import DROPPED, DisturbanceTrial
 from sim.protocols.forces import PushCase
 from sim.protocols.outcome import Outcome
-from sim.protocols.robust import RobustCase
+from sim.protocols.variations import RobustCase
 from sim.reality import Reality
 from sim.runner import Runner
 from sim.verdict import Fault

@@ -36,9 +36,9 @@ from sim.learning import Policy, PolicyFor
 from sim.manipulation.results import undisturbed
 from sim.manipulation.timeline import SuccessCriteria
 from sim.physics import PhysicsOptions
-from sim.protocols.cases import Conditions
-from sim.protocols.pushes import PAUSE, PUSH_TIME, drawn_pushes, pushes_cases
-from sim.protocols.settings import Settings
+from sim.protocols.disturbance import Settings
+from sim.protocols.outcome import Conditions
+from sim.protocols.shake_pushes import PAUSE, PUSH_TIME, drawn_pushes, pushes_cases
 from sim.reality import REALITIES, Reality
 from sim.runner import Runner
 

@@ -35,7 +35,7 @@ from planner.shapes.decomposition.pieces import Pieces
 from planner.spatial import SE3, pose_from_wxyz
 from planner.system.package import models_dir
 from planner.task import GraspTask
-from sim.protocols.dexgraspbench_scene import benchmark_contacts, benchmark_scene
+from sim.protocols.dexgraspbench import benchmark_contacts, benchmark_scene
 
 pytest.importorskip("pyarrow")
 

@@ -34,7 +34,7 @@ from sim.episodes import (
 from sim.episodes.episode import frames_at, rates_of
 from sim.episodes.film import draw_episode, sampled_frames
 from sim.episodes.lerobot import VIDEO_KEY
-from sim.looking.film import write_film
+from sim.looking.picture import write_film
 from sim.manipulation import ManipulationReport, manipulate
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.recording import PALM

@@ -41,8 +41,8 @@ from sim.learning.trials import Conditions, TurnTask
 from sim.manipulation.simulation import Push
 from sim.manipulation.timeline import ManipulationTimeline, SuccessCriteria
 from sim.physics import PhysicsOptions
-from sim.protocols import pushes
-from sim.protocols.settings import Settings
+from sim.protocols.disturbance import Settings
+from sim.protocols.shake_pushes import Push as PushOfProtocol
 from sim.real_hand import CommandLimits, Safety
 from sim.real_hand.safety import CommandLimiter
 from sim.reality import Reality
@@ -105,7 +105,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
         },
     ),
     (Push(force=np.zeros(3), after=0.0, duration=0.1), {"force": SIGNED, "": NOT_NEGATIVE}),
-    (pushes.Push(begin=0.0, force=(0.0, 0.0, 1.0)), {"force": SIGNED, "begin": NOT_NEGATIVE}),
+    (PushOfProtocol(begin=0.0, force=(0.0, 0.0, 1.0)), {"force": SIGNED, "begin": NOT_NEGATIVE}),
     (ManipulationTimeline(), {"": POSITIVE}),
     (SuccessCriteria(), {"": POSITIVE_OR_INFINITE, "fingers": POSITIVE}),
     (

@@ -32,19 +32,13 @@ from planner.errors import FileFormatError, NotFoundError
 from planner.files import plan_to_dict, read_plan
 from planner.hands.catalog import hand_names
 from planner.kinematics.state import HandState
+from planner.pages.blocks import resisted_forces
 from planner.pages.hand_model import hand_model
-from planner.pages.motion_page import motion_page
-from planner.pages.object_motion import object_motion
-from planner.pages.page import page_html, read_page_data, write_page
-from planner.pages.payload import pack
+from planner.pages.motion_page import motion_page, object_motion
+from planner.pages.page import pack, page_html, read_page_data, three_source, write_page
 from planner.pages.plan_page import RATE, bands_of, plan_command, plan_page
-from planner.pages.plan_scene import stage_of
-from planner.pages.polar import resisted_forces
-from planner.pages.rows import pose_row
-from planner.pages.scene import Model
-from planner.pages.surroundings import MOST_TRIANGLES, object_model
-from planner.pages.three import three_source
-from planner.pages.viewpoint import hand_points, views_of
+from planner.pages.plan_scene import MOST_TRIANGLES, hand_points, object_model, stage_of, views_of
+from planner.pages.scene import Model, pose_row
 from planner.quality import primitive_wrenches
 from planner.shapes import SIZED_SHAPES
 from planner.shapes.mesh import Mesh

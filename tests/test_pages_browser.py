@@ -18,8 +18,7 @@ from planner import GraspPlan, GraspTask, plan_grasp
 from planner.pages.blocks import Sentence, Verdict
 from planner.pages.page import Page, write_page
 from planner.pages.plan_page import RATE, plan_page, plan_scene
-from planner.pages.rows import pose_row
-from planner.pages.scene import Bars, Line, Mark, Plot
+from planner.pages.scene import Bars, Line, Mark, Plot, pose_row
 from planner.spatial import FloatArray
 
 NEAR = 1e-3

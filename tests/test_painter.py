@@ -10,8 +10,7 @@ import trimesh
 from PIL import Image
 
 from planner.pages.painter import FINGER_COLOURS, FLOOR, data_uri, paint
-from planner.pages.rows import IDENTITY_ROW
-from planner.pages.scene import Actor, Contacts, Joint, Layer, Model, Part, Scene
+from planner.pages.scene import IDENTITY_ROW, Actor, Contacts, Joint, Layer, Model, Part, Scene
 from planner.spatial import FloatArray
 
 RED, BLUE = (0.9, 0.1, 0.1, 1.0), (0.1, 0.1, 0.9, 1.0)

@@ -23,8 +23,8 @@ from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.controllers import GraspController, controller_maker
 from sim.protocols import run_protocol
+from sim.protocols.disturbance import Settings
 from sim.protocols.run import cases_of
-from sim.protocols.settings import Settings
 from sim.tactile.senses import check_touch
 
 PACKAGE = '''"""What a laboratory brings for Opposable."""

@@ -35,18 +35,18 @@ from sim.cli import main
 from sim.controllers import Controller, GraspController, MakeController, Observation, Phase
 from sim.physics import PhysicsOptions
 from sim.protocols import Outcome, Settings, protocol_table, run_protocol, write_csv
-from sim.protocols.cases import AXES, Conditions
 from sim.protocols.dexgraspbench import (
     DexGraspBenchCase,
     Replay,
+    benchmark_physics,
     dexgraspbench_cases,
 )
-from sim.protocols.dexgraspbench_scene import benchmark_physics
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.forces import GravityCase, PushCase, forces_cases, proven_bound
-from sim.protocols.robust import RobustCase, displaced, robust_cases
+from sim.protocols.outcome import AXES, Conditions
 from sim.protocols.run import PROTOCOLS, cases_of, physics_of, trials_of, unsuitable
-from sim.protocols.shake import ShakeCase, Shaker, shake_cases
+from sim.protocols.shake_pushes import ShakeCase, Shaker, shake_cases
+from sim.protocols.variations import RobustCase, displaced, robust_cases
 from sim.verdict import REASONS, DropCriteria
 
 HALF, PAD = 0.02, 0.012

@@ -30,7 +30,7 @@ from sim.controllers import GraspController, Observation, PadReading, Phase
 from sim.manipulation.regrasping import margin_without
 from sim.manipulation.run import ManipulationRun
 from sim.physics import PhysicsOptions
-from sim.protocols.reality import with_errors
+from sim.protocols.variations import with_errors
 from sim.reality import REALITIES, Drawn, Reality, RealityOfTrial, named_reality, register_reality
 from sim.reality.drawn import stream
 from sim.reality.senses import Drift, RealSenses

@@ -26,8 +26,9 @@ from planner.task import GraspTask
 from sim.cli import main
 from sim.physics import PhysicsOptions
 from sim.protocols import IN_ALL, PROTOCOLS, run_protocol, unsuitable
+from sim.protocols.drake import Held, hold_in_drake
+from sim.protocols.drake_scene import drake_missing, load_drake_scene
 from sim.scene_export import export_scene
-from sim.second_engine import Held, drake_missing, hold_in_drake, load_drake_scene
 
 WEIGHT = 0.1 * 9.81
 

@@ -14,10 +14,9 @@ from PIL import Image
 
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from sim.looking.backend import open_backend
 from sim.looking.dress import dress_hand
-from sim.looking.picture import PICTURE, Drawn, draw_tape, moments_of
-from sim.looking.tape import Tape
+from sim.looking.painter import open_backend
+from sim.looking.picture import PICTURE, Drawn, Tape, draw_tape, moments_of
 from sim.looking.view import Subject
 from sim.scene import Scene, build_scene
 
@@ -256,7 +255,7 @@ def test_what_mujoco_gl_names_is_the_only_way(
     assert told in found
 
 
-BACKEND = "from sim.looking.backend import open_backend; print(open_backend(8, 8))"
+BACKEND = "from sim.looking.painter import open_backend; print(open_backend(8, 8))"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the ways of Linux")

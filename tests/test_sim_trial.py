@@ -29,7 +29,7 @@ from sim.protocols import Settings, run_protocol
 from sim.report import TrialReport
 from sim.report_file import ReportFile
 from sim.simulation import Simulation
-from sim.trial import Trial, simulate
+from sim.trial import Trial, TrialOptions, simulate
 from sim.verdict import Thresholds
 
 QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4, hold=0.2)
@@ -181,8 +181,18 @@ def test_physics_go_by_name(plan: GraspPlan) -> None:
     named = Trial(plan, physics="menagerie").simulation.scene.physics
     assert named == named_physics("menagerie")
     wrong: Any = 3
-    with pytest.raises(TaskError, match="physics is a int"):
+    with pytest.raises(TaskError, match="physics is 3; give a PhysicsOptions, one of ours"):
         Trial(plan, physics=wrong)
+
+
+def test_options_are_passed_whole_and_keywords_change_them(plan: GraspPlan) -> None:
+    options = TrialOptions(physics="menagerie", timeline=QUICK, record_every=0.05)
+    trial = Trial(plan, options, record_every=0.01)
+    assert trial.simulation.scene.physics == named_physics("menagerie")
+    assert (trial.timeline, trial.recorder.every) == (QUICK, 0.01)
+    assert options.record_every == 0.05
+    with pytest.raises(TaskError, match="record_every"):
+        TrialOptions(record_every=0.0)
 
 
 def test_a_grasp_that_slid_along_is_another_grasp(plan: GraspPlan) -> None:

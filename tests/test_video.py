@@ -23,10 +23,8 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.cli import main
-from sim.looking.film import FORMATS, check_video, write_film
 from sim.looking.painter import Quality
-from sim.looking.picture import PICTURE, draw_tape
-from sim.looking.tape import Tape
+from sim.looking.picture import FORMATS, PICTURE, Tape, check_video, draw_tape, write_film
 from sim.looking.view import FIELD_OF_VIEW_DEG, MARGIN, Subject, View, choose_views, sees
 from sim.physics import PhysicsOptions
 from sim.report import TrialReport
@@ -246,7 +244,8 @@ def test_a_film_that_cannot_be_is_refused_before_the_work(
         check_video("run.avi")
     find = importlib.util.find_spec
     monkeypatch.setattr(
-        "sim.looking.film.find_spec", lambda name: None if name == "imageio_ffmpeg" else find(name)
+        "sim.looking.picture.find_spec",
+        lambda name: None if name == "imageio_ffmpeg" else find(name),
     )
     with pytest.raises(TaskError, match=r'pip install "opposable\[video\]"; .webp and .gif need'):
         simulate(plan, video=tmp_path / "run.mp4")

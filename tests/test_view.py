@@ -25,11 +25,9 @@ from planner.kinematics.state import HandState
 from planner.motion.gait import plan_gait
 from planner.objects import GraspObject, parse_object
 from planner.pages.described import comments_of, described_lines, named_joints
-from planner.pages.level_set import zero_level_set
-from planner.pages.mesh_page import mesh_page
-from planner.pages.object_motion import object_motion
-from planner.pages.opening import has_browser
-from planner.pages.page import Page, read_page_data, write_page
+from planner.pages.mesh_page import mesh_page, zero_level_set
+from planner.pages.motion_page import object_motion
+from planner.pages.page import Page, has_browser, read_page_data, write_page
 from planner.plan import GraspPlan
 from planner.shapes import Mesh
 from planner.system.package import models_dir
@@ -50,8 +48,7 @@ from sim.viewing import (
     show,
     warnings_of,
 )
-from sim.viewing.dataset_tables import DatasetTables
-from sim.viewing.of_dataset import DatasetSite
+from sim.viewing.dataset import DatasetSite, DatasetTables
 
 RUN = CliRunner()
 

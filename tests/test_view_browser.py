@@ -20,15 +20,14 @@ from planner.motion import plan_motion
 from planner.objects import parse_object
 from planner.pages.motion_page import motion_page
 from planner.pages.page import Page, write_page
-from planner.pages.rows import pose_row
+from planner.pages.scene import pose_row
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.task import GraspTask
 from sim.viewing import Target, ViewOptions, recognise
-from sim.viewing.dataset_tables import DatasetTables
-from sim.viewing.of_dataset import DatasetSite
-from sim.viewing.of_plan import page_of_plan
+from sim.viewing.dataset import DatasetSite, DatasetTables
+from sim.viewing.files import page_of_plan
 
 NEAR = 1e-3
 """How far (m) what is drawn may be from what Pinocchio computes."""

@@ -18,9 +18,8 @@ from planner.plan import GraspPlan
 from sim.controllers import CONTROLLERS
 from sim.physics import PhysicsOptions
 from sim.protocols.dexgraspbench import dexgraspbench_cases
-from sim.protocols.disturbance import DisturbanceTrial
-from sim.protocols.robust import robust_cases
-from sim.protocols.settings import Settings
+from sim.protocols.disturbance import DisturbanceTrial, Settings
+from sim.protocols.variations import robust_cases
 from sim.reality import Reality
 
 DRIFT_S = 10.0

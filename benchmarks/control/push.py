@@ -17,10 +17,9 @@ from planner.spatial import FloatArray
 from planner.verification.grasp import with_grip
 from sim.controllers import CONTROLLERS
 from sim.physics import PhysicsOptions
-from sim.protocols.cases import Conditions
+from sim.protocols.disturbance import Settings
 from sim.protocols.forces import PushCase
-from sim.protocols.outcome import Outcome
-from sim.protocols.settings import Settings
+from sim.protocols.outcome import Conditions, Outcome
 from sim.reality import Reality
 
 GRIPS = 3

@@ -26,9 +26,9 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from sim.estimation import EstimateLog
 from sim.physics import PhysicsOptions
-from sim.protocols.cases import Conditions
-from sim.protocols.pushes import PushesCase
-from sim.protocols.settings import Settings
+from sim.protocols.disturbance import Settings
+from sim.protocols.outcome import Conditions
+from sim.protocols.shake_pushes import PushesCase
 from sim.reality import Reality
 from sim.tables import Row
 from sim.trial import simulate

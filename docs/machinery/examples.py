@@ -20,10 +20,6 @@ from planner import (
 from planner.exchange.table import table_of
 from planner.files import plan_to_dict
 from planner.files.movements import gait_to_dict, manipulation_to_dict, motion_to_dict
-from sim import TrialReport, manipulate, simulate
-from planner.files.gaits import gait_to_dict
-from planner.files.manipulations import manipulation_to_dict
-from planner.files.motions import motion_to_dict
 from sim import ManipulationTimeline, TrialReport, manipulate, simulate
 
 MOST_ITEMS = 2

@@ -109,7 +109,6 @@ GROUPS: dict[str, list[str]] = {
         "sim.protocols",
         "sim.creep",
         "sim.scene_export",
-        "sim.second_engine",
     ],
     "Cross-checking models": [
         "sim.crosscheck",

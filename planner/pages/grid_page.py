@@ -12,12 +12,9 @@ from html import escape
 
 from planner.hands.hand import Hand
 from planner.pages.hand_model import hand_model
-from planner.pages.own_assets import asset
-from planner.pages.payload import pack
-from planner.pages.rows import pose_row
-from planner.pages.scene import Model
-from planner.pages.surroundings import object_model
-from planner.pages.three import three_source
+from planner.pages.page import asset, pack, three_source
+from planner.pages.plan_scene import object_model
+from planner.pages.scene import Model, pose_row
 from planner.shapes.meshes.simplify import simplified
 from planner.task import GraspTask
 

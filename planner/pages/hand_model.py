@@ -12,8 +12,7 @@ import trimesh
 from planner.bridge import LinkSurface, link_surfaces
 from planner.hands.fingers import Pad
 from planner.hands.hand import Hand
-from planner.pages.rows import pose_row
-from planner.pages.scene import Joint, Layer, Model, Part
+from planner.pages.scene import Joint, Layer, Model, Part, pose_row
 from planner.shapes.meshes.simplify import simplified
 from planner.spatial import SE3, FloatArray
 

@@ -7,23 +7,20 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
+import trimesh
 
 from planner.arrays import without_prefix
 from planner.describe import CheckReport
 from planner.hands.hand import Hand
 from planner.joints.couplings import nearest_on_couplings
 from planner.kinematics.state import HandState
-from planner.pages.arrows import arrow_part
 from planner.pages.blocks import Block, Command, Facts, Sentence
 from planner.pages.described import described_lines, named_joints
 from planner.pages.hand_model import hand_model
-from planner.pages.own_assets import own_scripts
-from planner.pages.page import Page
-from planner.pages.rows import IDENTITY_ROW
-from planner.pages.scene import Actor, Model, Scene, View
+from planner.pages.page import Page, own_scripts
+from planner.pages.scene import IDENTITY_ROW, Actor, Layer, Model, Part, Scene, View
 from planner.spatial import SE3, FloatArray
-
-__all__ = ["hand_page"]
 
 PALM_COLOUR, AXIS_COLOUR = (0.13, 0.55, 0.30, 1.0), (0.95, 0.52, 0.18, 1.0)
 """Colours of the arrows along which the palm and the pads face."""
@@ -212,3 +209,48 @@ def _groups(hand: Hand) -> list[dict[str, Any]]:
     taken = {int(k) for _, index in groups for k in index}
     groups.append(("other joints", np.array([k for k in range(hand.nq) if k not in taken], int)))
     return [{"name": n, "joints": [int(k) for k in index]} for n, index in groups if len(index)]
+
+
+HEAD, SLIMNESS = 0.35, 0.035
+"""Length of the head and radius of the shaft over the arrow's length (-)."""
+
+SIDES = 16
+
+
+def arrow_part(
+    name: str,
+    *,
+    joint: int,
+    layer: Layer,
+    start: FloatArray,
+    direction: FloatArray,
+    length: float,
+    colour: tuple[float, float, float, float],
+) -> Part:
+    """An arrow in a joint's frame.
+
+    Args:
+        name: What is said where it is pointed at.
+        joint: Number of the joint that carries it; -1 for the base.
+        layer: What switches it.
+        start: Where it begins, (3,), m.
+        direction: (3,), unit.
+        length: m.
+        colour: Red, green, blue, opacity.
+    """
+    shaft = trimesh.creation.cylinder(
+        SLIMNESS * length, segment=[[0, 0, 0], [0, 0, (1 - HEAD) * length]], sections=SIDES
+    )
+    head = trimesh.creation.cone(3 * SLIMNESS * length, HEAD * length, sections=SIDES)
+    head.apply_translation([0, 0, (1 - HEAD) * length])
+    solid = trimesh.util.concatenate([shaft, head])
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(direction))
+    return Part(
+        name=name,
+        joint=joint,
+        layer=layer,
+        vertices=np.asarray(solid.vertices) @ turn.toRotationMatrix().T + np.asarray(start),
+        triangles=np.asarray(solid.faces, np.int64),
+        colour=colour,
+        smooth=True,
+    )

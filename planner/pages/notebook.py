@@ -21,8 +21,7 @@ from planner.kinematics.state import HandState
 from planner.pages.hand_model import hand_model
 from planner.pages.painter import data_uri, paint
 from planner.pages.plan_scene import Stage, planned_contacts
-from planner.pages.rows import IDENTITY_ROW
-from planner.pages.scene import Actor, Model, Part, Scene
+from planner.pages.scene import IDENTITY_ROW, Actor, Model, Part, Scene
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 from planner.task import GraspTask

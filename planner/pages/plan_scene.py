@@ -1,24 +1,28 @@
-"""What pages of plans, motions and runs have in common: actors, contacts, the camera's place."""
+"""What pages of plans, motions and runs have in common: actors, contacts, the camera's place.
+
+Table, obstacles and object are models; the camera stands beside the palm when a page opens, where
+the hand hides little.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
+import trimesh
 
 from planner.contacts import ContactSet
 from planner.kinematics.state import HandState
 from planner.pages.hand_model import hand_model
-from planner.pages.rows import IDENTITY_ROW, pose_row
-from planner.pages.scene import Actor, Contacts, Layer, Model, View
-from planner.pages.surroundings import ShownObject, object_model, obstacle_model, table_model
-from planner.pages.viewpoint import hand_points, views_of
+from planner.pages.scene import IDENTITY_ROW, Actor, Contacts, Layer, Model, Part, View, pose_row
 from planner.plan import GraspPlan
-from planner.shapes.mesh import surface_points
-from planner.spatial import SE3, FloatArray
-from planner.task import GraspTask
-
-__all__ = ["Stage", "contact_rows", "planned_contacts", "stage_of"]
+from planner.shapes import Shape
+from planner.shapes.mesh import Mesh, surface_points, surface_triangles
+from planner.shapes.meshes.simplify import simplified
+from planner.spatial import SE3, FloatArray, IntArray
+from planner.task import GraspTask, Obstacle
 
 SEEN = 40
 """Points of the object by which views are compared."""
@@ -133,3 +137,235 @@ def planned_contacts(
         mu=float(np.min(sets[0].mu)),
         actor=actor,
     )
+
+
+Triangles: TypeAlias = tuple[FloatArray, IntArray]
+"""Vertices (n, 3), m, and triangles (k, 3), numbers of vertices."""
+
+MOST_TRIANGLES = 30_000
+"""Of an object in a page; such a page stays below 1 MB."""
+
+OBJECT_COLOUR = (0.36, 0.62, 0.84, 1.0)
+MARK_COLOUR = (0.98, 0.98, 0.96, 1.0)
+TABLE_COLOUR = (0.83, 0.82, 0.80, 1.0)
+OBSTACLE_COLOUR = (0.66, 0.55, 0.47, 1.0)
+"""Colours; the mark is a stripe that shows turns."""
+
+STRIPE = 0.09
+"""Half width of the stripe over the object's half extent (-)."""
+
+TABLE_THICKNESS = 0.006
+"""Of a table as drawn, m."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShownObject:
+    """An object's model, and whether it has fewer triangles than the object.
+
+    Attributes:
+        model: The model.
+        triangles: Triangles of the object.
+        shown: Triangles of the model.
+    """
+
+    model: Model
+    triangles: int
+    shown: int
+
+    @property
+    def note(self) -> str:
+        """A sentence for the page; "" where all triangles are shown."""
+        if self.shown >= self.triangles:
+            return ""
+        return (
+            f"The picture shows {self.shown} triangles of the object's {self.triangles}; contacts "
+            "and clearances were computed with all of them."
+        )
+
+
+def object_model(shape: Shape, name: str = "object") -> ShownObject:
+    """An object with its true triangles and a stripe around it, by which a turn can be seen.
+
+    Args:
+        shape: Its shape; a mesh of more than ``MOST_TRIANGLES`` triangles is simplified.
+        name: What is said where it is pointed at.
+    """
+    vertices, triangles = _triangles(shape)
+    total = len(triangles)
+    vertices, triangles, _ = simplified(vertices, triangles, MOST_TRIANGLES)
+    body = Part(
+        name=name,
+        joint=-1,
+        layer="object",
+        vertices=vertices,
+        triangles=triangles,
+        colour=OBJECT_COLOUR,
+        smooth=True,
+    )
+    parts = _striped(body)
+    return ShownObject(model=Model(joints=(), parts=parts), triangles=total, shown=len(triangles))
+
+
+def _triangles(shape: Shape) -> Triangles:
+    """Vertices and triangles of a shape; flat faces in as few triangles as they need."""
+    if isinstance(shape, Mesh):
+        return shape.vertices, shape.faces
+    return surface_triangles(shape)
+
+
+def _striped(body: Part) -> tuple[Part, ...]:
+    """The body in two parts: a stripe around it where x > 0 and y is near 0, and the rest."""
+    width = STRIPE * float(np.ptp(body.vertices, axis=0).max()) / 2
+    rest: list[Triangles] = []
+    stripe: Triangles = (np.asarray(body.vertices), np.asarray(body.triangles))
+    for outwards, offset in (((0, 1, 0), width), ((0, -1, 0), width), ((-1, 0, 0), 0.0)):
+        normal = np.array(outwards, dtype=np.float64)
+        rest.append(_half(stripe, normal, offset * normal))
+        stripe = _half(stripe, -normal, offset * normal)
+    out = []
+    for pieces, colour, name in (
+        (rest, body.colour, body.name),
+        ([stripe], MARK_COLOUR, f"heading mark of {body.name}"),
+    ):
+        vertices, triangles = _joined(pieces)
+        if len(triangles):
+            out.append(
+                replace(body, name=name, vertices=vertices, triangles=triangles, colour=colour)
+            )
+    return tuple(out)
+
+
+def _half(surface: Triangles, normal: FloatArray, origin: FloatArray) -> Triangles:
+    """What of a surface lies on the normal's side of a plane."""
+    if not len(surface[1]):
+        return surface
+    vertices, triangles, *_ = trimesh.intersections.slice_faces_plane(
+        *surface, plane_normal=normal, plane_origin=origin
+    )
+    return np.asarray(vertices, np.float64), np.asarray(triangles, np.int64)
+
+
+def _joined(pieces: list[Triangles]) -> Triangles:
+    """Several surfaces as one."""
+    vertices, triangles, count = [], [], 0
+    for v, t in pieces:
+        if len(t):
+            vertices.append(v)
+            triangles.append(t + count)
+            count += len(v)
+    if not triangles:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def table_model(radius: float) -> Model:
+    """A round plate whose top is at z = 0; a table of the planner has no end, this is a part.
+
+    It has no underside, so that a camera from below looks through it.
+    """
+    solid = trimesh.creation.cylinder(radius=radius, height=TABLE_THICKNESS, sections=96)
+    solid.update_faces(solid.face_normals[:, 2] > -0.5)
+    shift = np.array([0.0, 0.0, -TABLE_THICKNESS / 2])
+    plate = _part("table", "table", solid, TABLE_COLOUR)
+    return Model(joints=(), parts=(replace(plate, vertices=plate.vertices + shift),))
+
+
+def obstacle_model(obstacle: Obstacle) -> Model:
+    """An obstacle's box in its own frame."""
+    solid = trimesh.creation.box(extents=obstacle.size)
+    part = _part(f"obstacle {obstacle.name}", "obstacles", solid, OBSTACLE_COLOUR)
+    return Model(joints=(), parts=(part,))
+
+
+def _part(name: str, layer: Layer, solid: Any, colour: tuple[float, float, float, float]) -> Part:
+    return Part(
+        name=name,
+        joint=-1,
+        layer=layer,
+        vertices=np.asarray(solid.vertices, np.float64),
+        triangles=np.asarray(solid.faces, np.int64),
+        colour=colour,
+        smooth=True,
+    )
+
+
+POINTS = 2000
+"""Points of a hand, about 7 mm apart."""
+
+NEAR = 0.008
+"""Distance (m) from a line of sight within which a point of the hand hides what is behind."""
+
+IN_FRONT = 0.01
+"""How much nearer to the camera (m) it is then at least: a tip does not hide its own contact."""
+
+AZIMUTHS = np.deg2rad(np.arange(-180, 180, 15))
+HEIGHTS = (0.25, 0.45, 0.8)
+USUAL_HEIGHT = 0.45
+"""Places that are compared: angles (rad) about the vertical, heights over the distance (-)."""
+
+USUAL = np.array([0.5, -0.75, 0.0])
+"""From the right and the front, where the rest leaves a choice."""
+
+
+def hand_points(model: Model, T_world_base: SE3, state: HandState) -> FloatArray:
+    """Points (n, 3), m, world, spread by area over what is drawn of a hand."""
+    rng = np.random.default_rng(0)
+    corners = []
+    for part in model.parts:
+        if part.layer != "hand":
+            continue
+        pose = T_world_base if part.joint < 0 else T_world_base * state.joint_pose(part.joint + 1)
+        vertices = np.asarray(part.vertices) @ pose.rotation.T + pose.translation
+        corners.append(vertices[part.triangles])
+    triangles = np.concatenate(corners)  # (k, 3, 3)
+    sides = triangles[:, 1:] - triangles[:, :1]
+    ends = np.cumsum(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1))
+    chosen = np.searchsorted(ends, (np.arange(POINTS) + 0.5) / POINTS * ends[-1])
+    weights = rng.dirichlet(np.ones(3), size=POINTS)
+    points: FloatArray = np.einsum("nk,nkd->nd", weights, triangles[chosen])
+    return points
+
+
+def views_of(
+    facing: FloatArray, contacts: ContactSet | None, hiding: FloatArray, seen: FloatArray
+) -> tuple[View, ...]:
+    """The opening view, named "start", and "palm".
+
+    The opening one looks neither along the palm's normal nor along the grip, and as little of the
+    object as possible is behind the hand.
+
+    Args:
+        facing: Direction that the palm faces (3,), unit, world.
+        contacts: World; None where nothing is held.
+        hiding: Points of the hand (n, 3), m, world.
+        seen: Points of the object (m, 3), m, world.
+    """
+    grip = np.zeros(3)
+    if contacts is not None and len(contacts):
+        grip = np.linalg.eigh(contacts.normals.T @ contacts.normals)[1][:, -1]
+    azimuth, height = (v.ravel() for v in np.meshgrid(AZIMUTHS, HEIGHTS))
+    directions = np.column_stack([np.cos(azimuth), np.sin(azimuth), height])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    costs = np.abs(directions @ facing) + 0.6 * np.abs(directions @ grip)
+    costs += np.abs(height - USUAL_HEIGHT) - 0.1 * directions @ USUAL
+    best, least = 0, np.inf
+    for k in np.argsort(costs):
+        if costs[k] >= least:
+            break  # what the hand hides only adds to it
+        cost = costs[k] + 2.0 * _hidden(directions[k], hiding, seen)
+        if cost < least:
+            best, least = k, cost
+    return _view("start", directions[best]), _view("palm", facing)
+
+
+def _hidden(direction: FloatArray, hiding: FloatArray, seen: FloatArray) -> float:
+    """Share of points (m, 3) that are behind others (n, 3) for a camera in a direction."""
+    across = np.linalg.svd(direction[None])[2][1:].T  # (3, 2): the plane of the picture
+    u, v = ((seen @ a)[:, None] - hiding @ a for a in across.T)
+    nearer = hiding @ direction - (seen @ direction)[:, None] > IN_FRONT
+    return float(((u * u + v * v < NEAR**2) & nearer).any(axis=1).mean())
+
+
+def _view(name: str, direction: FloatArray) -> View:
+    x, y, z = (float(v) for v in direction)
+    return View(name=name, direction=(x, y, z))

@@ -8,27 +8,13 @@ motions are all shown by the same few numbers: joints q and the pose of the base
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-from planner.spatial import FloatArray, IntArray
+import numpy as np
 
-__all__ = [
-    "Actor",
-    "Band",
-    "Bars",
-    "Contacts",
-    "Joint",
-    "Layer",
-    "Line",
-    "Mark",
-    "Model",
-    "Motion",
-    "Part",
-    "Plot",
-    "Scene",
-    "View",
-]
+from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 
 Layer: TypeAlias = Literal[
     "hand",
@@ -297,3 +283,17 @@ class Scene:
     )
     views: tuple[View, ...] = ()
     follow: str | None = None
+
+
+IDENTITY_ROW = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+"""The pose of a frame in itself."""
+
+
+def pose_row(pose: SE3) -> FloatArray:
+    """A pose as (7,), m and a unit quaternion."""
+    return np.concatenate(pose_to_wxyz(pose))
+
+
+def pose_rows(poses: Iterable[SE3]) -> FloatArray:
+    """Poses as (m, 7)."""
+    return np.array([pose_row(p) for p in poses]).reshape(-1, 7)

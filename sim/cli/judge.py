@@ -121,7 +121,7 @@ def judge(
 
     execute: Callable[..., Any] | None = None
     if simulate:
-        from sim.protocols.given_grasp import hold_given_grasp
+        from sim.protocols.dexgraspbench import hold_given_grasp
 
         execute = hold_given_grasp
     reports: list[AuditReport] = []

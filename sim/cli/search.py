@@ -42,7 +42,7 @@ def _refuse_our_file(object: str) -> None:
     if not object.lower().endswith(".json"):
         return
     from planner.errors import TaskError, shown
-    from sim.viewing.target import Target
+    from sim.viewing.kinds import Target
 
     kind = Target(object).format
     if kind == "opposable-plan":

@@ -272,8 +272,8 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
     """Run protocols of many trials on every plan; reports as they come."""
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
-    from sim.looking.backend import why_not
-    from sim.looking.film import check_video
+    from sim.looking.painter import why_not
+    from sim.looking.picture import check_video
     from sim.protocols import (
         IN_ALL,
         Settings,

@@ -32,7 +32,7 @@ from planner.task import GraspTask
 from sim.manipulation.page_parts import motion_of, obstacles_of
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.report_file import ManipulationReportFile
-from sim.pages.tasks import task_of_plan
+from sim.pages.parts import task_of_plan
 from sim.recording import PALM, Recording
 from sim.report import TrialReport
 from sim.report_file import ReportFile

@@ -17,8 +17,8 @@ import numpy as np
 from planner.errors import TaskError
 from planner.spatial import FloatArray, pose_from_wxyz
 from sim.episodes.episode import Episode
-from sim.looking.film import FilmFormat, write_film
 from sim.looking.painter import Painter, Pixels, Quality, open_painter
+from sim.looking.picture import FilmFormat, write_film
 from sim.looking.view import FIELD_OF_VIEW_DEG, View, choose_views
 from sim.scene import Scene, build_scene
 

@@ -1,23 +1,211 @@
-"""Pictures and films of what a tape holds, all drawn by one OpenGL context.
+"""Pictures and films of what a ``Tape`` holds, drawn after the simulation by one OpenGL context.
 
-A picture is made where it can be. Where no way to draw works there is none but a reason, in one
-line, and never an error.
+A tape only reads, so that a simulation goes on as it would without it. A picture is made where it
+can be; where no way to draw works there is none but a reason, in one line, and never an error.
+
+WebP and GIF are written by Pillow. MP4 is written by ffmpeg, which the package imageio-ffmpeg
+brings as one static program, without a library that could meet another of the same name; it encodes
+on another core while frames are drawn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from PIL import Image
 
-from sim.looking.film import FORMATS, FilmFormat, check_video, write_film
-from sim.looking.painter import Painter, Pixels, Quality, open_painter
-from sim.looking.tape import Frame, Tape
-from sim.looking.view import View, choose_views
+from planner.contacts import ContactSet
+from planner.errors import TaskError
+from planner.spatial import FloatArray
+from sim.looking.painter import Arrows, Painter, Pixels, Quality, open_painter
+from sim.looking.view import Subject, View, choose_views
 
-__all__ = ["PICTURE", "Drawn", "draw_tape", "moments_of"]
+FRAME_RATE = 25.0
+"""States kept per simulated second."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """One state.
+
+    Attributes:
+        time: s.
+        qpos: State (nq,) of the model.
+        arrows: Forces of the hand on the object; None if they are not known.
+    """
+
+    time: float
+    qpos: FloatArray
+    arrows: Arrows | None = None
+
+
+class Tape:
+    """States of one model in the order of time.
+
+    Attributes:
+        model: ``mujoco.MjModel``.
+        subject: What its pictures are about.
+        frames: What was kept.
+    """
+
+    def __init__(self, model: Any, subject: Subject) -> None:
+        """An empty tape."""
+        self.model, self.subject = model, subject
+        self.frames: list[Frame] = []
+
+    def keep(self, time: float, qpos: FloatArray, contacts: ContactSet | None = None) -> None:
+        """Keep a state.
+
+        Args:
+            time: s; not before the last one's.
+            qpos: State (nq,).
+            contacts: Contacts with the object, whose forces arrows may show.
+        """
+        arrows = None
+        if contacts is not None:
+            arrows = Arrows(
+                points=contacts.positions,
+                forces=np.nan_to_num(contacts.forces_in_axes()),
+                object_body=self.subject.object_body,
+            )
+        self.frames.append(Frame(time=time, qpos=np.array(qpos), arrows=arrows))
+
+    def at(self, time: float | None) -> Frame:
+        """The state kept next to a time (s); the last one if None."""
+        if time is None:
+            return self.frames[-1]
+        return min(self.frames, key=lambda frame: abs(frame.time - time))
+
+    def evenly(self, rate: float, most: int) -> tuple[list[Frame], float]:
+        """States at an even rate, and by how much a film of them is faster than the simulation.
+
+        Args:
+            rate: Frames per second of the film.
+            most: Frames that it may have; a longer simulation is shown faster.
+        """
+        times = np.array([frame.time for frame in self.frames])
+        length = times[-1] - times[0]
+        speed = max(1.0, length * rate / most)
+        wanted = times[0] + np.arange(0.0, length + 1e-9, speed / rate)
+        after = np.minimum(np.searchsorted(times, wanted), len(times) - 1)
+        before = np.maximum(after - 1, 0)
+        nearer = np.where(wanted - times[before] < times[after] - wanted, before, after)
+        return [self.frames[i] for i in nearer], speed
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmFormat:
+    """What a kind of file is given.
+
+    Attributes:
+        quality: How its frames are drawn.
+        rate: Frames per second.
+        most: Frames that a film may have; longer ones are shown faster. Pillow keeps them all.
+        encoding: Options of ffmpeg, for MP4.
+    """
+
+    quality: Quality
+    rate: float
+    most: int
+    encoding: tuple[str, ...] = ()
+
+
+LARGE = Quality(size=(640, 480), larger=1.5, shadows=2048, slices=20)
+SMALL = replace(LARGE, size=(480, 360), larger=2.0)
+
+X264 = ("-crf", "23", "-preset", "veryfast", "-movflags", "+faststart", "-tune", "animation")
+"""Options of ffmpeg: constant quality, and a file that plays while it loads."""
+
+FORMATS = {
+    ".mp4": FilmFormat(quality=LARGE, rate=25.0, most=1500, encoding=X264),
+    ".webp": FilmFormat(quality=LARGE, rate=20.0, most=600),
+    ".gif": FilmFormat(quality=SMALL, rate=12.5, most=500),
+}
+"""File ending -> format. A GIF has 256 colours and is several times as large: so it is smaller."""
+
+WEBP_QUALITY, WEBP_EFFORT = 62, 2
+"""As ``cwebp -q`` and ``-m``: beyond effort 2 files become 5 % smaller and take twice as long."""
+
+COLORS = 160
+"""Colours of a GIF."""
+
+
+def check_video(path: Path | str | None) -> None:
+    """Refuse a film that cannot be written, before the work and not after it.
+
+    Raises:
+        TaskError: Another file ending, or MP4 without the package that writes it.
+    """
+    if path is None:
+        return
+    ending = Path(path).suffix.lower()
+    if ending not in FORMATS:
+        raise TaskError(f"a video {Path(path).name!r} is not known; give {', '.join(FORMATS)}")
+    if ending == ".mp4" and find_spec("imageio_ffmpeg") is None:
+        raise TaskError(
+            f"{Path(path).name} needs a package that is not installed: pip install "
+            '"opposable[video]"; .webp and .gif need nothing more'
+        )
+
+
+def write_film(path: Path, frames: Iterable[Pixels], film: FilmFormat) -> None:
+    """Encode frames.
+
+    Args:
+        path: Its ending is one of ``FORMATS``.
+        frames: At least one, drawn as they are asked for.
+        film: Size and rate.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    if path.suffix.lower() == ".mp4":
+        _write_mp4(path, frames, film)
+        return
+    images = [Image.fromarray(pixels) for pixels in frames]
+    duration = round(1e3 / film.rate)
+    if path.suffix.lower() == ".webp":
+        images[0].save(
+            path,
+            save_all=True,
+            append_images=images[1:],
+            duration=duration,
+            loop=0,
+            quality=WEBP_QUALITY,
+            method=WEBP_EFFORT,
+        )
+        return
+    no = Image.Dither.NONE
+    palette = images[len(images) // 2].quantize(COLORS, dither=no)
+    few = [image.quantize(palette=palette, dither=no) for image in images]
+    few[0].save(path, save_all=True, append_images=few[1:], duration=duration, loop=0)
+
+
+def _write_mp4(path: Path, frames: Iterable[Pixels], film: FilmFormat) -> None:
+    import imageio_ffmpeg
+
+    path.touch()  # ffmpeg's own words about a folder that bars it are many lines
+    writer = imageio_ffmpeg.write_frames(
+        str(path),
+        film.quality.size,
+        fps=film.rate,
+        codec="libx264",
+        quality=None,
+        output_params=list(film.encoding),
+        ffmpeg_log_level="error",
+    )
+    writer.send(None)
+    try:
+        for pixels in frames:
+            writer.send(pixels)
+    finally:
+        writer.close()
+
 
 PICTURE = Quality(size=(960, 720), larger=2.0, shadows=4096, slices=40)
 """How a picture is drawn."""

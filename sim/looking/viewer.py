@@ -9,8 +9,6 @@ from typing import Any
 
 from planner.errors import TaskError
 
-__all__ = ["Viewer", "check_display"]
-
 FRAME = 1.0 / 60.0
 """Time between two pictures, s."""
 

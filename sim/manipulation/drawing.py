@@ -15,8 +15,7 @@ from planner.motion.gait import GaitPlan, Stroke
 from planner.motion.plan import Knot
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.looking.picture import draw_tape
-from sim.looking.tape import Tape
+from sim.looking.picture import Tape, draw_tape
 from sim.scene import build_scene
 
 STROKE_S, RELOCATION_S = 3.0, 1.0

@@ -24,22 +24,30 @@ from sim.manipulation.page_parts import (
 )
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.timeline import IN_THE_AIR
-from sim.pages.plots import command_plot, cone_plot, event_marks, force_plot, quality_plot
-from sim.pages.pressure import pressure_blocks
-from sim.pages.stage import NO_STATES, Moving, bare_scene, measured_contacts, moving_stage
-from sim.pages.tasks import task_of_plan
-from sim.pages.words import (
+from sim.pages.parts import (
+    NO_STATES,
+    Moving,
+    bare_scene,
+    command_plot,
+    cone_plot,
+    event_marks,
     events_block,
     facts_of,
+    force_plot,
     in_words,
+    measured_contacts,
+    moving_stage,
     physics_blocks,
     plan_blocks,
+    quality_plot,
     quality_rows,
     reality_blocks,
     shown,
     source_blocks,
+    task_of_plan,
     task_rows,
 )
+from sim.pages.trial_page import pressure_blocks
 from sim.recording import Recording
 
 MODE_COLOURS = {

@@ -25,8 +25,7 @@ from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
 from sim.estimation import AnyEstimator
-from sim.looking.film import check_video
-from sim.looking.picture import Drawn, draw_tape
+from sim.looking.picture import Drawn, check_video, draw_tape
 from sim.manipulation.in_hand import AnyTurningController, GuidedController, in_hand_controller
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.machine import StateMachine

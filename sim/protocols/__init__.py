@@ -13,10 +13,11 @@
 
 from __future__ import annotations
 
+from sim.protocols.disturbance import Settings
+from sim.protocols.drake import hold_in_drake
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport, protocol_table, write_csv
 from sim.protocols.run import IN_ALL, PROTOCOLS, run_protocol, trials_of, unsuitable
-from sim.protocols.settings import Settings
 
 __all__ = [
     "IN_ALL",
@@ -24,6 +25,7 @@ __all__ = [
     "Outcome",
     "ProtocolReport",
     "Settings",
+    "hold_in_drake",
     "protocol_table",
     "run_protocol",
     "trials_of",

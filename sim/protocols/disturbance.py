@@ -7,17 +7,21 @@ object until the fingers press, and then nothing but the hand does::
     fault = trial.close_and_squeeze() or trial.hold_for(2.0)
 
 Movement is the object's in the palm, since the fingers press.
+
+``Settings``: the numbers of the protocols that are ours, each with its reason.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
+from planner.arrays import check_fields, checked_number, finite_array
+from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.carrier import Carrier, Timeline
@@ -25,7 +29,8 @@ from sim.controllers import AnyController, Phase
 from sim.controllers.monitors import SLIP_SPEED
 from sim.estimation import AnyEstimator
 from sim.physics import PhysicsOptions
-from sim.reality import AnyReality
+from sim.protocols.outcome import Case, Conditions, Outcome
+from sim.reality import AnyReality, Reality
 from sim.recorder import Recorder
 from sim.recording import Recording, Samples
 from sim.scene import Scene
@@ -116,6 +121,52 @@ class DisturbanceTrial:
         self._looks: deque[tuple[str, ...]] = deque(maxlen=round(BLAME_WINDOW / CHECK_EVERY))
         self._loads: list[float] = []
         self.load = 0.0
+
+    @classmethod
+    def under(
+        cls,
+        conditions: Conditions,
+        plan: GraspPlan,
+        settings: Settings,
+        reality: Reality | None = None,
+    ) -> DisturbanceTrial:
+        """A trial of a plan under the conditions of a run.
+
+        Args:
+            conditions: Of the run.
+            plan: What to execute, and what the controller is made from.
+            settings: Say when the object is lost.
+            reality: Errors of this trial; those of all trials if None.
+        """
+        return cls(
+            plan,
+            controller=conditions.controller(plan),
+            physics=conditions.physics,
+            reality=conditions.reality if reality is None else reality,
+            estimator=conditions.estimator,
+            dropped=settings.dropped,
+        )
+
+    def outcome(self, case: Case, fault: Fault | None, **more: Any) -> Outcome:
+        """What became of a case.
+
+        Args:
+            case: It.
+            fault: Why the object was not held; None if it was.
+            more: Fields of ``Outcome`` beside those that were recorded.
+        """
+        return Outcome(
+            index=case.index,
+            name=case.name,
+            held=fault is None,
+            fault=fault,
+            fingers=self.plan.task.finger_names,
+            samples=self.samples,
+            recording=self.recording,
+            load=self.loads,
+            events=self.simulation.events,
+            **more,
+        )
 
     def close_and_squeeze(self) -> Fault | None:
         """Close, press, and let go of the object; what went wrong, None if nothing did."""
@@ -243,3 +294,63 @@ class _Still:
         """Command the pose of the grasp."""
         del phase, share
         self._carrier.drive(data, "settle", 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Numbers of the protocols but ``dexgraspbench``, which has its own.
+
+    Attributes:
+        hold_s: How long each direction of gravity is held, s: as long as DexGraspBench's push.
+        growth: Factor from one load to the next (-): the resolution of a breaking magnitude.
+        step_s: How long each load lasts, s, the first half of which leads up to it: a servo comes
+            to rest in 0.1 s.
+        first_load: Of the object's weight under 9.81 m/s2, the first load (-).
+        most_load: The same, the last one (-): nothing that fingers hold bears more.
+        random: Random directions of wrench.
+        shake_mm: Amplitude of shaking along an axis, mm; with 5 Hz it is 1 g.
+        shake_deg: Amplitude about an axis, degrees; 0.9 g at 0.1 m from the hand's base.
+        shake_hz: Frequency, 1/s.
+        shake_s: Duration, s.
+        mass_factors: Of the object's mass (-).
+        friction_factors: Of the friction in simulation (-).
+        pose_errors: How far the object is from where the plan has it, pairs of mm and degrees, in a
+            random direction each.
+        realities: Draws of the protocol ``reality``.
+        pushes: Holds of the protocol ``pushes``.
+        pushes_s: Duration of each, s.
+        push_load: Of the object's weight under 9.81 m/s2, the strongest push (-).
+        dropped: When an object counts as lost.
+    """
+
+    hold_s: float = 2.0
+    growth: float = 1.1
+    step_s: float = 0.15
+    first_load: float = 0.5
+    most_load: float = 200.0
+    random: int = 20
+    shake_mm: float = 10.0
+    shake_deg: float = 5.0
+    shake_hz: float = 5.0
+    shake_s: float = 2.0
+    mass_factors: tuple[float, ...] = (0.5, 1.0, 2.0)
+    friction_factors: tuple[float, ...] = (0.7, 1.0, 1.3)
+    pose_errors: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.5, 2.5), (5.0, 5.0))
+    realities: int = 10
+    pushes: int = 3
+    pushes_s: float = 60.0
+    push_load: float = 1.5
+    dropped: DropCriteria = DROPPED
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        numbers = [f.name for f in fields(self) if str(f.type).startswith(("float", "tuple[float"))]
+        check_fields(self, numbers, above=0.0)
+        check_fields(self, ("growth",), above=1.0)
+        check_fields(self, ("random",))
+        check_fields(self, ("realities", "pushes"), least=1)
+        if not self.mass_factors or not self.friction_factors:
+            raise TaskError("there are no factors of mass or friction; give at least one of each")
+        for errors in self.pose_errors:
+            for size in finite_array("pose_errors", errors, (2,), error=TaskError).tolist():
+                checked_number("pose_errors", size, least=0.0, unit="mm, deg", error=TaskError)

@@ -1,7 +1,7 @@
 """``drake``: the exported scene held in another physics engine, by position commands alone.
 
 The plan is exported (``sim.scene_export``) and begins in Drake at the grasp with the squeeze
-commanded (``sim.second_engine``): for 2 s under the plan's gravity; then six times more, with a
+commanded (``hold_in_drake``): for 2 s under the plan's gravity; then six times more, with a
 force of half of the object's weight from another side in the second half. Commands do not react to
 anything. Contact model, solver, modulus and dissipation are Drake's defaults; friction is
 that of ``--physics``. An object is lost that moves more than 10 mm or 15 degrees.
@@ -12,25 +12,25 @@ What happens before the grasp is left out: it is a second opinion on the grasp, 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from planner.errors import TaskError
 from planner.exchange.dexgraspbench.export import without_servos
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.quality import closure_and_epsilon, force_closure
-from planner.spatial import contact_frames
-from planner.tolerances import CLOSURE_EDGES
+from planner.spatial import SE3, FloatArray, IntArray, contact_frames, pose_change
 from sim.contacts import ContactRows
-from sim.protocols.cases import AXES, Conditions, axis_of
-from sim.protocols.outcome import Outcome
+from sim.protocols.drake_scene import INSTALL, TIME_STEP, DrakeScene, load_drake_scene
+from sim.protocols.outcome import AXES, Conditions, Outcome, axis_of
+from sim.recorder import closure_columns, contact_columns
 from sim.recording import Samples
 from sim.scene import HAND_PREFIX
 from sim.scene_export import export_scene
-from sim.second_engine import INSTALL, TIME_STEP, Held, hold_in_drake
 from sim.verdict import Fault
 
 PUSH_SHARE = 0.5
@@ -119,25 +119,12 @@ def _samples(plan: GraspPlan, seen: Held, mu: float) -> Samples:
     """What Drake did, judged by the code that judges every trial."""
     task = plan.task
     rows = _rows(plan, seen, mu)
-    counts, merged = rows.counts(), rows.merged
-    m, n = len(seen.time), len(task.finger_names)
-    own = [rows.names.index(finger) for finger in task.finger_names]
-    where = merged.moment, merged.finger
-    normal, used = np.zeros((m, len(rows.names))), np.full((m, len(rows.names)), np.nan)
-    normal[where] = merged.forces[:, 0]
-    used[where] = merged.friction_utilisation()
-    length = task.object.shape.bounding_radius
-    both = [closure_and_epsilon(merged.at(k), length=length) for k in range(m)]
+    m, length = len(seen.time), task.object.shape.bounding_radius
     columns: dict[str, Any] = {
+        **contact_columns(rows, task.finger_names),
+        **closure_columns(rows, length),
         "time": seen.time,
         "phase": ["hold"] * m,
-        "contacts": counts[:, own],
-        "palm_contacts": np.delete(counts, own, axis=1).sum(axis=1),
-        "normal_force": normal[:, own],
-        "friction_utilisation": used[:, own],
-        "closed": [closed for closed, _ in both],
-        "closed_unmerged": [force_closure(rows.at(k), CLOSURE_EDGES).closed for k in range(m)],
-        "epsilon": [epsilon for _, epsilon in both],
         # the hand's base stands still: movement in the world is movement in the hand
         "slip_mm": seen.moved_mm,
         "slip_deg": seen.turned_deg,
@@ -148,7 +135,7 @@ def _samples(plan: GraspPlan, seen: Held, mu: float) -> Samples:
         "collision": [""] * m,
         "saturated": [()] * m,
     }
-    return Samples.of(columns, n)
+    return Samples.of(columns, len(task.finger_names))
 
 
 def _rows(plan: GraspPlan, seen: Held, mu: float) -> ContactRows:
@@ -171,3 +158,203 @@ def _rows(plan: GraspPlan, seen: Held, mu: float) -> ContactRows:
         friction=np.tile([mu, 0.0], (len(bodies), 1)),
         forces=forces,
     )
+
+
+SAMPLE_EVERY = 0.1
+"""Time between samples, s."""
+
+LOOK_EVERY = 0.01
+"""Time between looks at whether the object is lost, s."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Touches:
+    """Contacts of the object at all samples, K in all.
+
+    Attributes:
+        moment: (K,), the sample's number, ascending.
+        bodies: K names of the bodies of the hand.
+        positions: (K, 3), m, world axes.
+        normals: (K, 3), into the object.
+        forces: (K, 3), on the object, N.
+    """
+
+    moment: IntArray
+    bodies: tuple[str, ...]
+    positions: FloatArray
+    normals: FloatArray
+    forces: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Held:
+    """What became of a hold in another engine; m samples.
+
+    Attributes:
+        held: Whether the object stayed within the limits to the end.
+        detail: What was seen, a sentence.
+        time: (m,), s.
+        moved_mm, turned_deg: (m,), of the object since the start.
+        rise_mm: (m,), how far it rose.
+        centers: (m, 3), its centre of mass, m, world axes.
+        touches: Its contacts.
+        pushed_from: When a push begins, s.
+    """
+
+    held: bool
+    detail: str
+    time: FloatArray
+    moved_mm: FloatArray
+    turned_deg: FloatArray
+    rise_mm: FloatArray
+    centers: FloatArray
+    touches: Touches
+    pushed_from: float
+
+
+def hold_in_drake(
+    folder: Path,
+    *,
+    seconds: float | None = None,
+    wrench: FloatArray | None = None,
+    time_step: float = TIME_STEP,
+) -> Held:
+    """Begin at the key frame "grasp", command "squeeze", and look for some time.
+
+    Args:
+        folder: An exported scene.
+        seconds: How long; what the export's own check says if None.
+        wrench: Force (N) and torque (N m) (6,) on the object's centre of mass, world axes, from the
+            beginning of the second half; none if None.
+        time_step: Of Drake's solver, s.
+
+    Raises:
+        TaskError: Drake is not installed, or its solver gave up.
+        FileFormatError: The folder is no export, or Drake cannot read it.
+    """
+    scene = load_drake_scene(folder, time_step=time_step)
+    return _Trial(scene).run(scene.check["seconds"] if seconds is None else seconds, wrench)
+
+
+class _Trial:
+    """A simulator at the start of a hold."""
+
+    def __init__(self, scene: DrakeScene) -> None:
+        """Put hand and object where they are at the grasp, and command the squeeze."""
+        from pydrake.math import RigidTransform
+
+        self._scene, plant = scene, scene.plant
+        self._simulator = scene.simulator
+        root = self._simulator.get_mutable_context()
+        self._context = plant.GetMyMutableContextFromRoot(root)
+        q = plant.GetPositions(self._context)
+        grasp, squeeze = scene.key_frames["grasp"], scene.key_frames["squeeze"]
+        q[scene.q_index] = [grasp["joints"][name] for name in scene.joints]
+        plant.SetPositions(self._context, q)
+        plant.SetFreeBodyPose(
+            self._context, scene.object_body, RigidTransform(scene.T_world_object.homogeneous)
+        )
+        count = plant.num_actuators()
+        desired = np.zeros(2 * count)
+        for name, (place, factor, offset) in scene.wanted.items():
+            desired[place] = factor * squeeze["commands"][name] + offset
+        instance = scene.object_body.model_instance()
+        plant.get_desired_state_input_port(instance).FixValue(self._context, desired)
+        self._commands = np.array([squeeze["commands"][n] for n in scene.explicit.names])
+        self._torque = plant.get_applied_generalized_force_input_port()
+
+    def run(self, seconds: float, wrench: FloatArray | None) -> Held:
+        """Simulate."""
+        scene, check = self._scene, self._scene.check
+        step = float(scene.plant.time_step())
+        steps, look, sample = (round(t / step) for t in (seconds, LOOK_EVERY, SAMPLE_EVERY))
+        begin = self._object_pose()
+        samples: list[tuple[float, float, float, SE3]] = []
+        touches: list[tuple[int, str, FloatArray, FloatArray, FloatArray]] = []
+        lost = False
+        for k in range(1, steps + 1):
+            late = k * step > seconds / 2
+            self._push(wrench if wrench is not None and late else None)
+            try:
+                self._simulator.AdvanceTo(k * step)
+            except RuntimeError as error:
+                raise TaskError(
+                    f"Drake gave up after {k * step:.3f} s: {error}; leave this plan out, or try a "
+                    "smaller time step"
+                ) from error
+            if not (lost := k % look == 0 and self._lost(begin, check)) and k % sample:
+                continue
+            pose = self._object_pose()
+            touches += [(len(samples), *touch) for touch in self._touches()]
+            samples.append((k * step, *pose_change(begin, pose), pose))
+            if lost:
+                break
+        time, mm, deg, poses = zip(*samples, strict=True)
+        moment, bodies, *arrays = zip(*touches, strict=True) if touches else [()] * 5
+        positions, normals, forces = (np.array(a, dtype=float).reshape(-1, 3) for a in arrays)
+        return Held(
+            held=not lost,
+            detail=f"after {time[-1]:.2f} s the object had moved {mm[-1]:.1f} mm and turned "
+            f"{deg[-1]:.1f} degrees, with {moment.count(len(samples) - 1)} contacts",
+            time=np.array(time),
+            moved_mm=np.array(mm),
+            turned_deg=np.array(deg),
+            rise_mm=1e3 * np.array([(p.translation - begin.translation)[2] for p in poses]),
+            centers=np.array([pose.translation for pose in poses]),
+            touches=Touches(
+                moment=np.array(moment, dtype=np.int64),
+                bodies=tuple(bodies),
+                positions=positions,
+                normals=normals,
+                forces=forces,
+            ),
+            pushed_from=seconds / 2,
+        )
+
+    def _lost(self, begin: SE3, check: Mapping[str, Any]) -> bool:
+        """Whether the object has left its place, or is nowhere."""
+        mm, deg = pose_change(begin, self._object_pose())
+        return not (mm <= check["most_mm"] and deg <= check["most_deg"])
+
+    def _push(self, wrench: FloatArray | None) -> None:
+        """Torques of this step that Drake does not make itself, and a push on the object."""
+        scene, plant = self._scene, self._scene.plant
+        q, v = plant.GetPositions(self._context), plant.GetVelocities(self._context)
+        forces = np.zeros(plant.num_velocities())
+        forces[scene.v_index] = scene.explicit.torque(
+            q[scene.q_index], v[scene.v_index], self._commands
+        )
+        if wrench is not None:
+            first = scene.object_body.floating_velocities_start_in_v()
+            # a free body's velocity is angular first, both in world axes
+            forces[first : first + 6] = np.concatenate([wrench[3:], wrench[:3]])
+        self._torque.FixValue(self._context, forces)
+
+    def _object_pose(self) -> SE3:
+        pose = self._scene.plant.EvalBodyPoseInWorld(self._context, self._scene.object_body)
+        return SE3(pose.rotation().matrix(), pose.translation())
+
+    def _touches(self) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:
+        """Body, position, mean normal into the object and force on it of each contact patch."""
+        scene = self._scene
+        results = scene.plant.get_contact_results_output_port().Eval(self._context)
+        out = []
+        for k in range(results.num_hydroelastic_contacts()):
+            contact = results.hydroelastic_contact_info(k)
+            patch = contact.contact_surface()
+            first, second = (self._body_of(g) for g in (patch.id_M(), patch.id_N()))
+            if scene.object_body not in (first, second):
+                continue
+            # normals point out of N into M, and the force acts on M
+            mine, other = (1.0, second) if first is scene.object_body else (-1.0, first)
+            faces = range(patch.num_faces())
+            normal = sum(patch.area(i) * np.array(patch.face_normal(i)) for i in faces)
+            normal = mine * normal / np.linalg.norm(normal)
+            force = mine * np.array(contact.F_Ac_W().translational())
+            out.append((str(other.name()), np.array(patch.centroid()), normal, force))
+        return out
+
+    def _body_of(self, geometry: Any) -> Any:
+        """The body that carries a geometry."""
+        frame = self._scene.inspector.GetFrameId(geometry)
+        return self._scene.plant.GetBodyFromFrameId(frame)

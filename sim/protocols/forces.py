@@ -27,10 +27,8 @@ from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GRAVITY
 from planner.verification.grasp import plan_forces
 from sim.physics import PhysicsOptions
-from sim.protocols.cases import AXES, Conditions, axis_of
-from sim.protocols.disturbance import DisturbanceTrial
-from sim.protocols.outcome import Outcome
-from sim.protocols.settings import Settings
+from sim.protocols.disturbance import DisturbanceTrial, Settings
+from sim.protocols.outcome import AXES, Conditions, Outcome, axis_of
 from sim.verdict import Fault
 
 G = -GRAVITY[2]
@@ -63,16 +61,9 @@ class GravityCase:
         )
         forces = plan_forces(turned, plan.contacts, plan.T_world_base, plan.q)
         other = replace(plan, task=turned, forces=forces, contacts=forces.contacts)
-        hold = DisturbanceTrial(
-            other,
-            controller=conditions.controller(other),
-            physics=conditions.physics,
-            reality=conditions.reality,
-            estimator=conditions.estimator,
-            dropped=self.settings.dropped,
-        )
+        hold = DisturbanceTrial.under(conditions, other, self.settings)
         fault = hold.close_and_squeeze() or hold.hold_for(self.settings.hold_s)
-        return _outcome(self.index, self.name, hold, fault)
+        return hold.outcome(self, fault)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,14 +89,7 @@ class PushCase:
         wrench = self.direction * np.array([1.0, 1.0, 1.0, length, length, length])
         only_torque = not self.direction[:3].any()
         unit = length if only_torque else 1.0
-        hold = DisturbanceTrial(
-            plan,
-            controller=conditions.controller(plan),
-            physics=conditions.physics,
-            reality=conditions.reality,
-            estimator=conditions.estimator,
-            dropped=settings.dropped,
-        )
+        hold = DisturbanceTrial.under(conditions, plan, settings)
         held, failed, before = 0.0, np.inf, 0.0
         stood = None
         fault = hold.close_and_squeeze()
@@ -124,8 +108,9 @@ class PushCase:
                 before, level = level, settings.growth * level
         else:
             failed = 0.0
-        return replace(
-            _outcome(self.index, self.name, hold, fault),
+        return hold.outcome(
+            self,
+            fault,
             unit="N m" if only_torque else "N",
             largest_load_held=unit * held,
             failure_load=unit * failed,
@@ -221,20 +206,6 @@ def _load(
         hold.push(now * wrench)
 
     return hold.hold_for(duration, each_step=grow)
-
-
-def _outcome(index: int, name: str, hold: DisturbanceTrial, fault: Fault | None) -> Outcome:
-    return Outcome(
-        index=index,
-        name=name,
-        held=fault is None,
-        fault=fault,
-        fingers=hold.plan.task.finger_names,
-        samples=hold.samples,
-        recording=hold.recording,
-        load=hold.loads,
-        events=hold.simulation.events,
-    )
 
 
 def _with_friction(plan: GraspPlan, physics: PhysicsOptions) -> ContactSet:

@@ -1,7 +1,8 @@
 """``Outcome``: what became of one trial of a protocol, with what was recorded on the way.
 
 The samples are those of any other trial (``sim.recording.Samples``): force closure of the contacts
-that happened is decided by the code that judged the plan.
+that happened is decided by the code that judged the plan. A
+``Case`` is one trial that can be sent to another process, run under ``Conditions``.
 """
 
 from __future__ import annotations
@@ -9,14 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from planner.arrays import finite
 from planner.certify import NEAR, Neighbourhood
+from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from sim.controllers import Event
+from sim.controllers import Event, MakeController
+from sim.estimation import AnyEstimator
+from sim.physics import PhysicsOptions
+from sim.reality import Reality
 from sim.recording import Recording, Samples
 from sim.verdict import Fault, Reason
 
@@ -158,3 +163,50 @@ class Outcome:
             "events": [asdict(event) for event in self.events],
             "over_time": {**self.samples.to_dict(), "load": finite(self.load)},
         }
+
+
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+"""Names of the six directions along the world's axes."""
+
+
+def axis_of(i: int) -> FloatArray:
+    """Unit vector (3,) of a name in ``AXES``."""
+    out = np.zeros(3)
+    out[i // 2] = 1.0 - 2.0 * (i % 2)
+    return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """Under which all trials of a run take place.
+
+    Attributes:
+        physics: How MuJoCo computes.
+        controller: Makes what drives the hand, out of the plan.
+        reality: Errors of sensors, drives and object; those of ``dexgraspbench`` and ``drake`` are
+            exact whatever it is.
+        estimator: What tells the controller where the object is; see ``Simulation``.
+    """
+
+    physics: PhysicsOptions
+    controller: MakeController
+    reality: Reality = field(default_factory=Reality)
+    estimator: AnyEstimator | None = None
+
+
+class Case(Protocol):
+    """One trial of a protocol: plain data."""
+
+    @property
+    def index(self) -> int:
+        """Its number."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        ...
+
+    def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
+        """Execute it."""
+        ...

@@ -14,9 +14,20 @@ from planner.pages.plan_scene import planned_contacts
 from planner.pages.scene import Line, Mark, Plot
 from planner.plan import GraspPlan
 from planner.version import written_by
-from sim.pages.plots import cone_plot, event_marks, force_plot, phase_bands, quality_plot
-from sim.pages.stage import measured_contacts, moving_stage
-from sim.pages.words import events_block, facts_of, physics_blocks, shown, source_blocks
+from sim.pages.parts import (
+    cone_plot,
+    event_marks,
+    events_block,
+    facts_of,
+    force_plot,
+    measured_contacts,
+    moving_stage,
+    phase_bands,
+    physics_blocks,
+    quality_plot,
+    shown,
+    source_blocks,
+)
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport
 from sim.report_file import EventData

@@ -28,23 +28,24 @@ from planner.task import GraspTask
 from sim.controllers import AnyController, controller_maker, controller_name
 from sim.estimation import NONE, AnyEstimator, estimator_name
 from sim.physics import PRESETS, AnyPhysics, PhysicsOptions
-from sim.protocols.cases import Case, Conditions
-from sim.protocols.dexgraspbench import dexgraspbench_cases, unsuitable_for_dexgraspbench
-from sim.protocols.dexgraspbench_scene import benchmark_contacts, benchmark_physics
+from sim.protocols.dexgraspbench import (
+    benchmark_contacts,
+    benchmark_physics,
+    dexgraspbench_cases,
+    unsuitable_for_dexgraspbench,
+)
+from sim.protocols.disturbance import Settings
 from sim.protocols.drake import drake_cases, drake_physics, unsuitable_for_drake
+from sim.protocols.drake_scene import drake_missing
 from sim.protocols.forces import forces_cases
-from sim.protocols.outcome import Outcome
-from sim.protocols.pushes import pushes_cases
-from sim.protocols.reality import reality_cases, with_errors
+from sim.protocols.outcome import Case, Conditions, Outcome
 from sim.protocols.report import ProtocolReport
-from sim.protocols.robust import robust_cases
-from sim.protocols.settings import Settings
-from sim.protocols.shake import on_an_arm, shake_cases
+from sim.protocols.shake_pushes import on_an_arm, pushes_cases, shake_cases
+from sim.protocols.variations import reality_cases, robust_cases, with_errors
 from sim.reality import REALITIES, AnyReality, Drawn, drawn_numbers, draws_in_words
 from sim.recording import CHANNELS, Samples
 from sim.runner import Runner, made_with
 from sim.scene import build_scene
-from sim.second_engine import drake_missing
 from sim.simulation import filmed
 from sim.verdict import Fault
 

@@ -4,10 +4,8 @@
 brings the result to a browser.
 """
 
-from sim.viewing.kinds import Kind, ViewOptions, recognise, register_kind
-from sim.viewing.opening import Opening, show, warnings_of
-from sim.viewing.server import Answer, LocalServer, Site
-from sim.viewing.target import Target
+from sim.viewing.kinds import Kind, Target, ViewOptions, recognise, register_kind
+from sim.viewing.opening import Answer, LocalServer, Opening, Site, show, warnings_of
 
 __all__ = [
     "Answer",

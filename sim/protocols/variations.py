@@ -1,13 +1,21 @@
-"""``robust``: the whole trial again with another mass, friction and object pose than planned.
+"""Protocols ``robust`` and ``reality``: whole trials where things differ from what was planned.
+
+``robust``: the whole trial again with another mass, friction and object pose than planned.
 
 The object is where the plan does not have it, heavier or lighter, more slippery or less; the
 controller knows nothing of that. On a table it is moved and turned on the table, in a random
 direction; without one in space. The verdict is that of every trial (``sim.verdict``): approach,
 closing, lift and hold.
+
+``reality``: the whole trial again and again, each time with other errors drawn.
+
+Sensors, drives and object are off as a ``Reality`` says, and neither plan nor controller knows how.
+The verdict is that of every trial (``sim.verdict``), on the truth.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,10 +24,12 @@ import pinocchio as pin
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.carrier import Timeline
-from sim.protocols.cases import Conditions
-from sim.protocols.outcome import Outcome
-from sim.protocols.settings import Settings
-from sim.trial import Trial
+from sim.protocols.disturbance import Settings
+from sim.protocols.outcome import Case, Conditions, Outcome
+from sim.reality import LAB, Drawn, Reality, drawn_numbers
+from sim.report import TrialReport
+from sim.tactile import EXACT
+from sim.trial import TrialOptions, simulate
 
 RECORD_EVERY = 0.05
 """Time between samples, s."""
@@ -68,38 +78,21 @@ class RobustCase:
                 on_table=task.table_height is not None,
             ),
         )
-        trial = Trial(
-            replace(plan, task=true_task),
+        options = replace(
+            _options(plan, conditions),
             physics=replace(
                 physics,
                 mu=self.friction * physics.mu,
                 mu_torsion=self.friction * physics.mu_torsion,
             ),
-            controller=conditions.controller(plan),
-            timeline=Timeline.quick(),
-            record_every=RECORD_EVERY,
-            reality=conditions.reality,
-            estimator=conditions.estimator,
         )
-        report = trial.run()
-        return Outcome(
-            index=self.index,
-            name=self.name,
-            held=report.success,
-            fault=report.verdict.fault,
-            other_grasp=report.verdict.other_grasp,
-            fingers=report.fingers,
-            samples=report.samples,
-            recording=report.recording,
-            load=np.zeros(len(report.samples)),
-            events=report.events,
-            conditions={
-                "mass_factor": self.mass,
-                "friction_factor": self.friction,
-                "shift_mm": self.shift_mm,
-                "turn_deg": self.turn_deg,
-            },
-        )
+        changed = {
+            "mass_factor": self.mass,
+            "friction_factor": self.friction,
+            "shift_mm": self.shift_mm,
+            "turn_deg": self.turn_deg,
+        }
+        return _outcome(self, simulate(replace(plan, task=true_task), options), changed)
 
 
 def robust_cases(settings: Settings, seed: int) -> tuple[RobustCase, ...]:
@@ -139,3 +132,71 @@ def displaced(
 def _unit(rng: np.random.Generator) -> FloatArray:
     drawn = rng.normal(size=3)
     return np.asarray(drawn / np.linalg.norm(drawn))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealityCase:
+    """One draw.
+
+    Attributes:
+        index: Number of the trial; added to the reality's seed.
+    """
+
+    index: int
+
+    @property
+    def name(self) -> str:
+        """Which draw."""
+        return f"draw {self.index}"
+
+    def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
+        """Execute it all."""
+        asked = with_errors(conditions.reality)
+        reality = asked.seeded(asked.seed + self.index)
+        report = simulate(plan, replace(_options(plan, conditions), reality=reality))
+        drawn = drawn_numbers(Drawn.of(reality, plan.task.hand), plan.task.hand)
+        return _outcome(self, report, {"reality_seed": reality.seed, **drawn})
+
+
+def with_errors(reality: Reality) -> Reality:
+    """What the protocol draws from: a laboratory where no errors were asked for.
+
+    Pads are no error: a sense of touch that was chosen is kept.
+    """
+    if replace(reality, touch=EXACT).ideal:
+        return replace(LAB, touch=reality.touch, seed=reality.seed)
+    return reality
+
+
+def reality_cases(settings: Settings, seed: int) -> tuple[RealityCase, ...]:
+    """As many draws as the settings say."""
+    return tuple(RealityCase(index=k) for k in range(settings.realities))
+
+
+def _options(plan: GraspPlan, conditions: Conditions) -> TrialOptions:
+    """How the whole trial of a plan is run; the controller knows the plan as it is."""
+    return TrialOptions(
+        physics=conditions.physics,
+        controller=conditions.controller(plan),
+        timeline=Timeline.quick(),
+        record_every=RECORD_EVERY,
+        reality=conditions.reality,
+        estimator=conditions.estimator,
+    )
+
+
+def _outcome(case: Case, report: TrialReport, conditions: Mapping[str, float]) -> Outcome:
+    """What became of a whole trial."""
+    return Outcome(
+        index=case.index,
+        name=case.name,
+        held=report.success,
+        fault=report.verdict.fault,
+        other_grasp=report.verdict.other_grasp,
+        fingers=report.fingers,
+        samples=report.samples,
+        recording=report.recording,
+        load=np.zeros(len(report.samples)),
+        events=report.events,
+        conditions=conditions,
+    )

@@ -1,10 +1,18 @@
-"""``shake``: the gantry is shaken along and about three axes, one after the other.
+"""Protocols ``shake`` and ``pushes``: a held object is disturbed by its carrier or from outside.
+
+``shake``: the gantry is shaken along and about three axes, one after the other.
 
     x(t) = e(t) A sin(2 pi f t),    e from 0 to 1 within the first period and back within the last
 
 along the world's axes, or about them through the origin of the hand's base. Gravity stays on. The
 servos of the gantry are told rate and acceleration too, so that they follow; what they reached is
 reported.
+
+``pushes``: the object is held in the air and pushed again and again, each time from elsewhere.
+
+Pushes act on the centre of mass, last ``PUSH_TIME``, and follow each other after random pauses.
+Their directions are random, and so are their forces, up to a share of the object's weight. Nobody
+tells the controller of them.
 """
 
 from __future__ import annotations
@@ -14,16 +22,16 @@ from typing import Any
 
 import numpy as np
 
+from planner.arrays import check_fields
 from planner.errors import TaskError
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.spatial import minimum_jerk
+from planner.spatial import FloatArray, minimum_jerk
+from planner.task import GRAVITY
 from sim.controllers import Phase
 from sim.gantry import GANTRY_AXES, GANTRY_FREQUENCY, Gantry
-from sim.protocols.cases import Conditions
-from sim.protocols.disturbance import DisturbanceTrial
-from sim.protocols.outcome import Outcome
-from sim.protocols.settings import Settings
+from sim.protocols.disturbance import DisturbanceTrial, Settings
+from sim.protocols.outcome import Conditions, Outcome
 
 TINY = 1e-4
 """Step (s) of the differences that rate and acceleration are taken by."""
@@ -53,14 +61,7 @@ class ShakeCase:
             TaskError: The hand is on an arm and has no gantry.
         """
         settings = self.settings
-        hold = DisturbanceTrial(
-            plan,
-            controller=conditions.controller(plan),
-            physics=conditions.physics,
-            reality=conditions.reality,
-            estimator=conditions.estimator,
-            dropped=settings.dropped,
-        )
+        hold = DisturbanceTrial.under(conditions, plan, settings)
         gantry = hold.simulation.scene.gantry
         if gantry is None:
             raise TaskError(on_an_arm(plan.task.hand))
@@ -73,16 +74,9 @@ class ShakeCase:
             shaker.start(float(hold.simulation.data.time))
             fault = hold.hold_for(settings.shake_s)
         unit, factor = ("mm", 1e3) if linear else ("deg", float(np.rad2deg(1.0)))
-        return Outcome(
-            index=self.index,
-            name=self.name,
-            held=fault is None,
-            fault=fault,
-            fingers=plan.task.finger_names,
-            samples=hold.samples,
-            recording=hold.recording,
-            load=hold.loads,
-            events=hold.simulation.events,
+        return hold.outcome(
+            self,
+            fault,
             conditions={
                 f"asked_{unit}": factor * asked,
                 f"reached_{unit}": factor * shaker.reached,
@@ -152,3 +146,117 @@ class Shaker:
         periods, left = time * self._frequency, (self._duration - time) * self._frequency
         envelope = minimum_jerk(np.clip(min(periods, left), 0.0, 1.0))
         return float(self._amplitude * envelope * np.sin(2.0 * np.pi * periods))
+
+
+PUSH_TIME = 0.3
+"""Duration of a push, s."""
+
+PAUSE = (0.2, 1.0)
+"""Time between pushes, s: about 65 pushes a minute."""
+
+LEAST = 0.3
+"""Weakest push, as a share of the strongest (-)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Push:
+    """One push.
+
+    Attributes:
+        begin: s, since the hold began.
+        force: (3,), N, world.
+    """
+
+    begin: float
+    force: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        check_fields(self, ("begin",), least=0.0, unit="s")
+        check_fields(self, ("force",), unit="N")
+
+
+def drawn_pushes(seconds: float, strongest: float, rng: np.random.Generator) -> tuple[Push, ...]:
+    """Pushes that are over before a time.
+
+    Args:
+        seconds: That time, s.
+        strongest: Largest force, N.
+        rng: Draws.
+    """
+    pushes = []
+    begin = float(rng.uniform(*PAUSE))
+    while begin + PUSH_TIME < seconds:
+        direction = rng.normal(size=3)
+        direction *= rng.uniform(LEAST, 1.0) * strongest / np.linalg.norm(direction)
+        x, y, z = direction.tolist()
+        pushes.append(Push(begin=begin, force=(x, y, z)))
+        begin += PUSH_TIME + float(rng.uniform(*PAUSE))
+    return tuple(pushes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushesCase:
+    """One hold.
+
+    Attributes:
+        index: Its number; added to the reality's seed.
+        settings: Duration, force and threshold.
+        seed: Of the pushes, with the number.
+    """
+
+    index: int
+    settings: Settings
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Which."""
+        return f"pushes {self.index}"
+
+    def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
+        """Grip, then hold on while it is pushed."""
+        settings, reality = self.settings, conditions.reality
+        drawn_anew = reality.seeded(reality.seed + self.index)
+        hold = DisturbanceTrial.under(conditions, plan, settings, drawn_anew)
+        drawn = hold.simulation.reality
+        strongest = -GRAVITY[2] * settings.push_load * plan.task.object.mass
+        rng = np.random.default_rng([self.seed, self.index])
+        pushes = drawn_pushes(settings.pushes_s, strongest, rng)
+        survived = 0
+        fault = hold.close_and_squeeze()
+        if fault is None:
+            begin = hold.simulation.time
+
+            def push(since: float) -> None:
+                force = _force_at(pushes, since)
+                hold.load = float(np.linalg.norm(force))
+                hold.push(np.append(force, np.zeros(3)))
+
+            fault = hold.hold_for(settings.pushes_s, each_step=push)
+            held_s = hold.simulation.time - begin
+            survived = sum(one.begin + PUSH_TIME <= held_s for one in pushes)
+        return hold.outcome(
+            self,
+            fault,
+            unit="N",
+            conditions={
+                "pushes": float(len(pushes)),
+                "pushes_survived": float(survived),
+                "strongest_N": strongest,
+                **({} if drawn is None else drawn.numbers),
+            },
+        )
+
+
+def pushes_cases(settings: Settings, seed: int) -> tuple[PushesCase, ...]:
+    """As many holds as the settings say."""
+    return tuple(PushesCase(index=k, settings=settings, seed=seed) for k in range(settings.pushes))
+
+
+def _force_at(pushes: tuple[Push, ...], time: float) -> FloatArray:
+    """Force (3,), N, at a time since the hold began, s."""
+    for push in pushes:
+        if push.begin <= time < push.begin + PUSH_TIME:
+            return np.array(push.force)
+    return np.zeros(3)

@@ -1,19 +1,57 @@
-"""An object by its specification, a mesh file, or a body of a model."""
+"""What is viewed by name or model: a hand with sliders and findings, an object or mesh."""
 
 from __future__ import annotations
 
 import struct
 
+from planner.describe import check_hand, propose
 from planner.errors import ObjectError
+from planner.hand_loading import load_hand
+from planner.hands.catalog import MODEL_SUFFIXES, find_hand, foreign_hand_names, hand_names
 from planner.objects import TouchRegion, object_names, parse_object, parse_region
+from planner.pages.described import comments_of, reasons_by_key
+from planner.pages.hand_page import hand_page
 from planner.pages.mesh_page import mesh_page
 from planner.pages.page import Page
 from planner.shapes.meshes.io import CONVERTIBLE, MESH_SUFFIXES
-from sim.viewing.kinds import Kind, ViewOptions
-from sim.viewing.target import Target
+from sim.viewing.kinds import Kind, Target, ViewOptions
+
+SCHEMES = ("menagerie:", "robot_descriptions:", "package:")
+"""Beginnings of names of models in packages."""
+
+DESCRIPTION_FILE = "hand.toml"
+
+ROOTS = (b"<mujoco", b"<robot")
+"""Root elements of models, MJCF and URDF."""
 
 
-def _recognises(target: Target) -> bool:
+def _is_hand(target: Target) -> bool:
+    if target.text in (*hand_names(), *foreign_hand_names()):
+        return True
+    if target.path is None:
+        return target.text.startswith(SCHEMES)
+    if target.is_folder:
+        return target.holds(DESCRIPTION_FILE)
+    if target.names_body:
+        return False
+    return any(root in target.head for root in ROOTS) or "schema" in (target.table or {})
+
+
+def _hand_page(target: Target, options: ViewOptions) -> Page:
+    hand, path = load_hand(target.text), find_hand(target.text)
+    if path.suffix.lower() in MODEL_SUFFIXES:
+        proposal = propose(target.text)
+        reasons, questions = reasons_by_key(proposal.reasons), proposal.open_questions
+    else:
+        reasons, questions = comments_of(path), ()
+    return hand_page(hand, reasons=reasons, questions=questions, check=check_hand(hand))
+
+
+HAND = Kind(name="a hand (name, hand.toml, MJCF or URDF)", recognises=_is_hand, shown=_hand_page)
+"""See ``sim.viewing.kinds``."""
+
+
+def _is_mesh(target: Target) -> bool:
     if target.path is None:
         return target.text.lower().partition(":")[0].strip() in object_names()
     if target.names_body:
@@ -54,7 +92,7 @@ OBJ_WORDS = frozenset(
 """Words with which lines of an OBJ file begin."""
 
 
-def _shown(target: Target, options: ViewOptions) -> Page:
+def _mesh_page(target: Target, options: ViewOptions) -> Page:
     wanted = _format(target) if target.is_file and not target.names_body else ""
     if wanted and _suffix(target) != wanted and _suffix(target) not in CONVERTIBLE:
         raise ObjectError(
@@ -71,10 +109,10 @@ def _shown(target: Target, options: ViewOptions) -> Page:
     return mesh_page(item, spec=target.text, touch=options.touch, avoid=options.avoid)
 
 
-KIND = Kind(
+MESH = Kind(
     name="an object or mesh (mug, box:0.05x0.05x0.08, part.stl*0.001, scene.xml#body)",
-    recognises=_recognises,
-    shown=_shown,
+    recognises=_is_mesh,
+    shown=_mesh_page,
     takes=frozenset({"touch", "avoid", "repair", "strict"}),
 )
 """See ``sim.viewing.kinds``."""

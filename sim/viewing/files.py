@@ -1,0 +1,125 @@
+"""What is viewed of a file of ours: a plan, a motion, a report, or a page as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from planner.errors import NoGraspFoundError
+from planner.files import plan_from_dict
+from planner.files.movements import gait_from_dict, manipulation_from_dict, motion_from_dict
+from planner.pages.motion_page import AnyMotion, motion_page
+from planner.pages.page import Page
+from planner.pages.plan_page import plan_page, with_alternatives
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.synthesis.options import SynthesisOptions
+from sim.manipulation import read_manipulation_report
+from sim.manipulation.page import manipulation_page
+from sim.pages import trial_page
+from sim.report_file import read_report
+from sim.viewing.kinds import Kind, Target, ViewOptions
+from sim.viewing.opening import WrittenPage
+
+FORMAT = "opposable-plan"
+
+ATTEMPTS = 50
+"""Attempts for each other grasp: the search makes as many as it takes, and this many at most."""
+
+
+def page_of_plan(plan: GraspPlan, options: ViewOptions) -> Page:
+    """The page of a plan with the alternatives that are asked for."""
+    page = plan_page(plan)
+    if not options.alternatives:
+        return page
+    objective = plan.record.objective
+    # the wrenches of a task objective are not part of a plan
+    wanted = SynthesisOptions() if "task" in objective else SynthesisOptions(objective=objective)
+    plans, failed = [], []
+    for k in range(options.alternatives):
+        seed = plan.record.seed + 1 + k
+        try:
+            plans.append(plan_grasp(plan.task, seed=seed, max_attempts=ATTEMPTS, options=wanted))
+        except NoGraspFoundError as error:
+            failed.append(f"Seed {seed} gave none: {error}")
+    return with_alternatives(page, plans, failed)
+
+
+def _plan(target: Target, options: ViewOptions) -> Page:
+    assert target.data is not None
+    return page_of_plan(plan_from_dict(target.data, str(target.path)), options)
+
+
+PLAN = Kind(
+    name="a grasp plan",
+    recognises=lambda target: target.format == FORMAT,
+    shown=_plan,
+    takes=frozenset({"alternatives"}),
+)
+"""See ``sim.viewing.kinds``."""
+
+
+READERS: dict[str, Callable[[dict[str, Any], str], AnyMotion]] = {
+    "opposable-motion": motion_from_dict,
+    "opposable-gait": gait_from_dict,
+    "opposable-manipulation": manipulation_from_dict,
+}
+"""Format of a file -> what reads it."""
+
+
+def _motion(target: Target, options: ViewOptions) -> Page:
+    assert target.data is not None
+    return motion_page(READERS[target.format](target.data, str(target.path)))
+
+
+MOTION = Kind(
+    name="a motion, gait or manipulation plan",
+    recognises=lambda target: target.format in READERS,
+    shown=_motion,
+)
+"""See ``sim.viewing.kinds``."""
+
+
+PAGES: dict[str, Callable[[Path], Page]] = {
+    "opposable-report": lambda path: trial_page(read_report(path)),
+    "opposable-manipulation-report": lambda path: manipulation_page(read_manipulation_report(path)),
+}
+"""Format of a report -> what makes its page."""
+
+REPORTS = ("report.json", "report.html")
+"""Names of a report in the folder of a run."""
+
+
+def _report(target: Target) -> Target:
+    """The report of a folder; the target itself if it is a file."""
+    names = (name for name in REPORTS if target.holds(name))
+    name = next(names, None)
+    return target if name is None else Target(f"{target.path}/{name}")
+
+
+def _report_page(target: Target, options: ViewOptions) -> Page:
+    report = _report(target)
+    assert report.path is not None
+    return PAGES[report.format](report.path)
+
+
+REPORT = Kind(
+    name="a report of a trial or manipulation (JSON, HTML, or the folder of the run)",
+    recognises=lambda target: _report(target).format in PAGES,
+    shown=_report_page,
+)
+"""See ``sim.viewing.kinds``."""
+
+
+def _page(target: Target, options: ViewOptions) -> WrittenPage:
+    assert target.path is not None
+    return WrittenPage(path=target.path, html=target.content)
+
+
+PAGE = Kind(
+    name="a page that Opposable wrote (HTML)",
+    recognises=lambda target: target.is_html and target.data is not None,
+    shown=_page,
+)
+"""See ``sim.viewing.kinds``; asked last: plans and reports are made anew from their pages."""
