@@ -24,7 +24,7 @@ from planner.search import plan_grasp
 from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner
 from sim.scene_export import export_scene
-from sim.scene_export.mjcf import hold
+from sim.scene_export.check import hold
 from sim.second_engine import drake_missing, hold_in_drake
 from sim.tables import Row, grouped, share, table_of
 

@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pinocchio as pin
 import pytest
+from udp_hand import Inbox, Packet
 
 from planner.collision.pad_contact import pad_contacts
 from planner.collision.world import CollisionWorld
@@ -27,7 +28,6 @@ from planner.verification.grasp import force_arguments
 from sim.estimation import ObjectEstimator, SensorErrors
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.timeline import SuccessCriteria
-from sim.real_hand.udp import Inbox, Packet
 
 TILTED = SE3(pin.exp3(np.array([0.3, -0.5, 0.7])), np.array([0.1, -0.2, 0.3]))
 """A pose with no symmetry."""

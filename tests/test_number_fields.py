@@ -31,7 +31,7 @@ from planner.synthesis.options import SynthesisOptions
 from sim.controllers.impedance import ImpedanceGains
 from sim.controllers.pads import PadReading
 from sim.crosscheck.quantities import Tolerances
-from sim.episodes.formats import Asked
+from sim.episodes.episode import Asked
 from sim.estimation.errors import SensorErrors
 from sim.estimation.filter import Trust
 from sim.learning.policy import PolicyFor

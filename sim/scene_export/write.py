@@ -26,7 +26,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-import sim.scene_export.mjcf as check_script
+import sim.scene_export.check as check_script
 from planner.errors import FileFormatError
 from planner.exchange.formats import GraspFormat, Writing, register_format
 from planner.files import write_json
@@ -37,17 +37,8 @@ from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from planner.version import written_by
 from sim.physics import AnyPhysics, as_physics
 from sim.scene import HAND_PREFIX, OBJECT, Scene
-from sim.scene_export.mjcf import (
-    MESHES,
-    MOST_DEG,
-    MOST_MM,
-    SECONDS,
-    KeyFrame,
-    key_frames,
-    mesh_files,
-    plain_scene,
-    scene_mjcf,
-)
+from sim.scene_export.check import MOST_DEG, MOST_MM, SECONDS
+from sim.scene_export.mjcf import MESHES, KeyFrame, key_frames, mesh_files, plain_scene, scene_mjcf
 from sim.scene_export.urdf import body_urdf, ellipsoid_files, not_in_urdf
 
 PHYSICS_FORMAT, PHYSICS_VERSION = "opposable-scene", 1
