@@ -318,9 +318,9 @@ def _arrays(path: Path, states: StateSet, **arrays: Any) -> Path:
     """Write arrays as float32 with mass, friction and the names of joints and actuators."""
     arrays |= {"mass": states.mass, "friction": states.friction}
     content: dict[str, Any] = {key: value.astype(np.float32) for key, value in arrays.items()}
-    names = {n: np.array(getattr(states, n)) for n in ("joint_names", "actuator_names")}
+    content |= {n: np.array(getattr(states, n)) for n in ("joint_names", "actuator_names")}
     with whole_file(path) as stream:
-        np.savez(stream, **names, **content)
+        np.savez(stream, **content)
     return path
 
 
