@@ -22,7 +22,7 @@ from benchmarks.objects import BenchObject
 from benchmarks.requests import check_tasks, loaded_hand
 from benchmarks.run import ObjectJob, measure
 from benchmarks.statistics import ratio
-from planner.batch.jobs import grasp_seed
+from planner.batch.pool import grasp_seed
 from planner.errors import NotFoundError, PlannerError
 from planner.exchange.audit.judge import Judge
 from planner.exchange.formats import GivenGrasp, Reading, Writing

@@ -20,7 +20,7 @@ from benchmarks.objects import BenchObject
 from benchmarks.requests import Setting, check_tasks, half_longest_side, task_for
 from benchmarks.run import ObjectJob, measure
 from benchmarks.statistics import median_of
-from planner.batch.jobs import grasp_seed
+from planner.batch.pool import grasp_seed
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.plan import GraspPlan
 from planner.plan_metrics import Measure

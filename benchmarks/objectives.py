@@ -17,7 +17,7 @@ from benchmarks.objects import BenchObject
 from benchmarks.requests import Setting, check_tasks, loaded_hand, task_for
 from benchmarks.run import ObjectJob, measure
 from benchmarks.statistics import median_of, ratio
-from planner.batch.jobs import grasp_seed
+from planner.batch.pool import grasp_seed
 from planner.errors import PlannerError
 from planner.plan_metrics import METRICS, evaluate_metrics
 from planner.search import attempts

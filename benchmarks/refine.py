@@ -27,7 +27,7 @@ from benchmarks.plain_check import doubts, nearest_on
 from benchmarks.requests import check_tasks, loaded_hand
 from benchmarks.run import ObjectJob, measure
 from benchmarks.statistics import median_of, quantile_of, summed
-from planner.batch.jobs import grasp_seed
+from planner.batch.pool import grasp_seed
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.failure import Failure
 from planner.kinematics.state import HandState

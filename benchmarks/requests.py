@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.objects import BenchObject
 from planner.approach.pregrasp import APPROACH_KINDS
 from planner.batch import GraspFeatures
-from planner.batch.jobs import grasp_seed
+from planner.batch.pool import grasp_seed
 from planner.collision.world import OBJECT
 from planner.errors import PlannerError, TaskError
 from planner.hand_loading import load_hand

@@ -17,7 +17,7 @@ from benchmarks.objects import BenchObject
 from benchmarks.requests import check_tasks, loaded_hand
 from benchmarks.run import ObjectJob, measure, stated
 from benchmarks.statistics import ratio, summed
-from planner.batch.jobs import grasp_seed
+from planner.batch.pool import grasp_seed
 from planner.errors import PlannerError
 from planner.objects import parse_object
 from planner.plan import GraspPlan

@@ -26,7 +26,7 @@ from sim.protocols.drake import hold_in_drake
 from sim.protocols.drake_scene import drake_missing
 from sim.runner import Check, Runner
 from sim.scene_export import export_scene
-from sim.scene_export.mjcf import hold
+from sim.scene_export.check import hold
 from sim.tables import Row, grouped, share, table_of
 
 FORMAT = "opposable-bench-witness"

@@ -43,6 +43,8 @@ from planner.system.threads import stage
 from planner.task import GraspTask
 from planner.verification.grasp import plan_forces
 
+__all__ = ["BEST", "FALLEN_BEHIND", "FIRST", "Wanted", "improving_attempts"]
+
 FALLEN_BEHIND = "fallen_behind"
 """Kind of the failure of a grasp that would not have been the best: it was not verified."""
 

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 
 from planner.arrays import float_array
 from planner.contacts import ContactSet
-from planner.errors import ContactError
+from planner.errors import ContactError, TaskError
 from planner.forces import ForceSolution
 from planner.hands.fingers import Finger
 from planner.kinematics.state import HandState
@@ -39,6 +39,7 @@ from planner.quality import epsilon_l1, min_weight, primitive_wrenches
 from planner.quality.ball import flat_direction
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.objectives.joint import driving, free_velocities
+from planner.synthesis.objectives.registry import OBJECTIVES, Objective
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.objectives.wrench import NORMAL_ERROR, POSITION_ERROR, narrowed
 from planner.synthesis.options import named_weights
@@ -51,6 +52,7 @@ __all__ = [
     "Metric",
     "evaluate_metrics",
     "mean_singular_value",
+    "register_metric",
     "resisted_per_newton",
     "robust_epsilon",
 ]
@@ -241,7 +243,7 @@ def _length(plan: MeasuredGrasp) -> float:
     return plan.task.object.shape.bounding_radius
 
 
-METRICS: Mapping[str, Metric] = {
+METRICS: dict[str, Metric] = {
     "epsilon": Metric(
         unit="-", value=lambda plan, _: epsilon_l1(plan.contacts, length=_length(plan))
     ),
@@ -265,4 +267,23 @@ METRICS: Mapping[str, Metric] = {
     "manipulability": Metric(unit="m/rad", value=lambda plan, _: _manipulability(plan)),
     "limits": Metric(unit="-", value=lambda plan, _: _limit_distance(plan)),
 }
-"""All metrics by name, those of ``planner.synthesis.objectives.registry``."""
+"""All metrics by name: every objective of ``planner.synthesis`` has one."""
+
+
+def register_metric(name: str, metric: Metric, objective: Objective | None = None) -> Metric:
+    """Make a metric known by its name; with an objective, synthesis improves it by that name too.
+
+    Args:
+        name: As ``metric=`` of ``plan_grasp`` and ``--metric`` take it.
+        metric: What it is.
+        objective: Rows that rounds of synthesis improve; None where plans are compared by it only.
+
+    Raises:
+        TaskError: The name is taken.
+    """
+    if name in METRICS or name in OBJECTIVES:
+        raise TaskError(f"there is a metric {name!r} already; give another name")
+    METRICS[name] = metric
+    if objective is not None:
+        OBJECTIVES[name] = objective
+    return metric

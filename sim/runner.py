@@ -20,8 +20,7 @@ from typing import Any, TypeAlias, TypeVar
 
 from rich.console import Console
 
-from planner.batch.jobs import end_with
-from planner.batch.pool import LOKY, finished
+from planner.batch.pool import LOKY, end_with, finished
 from planner.version import written_by
 from sim.progress import ProgressBar
 

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.batch import jobs
-from planner.batch.jobs import BatchObject, Job, batch_jobs, grasp_seed, plan_row
+from planner.batch import pool
+from planner.batch.pool import BatchObject, Job, batch_jobs, grasp_seed, plan_row
 from planner.batch.recipe import label_of, recipe_of, task_of
 from planner.errors import FileFormatError, TaskError
 from planner.failure import Failure
@@ -176,7 +176,7 @@ def interrupting(
 def test_ctrl_c_ends_a_request_without_a_row(
     allegro: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(jobs, "plan_grasp", interrupting)
+    monkeypatch.setattr(pool, "plan_grasp", interrupting)
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         plan_row(job_for(GraspTask.create(allegro, "sphere")))
@@ -186,7 +186,7 @@ def test_ctrl_c_ends_a_request_without_a_row(
 def test_a_worker_leaves_ctrl_c_to_who_started_it(
     allegro: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(jobs, "plan_grasp", interrupting)
+    monkeypatch.setattr(pool, "plan_grasp", interrupting)
     job = replace(job_for(GraspTask.create(allegro, "sphere")), parent=-1)
     assert plan_row(job)["reason"] == "went on after Ctrl-C"
 
@@ -198,7 +198,7 @@ def test_threads_plan_at_once(allegro: Hand, monkeypatch: pytest.MonkeyPatch) ->
         together.wait(timeout=30.0)  # breaks unless all four are here
         raise TaskError("none")
 
-    monkeypatch.setattr(jobs, "plan_grasp", meets)
+    monkeypatch.setattr(pool, "plan_grasp", meets)
     job = job_for(GraspTask.create(allegro, "sphere"))
     threads = [threading.Thread(target=plan_row, args=(job,)) for _ in range(4)]
     for thread in threads:

@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 
 from planner.batch import BatchProgress, GraspFeatures, GraspSet, plan_grasps, pool
-from planner.batch.jobs import BatchObject, Job
-from planner.batch.pool import can_fork, finished, planned_rows
+from planner.batch.pool import BatchObject, Job, can_fork, finished, planned_rows
 from planner.batch.rows import failed_row
 from planner.errors import TaskError
 from planner.files import read_plan, write_plan
@@ -291,7 +290,7 @@ def test_a_killed_parent_leaves_what_was_planned(reference: GraspSet, tmp_path: 
 STUCK = """
 import ctypes, os, sys, time
 from pathlib import Path
-from planner.batch.jobs import end_with
+from planner.batch.pool import end_with
 from planner.batch.pool import finished
 
 folder, backend, parent = Path(sys.argv[1]), sys.argv[2], os.getpid()

@@ -22,7 +22,7 @@ from benchmarks.requests import Request, RequestOutcome, Setting, half_longest_s
 from benchmarks.statistics import power_law
 from benchmarks.synthesis import run_synthesis, summary_of, total_of
 from benchmarks.synthesis_tables import synthesis_tables
-from planner.batch.jobs import grasp_seed
+from planner.batch.pool import grasp_seed
 from planner.errors import HandError, NotFoundError, ObjectError, TaskError
 from planner.failure import Failure
 from planner.hands.hand import Hand

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,9 @@ from planner.files import plan_to_dict, read_plan, write_plan
 from planner.files.json_csv import read_json, write_json
 from planner.files.plans import plan_from_dict
 from planner.plan import GraspPlan
-from planner.plan_metrics import METRICS, Measure, evaluate_metrics
+from planner.plan_metrics import METRICS, Measure, Metric, evaluate_metrics, register_metric
 from planner.search import attempts, plan_grasp, plans
+from planner.synthesis.objectives.registry import OBJECTIVES
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
@@ -263,3 +265,25 @@ def test_bad_numbers_of_grasps_are_refused(
 ) -> None:
     with pytest.raises(TaskError, match=message):
         plan_several(task, n, **given)
+
+
+@pytest.fixture
+def own() -> Iterator[Metric]:
+    """A metric that no one else has, and that synthesis improves by the rows of "limits"."""
+    made = Metric(unit="m", value=lambda plan, _: -float(np.ptp(plan.contacts.positions[:, 2])))
+    yield register_metric("own", made, OBJECTIVES["limits"])
+    del METRICS["own"], OBJECTIVES["own"]
+
+
+def test_a_metric_of_ones_own_compares_plans_and_is_improved(task: GraspTask, own: Metric) -> None:
+    best = plan_grasp(task, seed=4, best_of=3, metric="own", options=QUICK)
+    first = plan_several(task, 3, seed=4, options=QUICK)
+    assert best.record.best is not None
+    assert best.record.best.value == max(own.value(p, np.zeros((0, 6))) for p in first)
+    mine, limits = (
+        plan_grasp(task, seed=4, options=SynthesisOptions(objective=name, rounds=1))
+        for name in ("own", "limits")
+    )
+    np.testing.assert_array_equal(mine.q, limits.q)
+    with pytest.raises(TaskError, match="'own' already"):
+        register_metric("own", own)

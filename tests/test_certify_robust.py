@@ -17,8 +17,8 @@ from planner.certify import (
     pose_tolerances,
     sampled,
 )
-from planner.certify.pose import largest_turn, random_errors, worst_errors
 from planner.certify.robust import halved, icosphere, weakest_motion
+from planner.certify.tolerance import largest_turn, random_errors, worst_errors
 from planner.contacts import ContactSet
 from planner.errors import ContactError
 from planner.quality import force_closure, primitive_wrenches

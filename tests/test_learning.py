@@ -44,10 +44,19 @@ from sim.learning import (
     policy_controller,
     trials,
 )
-from sim.learning.playback import AIM, LENGTH, ObjectLag, Playback, servo_shift
+from sim.learning.controller import policy_file, shipped_policies
 from sim.learning.policy import errors_told, normalised, physics_told
-from sim.learning.senses import LAGS, SENSES, SenseHistory, columns
-from sim.learning.shipped import policy_file, shipped_policies
+from sim.learning.senses import (
+    AIM,
+    LAGS,
+    LENGTH,
+    SENSES,
+    ObjectLag,
+    Playback,
+    SenseHistory,
+    columns,
+    servo_shift,
+)
 from sim.learning.training import POLICY, fit, read_episode, trained_network
 from sim.manipulation import ManipulationRun
 from sim.physics import PhysicsOptions
@@ -512,9 +521,9 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(
     assert (at_once / "curves.png").stat().st_size > 1000
     told = whole.to_dict()
     assert [row["episodes"] for row in told["rounds"]] == [1, 1]
-    with pytest.raises(FileFormatError, match=r"another course: epochs 1, not 2"):
+    with pytest.raises(FileFormatError, match=r"course.epochs is 1 there and 2 here"):
         learn(TASK, replace(TINY, epochs=2), in_two)
-    with pytest.raises(FileFormatError, match=r"another task: angle"):
+    with pytest.raises(FileFormatError, match=r"task.angle is"):
         learn(replace(TASK, angle=1.0), TINY, in_two)
 
 

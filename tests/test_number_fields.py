@@ -32,7 +32,7 @@ from sim.carrier import Timeline
 from sim.controllers.impedance import ImpedanceGains
 from sim.controllers.pads import PadReading
 from sim.crosscheck.parts import Tolerances
-from sim.episodes.formats import Asked
+from sim.episodes.episode import Asked
 from sim.estimation.errors import SensorErrors
 from sim.estimation.filter import Trust
 from sim.learning.policy import PolicyFor

@@ -26,7 +26,7 @@ from planner.search import plan_grasp
 from planner.spatial import pose_to_wxyz
 from planner.task import GraspTask
 from sim.physics import PhysicsOptions
-from sim.reset_states.scene import write_scene
+from sim.reset_states.hold import write_scene
 from sim.scene import HAND_PREFIX, build_scene
 from sim.scene_export import MJCF_SCENE, check, export_scene
 

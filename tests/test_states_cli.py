@@ -68,7 +68,7 @@ def test_states_are_made_in_two_sizes_and_shown_again(tmp_path: Path) -> None:
     assert [(cell["states"], cell["asked"]) for cell in json.loads(out)["cells"]] == [(5, 2)] * 2
     code, _, err = opposable(*words, "--mass", "0.1,0.2")
     assert code == 3
-    assert "draws differ" in err
+    assert "draws.mass" in err
     (tmp_path / "cache" / "manifest.json").write_text('{"format": "opposable-batch"}')
     code, _, err = opposable(*words)
     assert code == 3 and "holds something else, of the format 'opposable-batch'; choose" in err

@@ -20,9 +20,10 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from planner.errors import FileFormatError, shown
+from planner.errors import FileFormatError
 from planner.files import TaskData, read_json, task_data, task_from_data
 from planner.files.data import Finite, PoseData
+from planner.files.json_csv import refuse_other_request
 from planner.forces.grip import ExpectedLoad
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
@@ -170,9 +171,6 @@ MANIFEST = "manifest.json"
 SHARD_ROWS = 1000
 """Rows per Parquet file, about 1 MB: few files for many grasps, and few rows in memory."""
 
-MOST_DIFFERENCES = 4
-"""Most differences between two manifests in one message."""
-
 
 class ManifestObject(Recipe):
     """One object: its label and its task."""
@@ -229,14 +227,9 @@ class Manifest(StrictData):
         Raises:
             FileFormatError: Another request; lists the differences.
         """
-        found = list(_differences("", self.model_dump(), asked.model_dump()))
-        if found:
-            more = len(found) - MOST_DIFFERENCES
-            raise FileFormatError(
-                f"{folder} holds another batch: {'; '.join(found[:MOST_DIFFERENCES])}"
-                + (f"; and {more} more" if more > 0 else "")
-                + ". Ask for the same to go on with it, or name another folder"
-            )
+        refuse_other_request(
+            folder, "batch", self.model_dump(mode="json"), asked.model_dump(mode="json")
+        )
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -249,22 +242,3 @@ def read_manifest(folder: Path) -> Manifest:
         return Manifest.model_validate(read_json(folder / MANIFEST, "the manifest of a batch"))
     except ValidationError as error:
         raise FileFormatError(f"{folder / MANIFEST} is damaged: {faults_of(error)}") from error
-
-
-def _differences(where: str, there: Any, asked: Any) -> Any:
-    """Sentences about the differences of two values of plain data."""
-    if isinstance(there, dict) and isinstance(asked, dict):
-        for key in dict.fromkeys((*there, *asked)):
-            inner = f"{where}.{key}" if where else str(key)
-            yield from _differences(inner, there.get(key), asked.get(key))
-    elif isinstance(there, list) and isinstance(asked, list) and len(there) == len(asked):
-        for i, (a, b) in enumerate(zip(there, asked, strict=True)):
-            yield from _differences(f"{where}[{i}]", a, b)
-    elif there != asked:
-        yield f"{where} is {_short(there)} there and {_short(asked)} here"
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, list):
-        return f"{len(value)} values"
-    return shown(value)

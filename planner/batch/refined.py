@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from planner.batch.jobs import end_with
-from planner.batch.pool import check_backend, default_backend, finished
+from planner.batch.pool import check_backend, default_backend, end_with, finished
 from planner.batch.recipe import recipe_of, task_of
 from planner.errors import PlannerError, TaskError
 from planner.failure import Failure

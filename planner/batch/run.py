@@ -26,8 +26,7 @@ import numpy as np
 from planner.attempt import Attempt, nothing_found, search
 from planner.batch.dataset import GraspSet
 from planner.batch.diversity import GraspFeatures, distances
-from planner.batch.jobs import BatchObject, batch_jobs
-from planner.batch.pool import check_backend, default_backend, planned_rows
+from planner.batch.pool import BatchObject, batch_jobs, check_backend, default_backend, planned_rows
 from planner.batch.recipe import Manifest, ManifestObject, Recipe, label_of, recipe_of, task_of
 from planner.batch.rows import grasp_schema
 from planner.batch.store import Store

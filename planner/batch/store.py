@@ -25,7 +25,7 @@ from planner.batch.recipe import MANIFEST, Manifest, read_manifest
 from planner.batch.rows import arrow, attempt_rows, attempt_schema
 from planner.errors import FileFormatError
 from planner.files import write_json
-from planner.files.json_csv import PART
+from planner.files.json_csv import PART, read_json_lines
 
 GRASPS, ATTEMPTS = "grasps", "attempts"
 """The two tables."""
@@ -96,18 +96,13 @@ def waiting_rows(folder: Path, manifest: Manifest) -> dict[int, dict[str, Any]]:
     """
     path = folder / JOURNAL
     rows: dict[int, dict[str, Any]] = {}
-    if path.exists():
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-            try:
-                row = json.loads(line)
-            except ValueError:
-                continue
-            index = row.get("index") if isinstance(row, dict) else None
-            if not isinstance(index, int) or isinstance(index, bool):
-                continue
-            _refuse_strangers(path, row.pop(OWNER, None), manifest)
-            if 0 <= index < manifest.total:
-                rows[index] = row
+    for row in read_json_lines(path):
+        index = row.get("index")
+        if not isinstance(index, int) or isinstance(index, bool):
+            continue
+        _refuse_strangers(path, row.pop(OWNER, None), manifest)
+        if 0 <= index < manifest.total:
+            rows[index] = row
     return rows
 
 

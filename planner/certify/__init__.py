@@ -10,9 +10,14 @@ from planner.certify.certificate import (
     certify_contacts,
 )
 from planner.certify.nearby import NEAR, NearBound, Neighbourhood, bound_nearby
-from planner.certify.pose import PoseErrors
 from planner.certify.robust import Verdict, closure_survives
-from planner.certify.tolerance import Tolerance, contact_tolerances, pose_tolerances, sampled
+from planner.certify.tolerance import (
+    PoseErrors,
+    Tolerance,
+    contact_tolerances,
+    pose_tolerances,
+    sampled,
+)
 
 __all__ = [
     "NEAR",

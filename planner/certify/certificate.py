@@ -12,8 +12,8 @@ from typing import Any, TypedDict, Unpack, get_args
 import numpy as np
 
 from planner.certify.breaking import Breaking, Disturbance, smallest_breaking
-from planner.certify.pose import PoseErrors
 from planner.certify.tolerance import (
+    PoseErrors,
     Tolerance,
     contact_tolerances,
     pose_tolerances,

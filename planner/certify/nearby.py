@@ -36,8 +36,8 @@ object  its centre of mass within ``shift`` of the planned place and turned by a
         seen from the hand's base;
 pads    their centres within ``tips`` of the planned places, in the base;
 joints  every one within ``joints`` of the plan's;
-contact of each pad where the surface is nearest to its centre, as in ``planner.certify.pose``: the
-        pad, a ball, touches it there.
+contact of each pad where the surface is nearest to its centre, as in
+        ``planner.certify.tolerance``: the pad, a ball, touches it there.
 
 ``Changes`` bounds what differs between the plan and any member. Distances along a path in which all
 joints move at once bound the Jacobians: the column of joint j at a point p, a x (p - o), turns with
@@ -53,7 +53,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.arrays import check_fields
-from planner.certify.pose import PoseErrors, largest_turn
+from planner.certify.tolerance import PoseErrors, largest_turn
 from planner.contacts import ContactSet
 from planner.errors import ContactError, shown
 from planner.joints.actuation import STOP_TOL

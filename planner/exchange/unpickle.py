@@ -20,7 +20,7 @@ import sys
 from typing import Any
 
 import numpy as np
-from numpy._core import multiarray, numeric
+from numpy._core import multiarray
 
 REQUEST, REPLY = struct.Struct("<QQ"), struct.Struct("<BQQ")
 """Bytes that follow and values that are left; kind of reply, bytes that follow, values taken."""
@@ -78,6 +78,11 @@ def _scalar(dtype: np.dtype[Any], *data: Any) -> Any:
     return multiarray.scalar(dtype, *data)
 
 
+def _of_buffer(data: Any, dtype: Any, shape: Any, order: Any, axes: Any = None) -> Any:
+    """An array as protocol 5 tells it."""
+    return np.frombuffer(data, dtype=dtype).reshape(shape, order=order)
+
+
 def _of_dill(make: Any, arguments: Any, state: Any, attributes: Any) -> Any:
     """An array as dill writes it."""
     if make is not _reconstruct or attributes is not None:
@@ -102,7 +107,7 @@ NAMES: dict[str, Any] = {
     ),
     **dict.fromkeys(("numpy.core.multiarray.scalar", "numpy._core.multiarray.scalar"), _scalar),
     **dict.fromkeys(
-        ("numpy.core.numeric._frombuffer", "numpy._core.numeric._frombuffer"), numeric._frombuffer
+        ("numpy.core.numeric._frombuffer", "numpy._core.numeric._frombuffer"), _of_buffer
     ),
     "dill._dill._create_array": _of_dill,
     "pydrake.math.RigidTransform_[float]": _Pose,

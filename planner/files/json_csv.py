@@ -158,6 +158,61 @@ def checked_file(
         raise FileFormatError(f"{source} is damaged: {faults_of(error)}") from error
 
 
+def read_json_lines(path: Path) -> Iterator[dict[str, Any]]:
+    """Objects of a journal, one a line; half a line, left by a kill, is skipped."""
+    if path.exists():
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            with suppress(ValueError):
+                row = json.loads(line)
+                if isinstance(row, dict):
+                    yield row
+
+
+MOST_DIFFERENCES = 4
+"""Most differences between two requests in one message."""
+
+
+def refuse_other_request(
+    folder: Path, what: str, there: dict[str, Any], asked: dict[str, Any]
+) -> None:
+    """Refuse to go on in a folder that was begun with another request.
+
+    Args:
+        folder: The folder.
+        what: What it holds, such as "batch".
+        there: The request that it was begun with, plain data.
+        asked: That of now.
+
+    Raises:
+        FileFormatError: They differ; lists the differences.
+    """
+    found = list(_differences("", there, json.loads(json.dumps(asked))))
+    if found:
+        more = len(found) - MOST_DIFFERENCES
+        raise FileFormatError(
+            f"{folder} holds another {what}: {'; '.join(found[:MOST_DIFFERENCES])}"
+            + (f"; and {more} more" if more > 0 else "")
+            + ". Ask for the same to go on with it, or name another folder"
+        )
+
+
+def _differences(where: str, there: Any, asked: Any) -> Iterator[str]:
+    """Sentences about the differences of two values of plain data."""
+    if isinstance(there, dict) and isinstance(asked, dict):
+        for key in dict.fromkeys((*there, *asked)):
+            inner = f"{where}.{key}" if where else str(key)
+            yield from _differences(inner, there.get(key), asked.get(key))
+    elif isinstance(there, list) and isinstance(asked, list) and len(there) == len(asked):
+        for i, (a, b) in enumerate(zip(there, asked, strict=True)):
+            yield from _differences(f"{where}[{i}]", a, b)
+    elif there != asked:
+        yield f"{where} is {_short(there)} there and {_short(asked)} here"
+
+
+def _short(value: Any) -> str:
+    return f"{len(value)} values" if isinstance(value, list) else shown(value)
+
+
 HEAD = 4096
 """Bytes of a file within which it says its format."""
 

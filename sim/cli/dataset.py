@@ -250,8 +250,8 @@ def episodes(
     error leaves nothing behind.
     """
     from sim.episodes import write_episodes
+    from sim.episodes.episode import format_named
     from sim.episodes.film import check_films, size_of
-    from sim.episodes.formats import format_named
     from sim.episodes.sources import Trials, sources_of
     from sim.episodes.writing import refuse_full
 

@@ -1,11 +1,14 @@
 """Executed trials as data sets of episodes: LeRobot data sets, version 3.0."""
 
-from sim.episodes.episode import AnyReport, Episode, Robot, episodes_of
-from sim.episodes.formats import (
+from sim.episodes.episode import (
     FORMATS,
+    AnyReport,
     Asked,
+    Episode,
     EpisodeFormat,
     EpisodeWriter,
+    Robot,
+    episodes_of,
     format_named,
     register_format,
 )

@@ -44,9 +44,8 @@ from numpy.typing import NDArray
 from planner.batch.rows import arrow
 from planner.files import write_json
 from planner.spatial import FloatArray
-from sim.episodes.episode import Episode, Robot, frames_at
+from sim.episodes.episode import Asked, Episode, EpisodeFormat, Robot, frames_at, register_format
 from sim.episodes.film import check_films, draw_episode
-from sim.episodes.formats import Asked, EpisodeFormat, register_format
 from sim.looking.painter import Pixels
 
 VIDEO_KEY = "observation.images.front"

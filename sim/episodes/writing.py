@@ -17,8 +17,15 @@ from typing import Any
 
 from planner.errors import FileFormatError, TaskError
 from planner.system.process import interrupts_wait
-from sim.episodes.episode import AnyReport, Episode, Robot, episodes_of
-from sim.episodes.formats import Asked, EpisodeWriter, format_named
+from sim.episodes.episode import (
+    AnyReport,
+    Asked,
+    Episode,
+    EpisodeWriter,
+    Robot,
+    episodes_of,
+    format_named,
+)
 from sim.report import TrialReport
 
 

@@ -12,10 +12,10 @@ from sim.learning.controller import (
     named_driver,
     open_loop,
     policy_controller,
+    shipped_policies,
 )
 from sim.learning.policy import Policy, PolicyFor
 from sim.learning.senses import ObjectRange
-from sim.learning.shipped import shipped_policies
 from sim.learning.training import Course, Learned, Progress, learn
 from sim.learning.trials import Conditions, Plans, TurnTask
 

@@ -4,6 +4,10 @@ Until the fingers touch it is ``GraspController``. From the squeeze on the hand 
 of the plan, and ``rate_hz`` times a second the policy decides by how much the joint targets differ
 from it; that offset is held until the next decision. It reads joints and touch only. In a
 manipulation the phases are told by the clock how far the turn has come.
+
+``policy_file``: the file of a policy, one of our own or of those that come with Opposable.
+
+Whatever takes ``policy:NAME`` asks here: the command line, the benches, ``policy_controller``.
 """
 
 from __future__ import annotations
@@ -13,9 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.errors import NotFoundError
+from planner.errors import FileFormatError, NotFoundError
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
+from planner.system.package import models_dir
 from planner.system.plugins import plugin_names
 from sim.controllers import (
     CONTROLLERS,
@@ -27,10 +32,41 @@ from sim.controllers import (
     Sense,
 )
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
-from sim.learning.playback import AIM, Playback
 from sim.learning.policy import ACTION_SCALE, RATE_HZ, Policy
-from sim.learning.senses import SENSES, SenseHistory
-from sim.learning.shipped import policy_file, shipped_policies
+from sim.learning.senses import AIM, SENSES, Playback, SenseHistory
+
+SUFFIX = ".npz"
+"""Ending of a policy's file."""
+
+
+def policy_file(text: Path | str) -> Path:
+    """The file that a text names: a path, or the name of a shipped policy.
+
+    A text with a folder or an ending, and a file that there is, is a path.
+
+    Raises:
+        FileFormatError: The text is empty.
+        NotFoundError: It is a mere name, and nothing has it.
+    """
+    path = Path(text)
+    if not str(text):
+        raise FileFormatError("no file of a policy is named; give policy:FILE")
+    if path.suffix or len(path.parts) != 1 or path.exists():
+        return path
+    names = shipped_policies()
+    if str(text) not in names:
+        raise NotFoundError("policy", str(text), (*names, f"your own file, FILE{SUFFIX}"))
+    return _folder() / f"{text}{SUFFIX}"
+
+
+def shipped_policies() -> tuple[str, ...]:
+    """Names of the policies that come with Opposable."""
+    return tuple(sorted(file.stem for file in _folder().glob(f"*{SUFFIX}")))
+
+
+def _folder() -> Path:
+    return models_dir() / "policies"
+
 
 POLICY = "policy:"
 """What the name of a controller begins with that is a policy."""

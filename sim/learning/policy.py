@@ -27,8 +27,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.estimation import NONE
-from sim.learning.playback import AIM
-from sim.learning.senses import SENSES, ObjectRange, SenseHistory, checked_senses
+from sim.learning.senses import AIM, SENSES, ObjectRange, SenseHistory, checked_senses
 from sim.learning.trials import FRICTION, MASS
 from sim.physics import PhysicsOptions
 from sim.reality import Reality

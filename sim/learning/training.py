@@ -41,9 +41,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arrays import check_fields
-from planner.errors import FileFormatError, TaskError, shown
+from planner.errors import FileFormatError, TaskError
 from planner.files import read_json, write_json
-from planner.files.json_csv import whole_file
+from planner.files.json_csv import refuse_other_request, whole_file
 from sim.estimation import NONE, check_estimator
 from sim.learning.policy import (
     ACTION_SCALE,
@@ -526,12 +526,7 @@ def _begin(task: TurnTask, course: Course, folder: Path) -> None:
     file = folder / "learn.json"
     if file.exists():
         there = read_json(file, "record of a training")
-        for part in ("format", "version", "task", "course"):
-            if there.get(part) != asked[part]:
-                raise FileFormatError(
-                    f"{folder} was begun with another {part}: {_different(there, asked, part)}; "
-                    "give the same command, or another folder (--out)"
-                )
+        refuse_other_request(folder, "training", there, asked)
         return
     try:
         for name in ("plans", "episodes", "rounds"):
@@ -539,14 +534,6 @@ def _begin(task: TurnTask, course: Course, folder: Path) -> None:
     except OSError as error:
         raise FileFormatError(f"cannot make the folder {folder}: {error.strerror}") from error
     write_json(asked, file)
-
-
-def _different(there: dict[str, Any], asked: dict[str, Any], part: str) -> str:
-    old, new = there.get(part), asked[part]
-    if not isinstance(old, dict) or not isinstance(new, dict):
-        return f"{shown(old)}, not {shown(new)}"
-    names = [name for name in new if old.get(name) != new[name]]
-    return ", ".join(f"{name} {shown(old.get(name))}, not {shown(new[name])}" for name in names)
 
 
 def _episode(

@@ -7,12 +7,15 @@ offer it too, and ``HandWrapper`` stands between. ``run_controller`` executes a 
 from __future__ import annotations
 
 from sim.real_hand.interface import (
+    ASSUMABLE,
     Clock,
     DryRun,
     EndOfReadings,
     HandInterface,
+    HandObservation,
     HandReading,
     HandWrapper,
+    Observer,
     Pace,
     PlanMark,
     RealClock,
@@ -31,7 +34,6 @@ from sim.real_hand.safety import (
     StopCause,
     Stopped,
 )
-from sim.real_hand.senses import ASSUMABLE, HandObservation, Observer
 from sim.real_hand.simulated import SimulatedHand
 
 __all__ = [

@@ -28,7 +28,9 @@ from sim.real_hand.interface import (
     Clock,
     EndOfReadings,
     HandInterface,
+    HandObservation,
     HandReading,
+    Observer,
     Pace,
     PlanMark,
     RealClock,
@@ -36,7 +38,6 @@ from sim.real_hand.interface import (
 )
 from sim.real_hand.log import LogWriter
 from sim.real_hand.safety import CommandLimiter, CommandLimits, Guard, Safety, Stopped
-from sim.real_hand.senses import HandObservation, Observer
 from sim.tables import table_of
 
 MICRO = 1e6

@@ -304,7 +304,7 @@ LAB = REALITIES.register(
 )
 """A hand that was calibrated with care, good tactile pads, and a good camera.
 
-What is no calibration is taken from data sheets and papers; docs/how/reality.md names them.
+What is no calibration is taken from data sheets and papers; docs/how/sensors.md names them.
 """
 
 ROUGH = REALITIES.register(

@@ -2,13 +2,13 @@
 
 from sim.reset_states.formats import (
     StateFormat,
+    StateSet,
     register_state_format,
     state_format,
     state_formats,
 )
 from sim.reset_states.make import StatesProgress, make_states
 from sim.reset_states.starts import Draws, StatesAsked
-from sim.reset_states.states import StateSet
 
 __all__ = [
     "Draws",

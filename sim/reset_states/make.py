@@ -20,9 +20,8 @@ from planner.kinematics.state import HandState
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask
 from planner.version import written_by
-from sim.reset_states.formats import STATES_FILE, state_format, state_formats
-from sim.reset_states.hold import REASONS
-from sim.reset_states.scene import SCENE_FILE, write_scene
+from sim.reset_states.formats import STATES_FILE, StateSet, state_format, state_formats
+from sim.reset_states.hold import REASONS, SCENE_FILE, write_scene
 from sim.reset_states.shards import (
     SHARD,
     SUMMARY,
@@ -48,7 +47,6 @@ from sim.reset_states.starts import (
     rows_of,
     write_cell,
 )
-from sim.reset_states.states import StateSet
 
 ALL = "all"
 """Every format that can hold the states."""

@@ -45,10 +45,10 @@ from typing import Any
 
 import numpy as np
 
-from planner.batch.jobs import end_with
-from planner.errors import FileFormatError, few_of, shown
+from planner.batch.pool import end_with
+from planner.errors import FileFormatError, shown
 from planner.files import read_json, write_json
-from planner.files.json_csv import whole_file
+from planner.files.json_csv import read_json_lines, refuse_other_request, whole_file
 from planner.spatial import FloatArray, IntArray
 from planner.version import written_by
 from sim.reset_states.hold import REASONS, hold
@@ -196,13 +196,7 @@ def open_folder(folder: Path, asked: StatesAsked, hand_digest: str) -> None:
                 f"{folder} holds something else, of the format {shown(there.get('format'))}; "
                 "choose another folder"
             )
-        if differing := [k for k in sorted({*there, *wanted}) if there.get(k) != wanted.get(k)]:
-            k = differing[0]
-            raise FileFormatError(
-                f"{folder} holds states that were asked for otherwise: {few_of(differing)} "
-                f"differ ({k} is {shown(there.get(k))} there and {shown(wanted.get(k))} here); ask "
-                "for the same to go on, or choose another folder"
-            )
+        refuse_other_request(folder, "cache of states", there, wanted)
         return
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -218,17 +212,8 @@ def open_folder(folder: Path, asked: StatesAsked, hand_digest: str) -> None:
 
 def journal(folder: Path) -> dict[str, Mapping[str, Any]]:
     """Plans of a cell that were made, by their key; half a line, left by a kill, is skipped."""
-    path = folder / WORK / JOURNAL
-    made: dict[str, Mapping[str, Any]] = {}
-    if path.exists():
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-            try:
-                plan = json.loads(line)
-            except ValueError:
-                continue
-            if isinstance(plan, dict) and isinstance(plan.get("key"), str):
-                made[plan["key"]] = plan
-    return made
+    plans = read_json_lines(folder / WORK / JOURNAL)
+    return {plan["key"]: plan for plan in plans if isinstance(plan.get("key"), str)}
 
 
 def append_line(folder: Path, plans: Iterable[Mapping[str, Any]]) -> Iterable[Mapping[str, Any]]:

@@ -9,7 +9,7 @@ Where states begin: planned grasps, turns and gaits as poses with commands that 
 A source holds the object with the planned forces of ``plan_squeeze``. Its commands are linear in
 the squeeze: ``rest + s (press - rest)``, where ``rest`` are the commands that exert nothing there.
 Poses are in the frame of the hand's base, which is the world of the scene
-(``sim.reset_states.scene``).
+(``sim.reset_states.hold``).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from planner.arrays import check_fields, checked_count
-from planner.batch.jobs import end_with
+from planner.batch.pool import end_with
 from planner.batch.recipe import recipe_of, task_of
 from planner.contacts import MOST_FRICTION, ContactSet
 from planner.errors import NoGraspFoundError, ObjectError, PlannerError, TaskError
@@ -43,7 +43,7 @@ from planner.shapes import Mesh, Shape, shape_from_dict, shape_to_dict
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.physics import PhysicsOptions
-from sim.reset_states.scene import SCENE_FILE, HoldScene, load_scene
+from sim.reset_states.hold import SCENE_FILE, HoldScene, load_scene
 
 G = 9.81
 """Gravity, m/s2."""

@@ -37,17 +37,8 @@ from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from planner.version import written_by
 from sim.physics import PRESETS, AnyPhysics
 from sim.scene import HAND_PREFIX, OBJECT, Scene
-from sim.scene_export.mjcf import (
-    MESHES,
-    MOST_DEG,
-    MOST_MM,
-    SECONDS,
-    KeyFrame,
-    key_frames,
-    mesh_files,
-    plain_scene,
-    scene_mjcf,
-)
+from sim.scene_export.check import MOST_DEG, MOST_MM, SECONDS
+from sim.scene_export.mjcf import MESHES, KeyFrame, key_frames, mesh_files, plain_scene, scene_mjcf
 from sim.scene_export.urdf import body_urdf, ellipsoid_files, not_in_urdf
 
 PHYSICS_FORMAT, PHYSICS_VERSION = "opposable-scene", 1

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from planner.batch.jobs import end_with
-from planner.batch.pool import default_backend, finished
+from planner.batch.pool import default_backend, end_with, finished
 from planner.batch.recipe import recipe_of, task_of
 from planner.errors import PlannerError, TaskError
 from planner.exchange.audit.grasp_file import GraspFile, given_of_plans, need_one_object, right_task
