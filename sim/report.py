@@ -25,7 +25,8 @@ from sim.controllers.events import Event
 from sim.recording import Recording, RecordingData
 from sim.report_file import ComparisonData, EventData, ReportFile
 from sim.samples import SampleData, Samples
-from sim.screen import OnScreen, reality_lines, table
+from sim.screen import OnScreen, reality_lines
+from sim.tables import table
 from sim.verdict import Reason, Thresholds, Verdict, largest
 
 __all__ = ["FingerComparison", "TrialReport"]
