@@ -48,7 +48,7 @@ HOLD, CREEP = "hold", "creep"
 PAGES = ("none", "failures", "all")
 """Of which trials pages are written."""
 
-PROTOCOLS = "Protocols"
+OF_PROTOCOLS = "Protocols"
 """Group of options in the help."""
 
 OF_HOLD = {"picture", "view", "arrows", "verbose"}
@@ -104,11 +104,14 @@ def test(
         ),
     ] = None,
     picture: PictureOption = None,
-    budget: Annotated[float, option("Largest creep that is wanted, mm/s.", "V", PROTOCOLS)] = 0.1,
+    budget: Annotated[
+        float, option("Largest creep that is wanted, mm/s.", "V", OF_PROTOCOLS)
+    ] = 0.1,
     only: Annotated[
-        list[str] | None, option('Only trials of this name: "force +z".', "NAME", PROTOCOLS)
+        list[str] | None,
+        option('Only trials of this name: "force +z".', "NAME", OF_PROTOCOLS),
     ] = None,
-    pages: Annotated[str, option("Pages: none, failures, all.", "WHICH", PROTOCOLS)] = "none",
+    pages: Annotated[str, option("Pages: none, failures, all.", "WHICH", OF_PROTOCOLS)] = "none",
     workers: WorkersOption = -1,
     seed: SeedOption = 0,
     *,
@@ -276,6 +279,7 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
     from sim.looking.film import check_video
     from sim.protocols import (
         IN_ALL,
+        PROTOCOLS,
         Settings,
         protocol_table,
         run_protocol,
@@ -291,6 +295,8 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
     ending = "" if options.video is None else f".{options.video.rpartition('.')[2]}"
     check_video(f"film{ending}" if ending else None)
     every = asked.protocol == "all"
+    if not every and asked.protocol not in PROTOCOLS:
+        raise NotFoundError("protocol", asked.protocol, (HOLD, CREEP, *PROTOCOLS, "all"))
     trials = trials_of(IN_ALL if every else [asked.protocol], asked.only, Settings(), asked.seed)
     loaded = [(path, read_plan(path)) for path in listed_plans(plans)]
     folder = asked.folder
