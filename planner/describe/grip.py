@@ -175,7 +175,8 @@ def check_postures(
             Finding(
                 level="error",
                 what=f"there is no posture {name!r}",
-                what_to_do=f"add a [postures.{name}] table; hands --describe proposes one",
+                what_to_do=f"add a [postures.{name}] table; "
+                "opposable hands --describe proposes one",
             )
         )
     if len(fingers) < 2:
