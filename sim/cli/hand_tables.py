@@ -261,8 +261,8 @@ def print_check(report: CheckReport, console: Console) -> None:
     console.print(joints)
     for coupling in report.couplings:
         say(console, escape(f"coupling {coupling}"))
-    for each in (pads, spaces, postures):
-        console.print(each)
+    for made in (pads, spaces, postures):
+        console.print(made)
     say(console, f"Pinocchio and MuJoCo agree to {report.kinematics_error:.1e} m")
     for f in report.findings:
         say(console, f"[{STYLES[f.level]}]{f.level}:[/] {escape(f.what)}; {escape(f.what_to_do)}")
