@@ -24,7 +24,8 @@ from planner.version import written_by
 from sim.controllers.events import Event
 from sim.recording import Recording, RecordingData, SampleData, Samples
 from sim.report_file import ComparisonData, EventData, ReportFile
-from sim.screen import OnScreen, reality_lines, table
+from sim.screen import OnScreen, reality_lines
+from sim.tables import table
 from sim.verdict import Reason, Thresholds, Verdict, largest
 
 __all__ = ["FingerComparison", "TrialReport"]

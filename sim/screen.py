@@ -1,19 +1,17 @@
-"""Reports as a screen that a person reads: the one place of their numbers and tables."""
+"""Reports as a screen that a person reads: the one place of their numbers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from io import StringIO
 from typing import Any
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from planner.arrays import short_repr
 
-__all__ = ["OnScreen", "number", "percent", "reality_lines", "table"]
+__all__ = ["OnScreen", "number", "percent", "reality_lines"]
 
 WIDTH = 100
 """Characters of a line of a report that is printed as text."""
@@ -32,14 +30,6 @@ class OnScreen:
     def __repr__(self) -> str:
         """One line: the kind, and the first line of the screen."""
         return short_repr(self)
-
-
-def table(title: str | None, columns: Iterable[str], *, left: Iterable[str] = ()) -> Table:
-    """An empty table whose columns are flush right, except some."""
-    made = Table(title=title, box=box.SIMPLE_HEAD)
-    for name in columns:
-        made.add_column(name, justify="left" if name in left else "right")
-    return made
 
 
 def number(value: float, digits: int, unit: str = "") -> str:

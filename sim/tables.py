@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from rich import box
 from rich.table import Table
 
-__all__ = ["Columns", "Row", "grouped", "number", "percent", "share", "summary_table", "table_of"]
+__all__ = [
+    "Columns",
+    "Row",
+    "grouped",
+    "number",
+    "percent",
+    "share",
+    "summary_table",
+    "table",
+    "table_of",
+]
 
 Row: TypeAlias = dict[str, Any]
 """Plain data by name."""
@@ -41,14 +51,37 @@ def grouped(rows: Iterable[Row], *names: str) -> dict[tuple[Any, ...], list[Row]
     return out
 
 
+def table(
+    title: str | None,
+    columns: Iterable[str],
+    rows: Iterable[Sequence[str]] = (),
+    *,
+    left: Container[str] = (),
+    **more: Any,
+) -> Table:
+    """A table whose columns are flush right, except some; those break their words.
+
+    Args:
+        title: Above it.
+        columns: Their headers.
+        rows: A cell for each column.
+        left: Headers of the columns that are flush left.
+        more: Further arguments of ``rich.table.Table``.
+    """
+    made = Table(title=title, **{"box": box.SIMPLE_HEAD, **more})
+    for name in columns:
+        if name in left:
+            made.add_column(name, overflow="fold")
+        else:
+            made.add_column(name, justify="right", no_wrap=True)
+    for row in rows:
+        made.add_row(*row)
+    return made
+
+
 def table_of(title: str, texts: Sequence[str], numbers: Sequence[str]) -> Table:
     """An empty table with columns of text, then columns of numbers."""
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
-    for name in texts:
-        table.add_column(name, overflow="fold")
-    for name in numbers:
-        table.add_column(name, justify="right", no_wrap=True)
-    return table
+    return table(title, [*texts, *numbers], left=texts, title_justify="left")
 
 
 def summary_table(
@@ -70,18 +103,18 @@ def summary_table(
     """
     heads = dict(by) if isinstance(by, Mapping) else {name: name for name in by}
     every = list(rows)
-    table = table_of(title, list(heads.values()), list(columns))
+    made = table_of(title, list(heads.values()), list(columns))
 
     def add(shown: Sequence[str | None]) -> None:
         names = [n for n, text in zip(heads, shown, strict=True) if text is None]
         for values, members in grouped(every, *names).items() if names else [((), every)]:
             left = iter(values)
             first = [str(next(left)) if text is None else text for text in shown]
-            table.add_row(*first, *(cell(members) for cell in columns.values()))
+            made.add_row(*first, *(cell(members) for cell in columns.values()))
 
     add([None] * len(heads))
     if totals:
-        table.add_section()
+        made.add_section()
     for shown in totals:
         add(shown)
-    return table
+    return made

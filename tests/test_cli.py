@@ -324,7 +324,7 @@ def test_no_grasp_found_has_its_own_exit_code_and_writes_nothing(tmp_path: Path)
         (("plan", "allegro_hand", "box:[/]"), "box:[/]"),
         (("plan", "allegro_hand", "box", "--fingers", "thumb,index"), "needs at least 3"),
         (("plan", "allegro_hand", "box", "--fingers", " ,"), "holds no name"),
-        (("bench", "synthesis", "allegro_hand", "--objects", ""), "'' holds no name"),
+        (("learn", "allegro_hand", "sphere", "--senses", ""), "'' holds no name"),
         (("plan", "allegro_hand", "box", "--fingers", "thumb,thumb,ring"), "named twice"),
         (("plan", "allegro_hand", "box", "--max-cpu-s", "0"), "give seconds > 0"),
         (("plan", "allegro_hand", "box", "-o", "nowhere/plan.json"), "no folder nowhere"),
@@ -332,7 +332,7 @@ def test_no_grasp_found_has_its_own_exit_code_and_writes_nothing(tmp_path: Path)
         (("test", "[bold]missing.json"), "[bold]missing.json"),
         (("analyse", "missing.json"), "missing.json: No such file"),
         (("export", "--schema", "plans"), "Did you mean 'plan'?"),
-        (("bench", "grasps", "--objects", "bax"), "Did you mean 'box'?"),
+        (("batch", "allegro_hand", "bax"), "Did you mean 'box'?"),
     ],
     ids=lambda v: " ".join(v) if isinstance(v, tuple) else "",
 )

@@ -87,7 +87,7 @@ def renamed() -> Iterator[str]:
 
 def commands() -> list[tuple[str, Any, Any]]:
     """Every command of ours, and those that measure: (group, command, its context)."""
-    found = []
+    found: list[tuple[str, Any, Any]] = []
     for app, name in ((opposable, "opposable"), (benchmarks, "python -m benchmarks")):
         root: Any = typer.main.get_command(app)
         found += leaves(root, root.context_class(root, info_name=name))

@@ -64,8 +64,13 @@ def crosscheck(
         "tolerances": Tolerances(**vars(tolerances)),
     }
     if against is None:
-        reader = {"own_reader": own_reader, "judge_reader": judge_reader, "timeout": timeout}
-        report = check(model, **common, **reader)
+        report = check(
+            model,
+            own_reader=own_reader,
+            judge_reader=judge_reader,
+            timeout=timeout,
+            **common,
+        )
     else:
         report = compare_models(model, against, names=pairs, **common)
     if output is not None:

@@ -271,12 +271,12 @@ def episodes(
                 check()
                 yield source.name, source.report()
 
-        def tell(episode: Episode, why: str) -> None:
+        def left_out(episode: Episode, why: str) -> None:
             if why:
                 say(err, escape(f"left out: {episode.source}: {why}"))
 
         written = write_episodes(
-            reports(), folder, to, fps=fps, video=video, size=pixels, failed=failed, told=tell
+            reports(), folder, to, fps=fps, video=video, size=pixels, failed=failed, told=left_out
         )
     if as_json:
         print_json(written.to_dict())

@@ -6,7 +6,6 @@ Behind ``opposable hands NAME`` and ``opposable hands NAME --check``.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from sim.cli.common import say
+from sim.tables import table
 
 if TYPE_CHECKING:
     from planner.describe import CheckReport
@@ -107,21 +107,18 @@ def _other_joints(hand: Hand, torque: Any) -> list[dict[str, Any]]:
     ]
 
 
-def _table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], **more: Any) -> Table:
-    """A table whose columns of numbers, those that name a unit, are flush right."""
-    table = Table(title=title, **more)
-    for column in columns:
-        flush = column.split()[-1] in ("q", "deg", "m", "mm", "g")
-        table.add_column(column, justify="right" if flush else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    return table
+WORDS = (
+    *("finger", "joint", "tip frame", "pad", "actuator", "drives", "force range", "ctrl range"),
+    *("coupling", "equation", "kind", "of", "range", "actuators", "geom", "taxels", "x", "y", "z"),
+    *("posture", "pads off the opposite ones, deg"),
+)
+"""Columns that are no numbers."""
 
 
 def hand_tables(hand: Hand) -> list[Table]:
     """The same for people, lengths in mm and angles in degrees."""
     data = inspect_hand(hand)
-    joints = _table(
+    joints = table(
         f"{data['name']}: {data['joints']} joints, {data['actuators']} actuators, "
         f"{data['mass_kg']:.2f} kg",
         ("finger", "joint", "q", "lower deg", "upper deg", "torque N m"),
@@ -137,8 +134,9 @@ def hand_tables(hand: Hand) -> list[Table]:
             for finger in [*data["other_joints"], *data["fingers"]]
             for k, joint in enumerate(finger["joints"])
         ),
+        left=WORDS,
     )
-    tips = _table(
+    tips = table(
         "fingertips at q = 0, base frame",
         ("finger", "tip frame", "x mm", "y mm", "z mm", "pad", "radius mm", "mass g"),
         (
@@ -152,8 +150,9 @@ def hand_tables(hand: Hand) -> list[Table]:
             )
             for finger in data["fingers"]
         ),
+        left=WORDS,
     )
-    actuators = _table(
+    actuators = table(
         "actuators",
         ("actuator", "drives", "force range", "ctrl range"),
         (
@@ -165,8 +164,9 @@ def hand_tables(hand: Hand) -> list[Table]:
             )
             for actuator in data["actuator_table"]
         ),
+        left=WORDS,
     )
-    couplings = _table(
+    couplings = table(
         "couplings in a grasp",
         ("coupling", "equation", "kind"),
         (
@@ -178,6 +178,7 @@ def hand_tables(hand: Hand) -> list[Table]:
             )
             for c in data["couplings"]
         ),
+        left=WORDS,
     )
     return [joints, tips, actuators, *([couplings] if data["couplings"] else [])]
 
@@ -195,7 +196,7 @@ def print_check(report: CheckReport, console: Console) -> None:
     )
     each = ", each with its own actuator" * short
     columns = ("joint", "of", "q", "qpos", "range", "torque N m", "actuators")
-    joints = _table(
+    joints = table(
         f"{report.hand}: joints in the order of q",
         columns[: len(columns) - short],
         (
@@ -211,9 +212,10 @@ def print_check(report: CheckReport, console: Console) -> None:
             for j, name in zip(report.joints, names, strict=True)
         ),
         caption=escape(f"without {prefix!r} before each name{each}") if prefix else None,
+        left=WORDS,
     )
     _, geoms = without_prefix([p.geom for p in report.pads])
-    pads = _table(
+    pads = table(
         "pads",
         ("finger", "geom", "radius mm", "cone deg", "stands out mm", "presses N", "taxels"),
         (
@@ -228,8 +230,9 @@ def print_check(report: CheckReport, console: Console) -> None:
             )
             for p, geom in zip(report.pads, geoms, strict=True)
         ),
+        left=WORDS,
     )
-    spaces = _table(
+    spaces = table(
         "where the tips get to, base frame, mm",
         ("finger", "x", "y", "z"),
         (
@@ -239,8 +242,9 @@ def print_check(report: CheckReport, console: Console) -> None:
             )
             for w in report.workspaces
         ),
+        left=WORDS,
     )
-    postures = _table(
+    postures = table(
         "postures",
         ("posture", "gap mm", "pads off the opposite ones, deg", "clearance mm"),
         (
@@ -252,12 +256,13 @@ def print_check(report: CheckReport, console: Console) -> None:
             )
             for r in report.postures
         ),
+        left=WORDS,
     )
     console.print(joints)
     for coupling in report.couplings:
         say(console, escape(f"coupling {coupling}"))
-    for table in (pads, spaces, postures):
-        console.print(table)
+    for made in (pads, spaces, postures):
+        console.print(made)
     say(console, f"Pinocchio and MuJoCo agree to {report.kinematics_error:.1e} m")
     for f in report.findings:
         say(console, f"[{STYLES[f.level]}]{f.level}:[/] {escape(f.what)}; {escape(f.what_to_do)}")

@@ -57,7 +57,7 @@ def hands(
     from planner.errors import TaskError
 
     if hand is None:
-        refuse_given(context, "options are about a hand; name one", kept=("hand", "as_json"))
+        refuse_given(context, "no hand is named", kept=("hand", "as_json"))
         _names(as_json)
     elif describe:
         if check or as_json:

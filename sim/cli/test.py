@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,6 +30,7 @@ from sim.cli.common import (
 )
 from sim.cli.execution import TrialOptions, physics_of
 from sim.cli.options import (
+    TRIAL,
     JsonOption,
     PictureOption,
     SeedOption,
@@ -48,7 +50,7 @@ HOLD, CREEP = "hold", "creep"
 PAGES = ("none", "failures", "all")
 """Of which trials pages are written."""
 
-PROTOCOLS = "Protocols"
+OF_PROTOCOLS = "Protocols"
 """Group of options in the help."""
 
 OF_HOLD = {"picture", "view", "arrows", "verbose"}
@@ -69,13 +71,16 @@ class TestOptions(TrialOptions):
     __test__ = False  # pytest would collect it
 
     physics: Annotated[
-        str | None,
+        str,
         option(
-            "ours, mujoco-default (of creep), menagerie, dexgraspbench, or a file.", "NAME", "Trial"
+            "ours, mujoco-default (of creep), menagerie, dexgraspbench, or a file.",
+            "NAME",
+            TRIAL,
+            show_default=False,
         ),
-    ] = None
+    ] = ""
     video: Annotated[
-        str | None, option("Film: run.mp4, .webp, .gif; of many trials mp4, webp or gif.", "FILE")
+        Path | None, option("Film: run.mp4, .webp, .gif; of many trials mp4, webp or gif.", "FILE")
     ] = None
 
 
@@ -104,11 +109,14 @@ def test(
         ),
     ] = None,
     picture: PictureOption = None,
-    budget: Annotated[float, option("Largest creep that is wanted, mm/s.", "V", PROTOCOLS)] = 0.1,
+    budget: Annotated[
+        float, option("Largest creep that is wanted, mm/s.", "V", OF_PROTOCOLS)
+    ] = 0.1,
     only: Annotated[
-        list[str] | None, option('Only trials of this name: "force +z".', "NAME", PROTOCOLS)
+        list[str] | None,
+        option('Only trials of this name: "force +z".', "NAME", OF_PROTOCOLS),
     ] = None,
-    pages: Annotated[str, option("Pages: none, failures, all.", "WHICH", PROTOCOLS)] = "none",
+    pages: Annotated[str, option("Pages: none, failures, all.", "WHICH", OF_PROTOCOLS)] = "none",
     workers: WorkersOption = -1,
     seed: SeedOption = 0,
     *,
@@ -153,7 +161,7 @@ def _hold(
     plans: Sequence[Path],
     output: Path | None,
     picture: Path | None,
-    options: TestOptions,
+    trial: TrialOptions,
     command: str,
     as_json: bool,
 ) -> None:
@@ -161,19 +169,17 @@ def _hold(
     from planner.errors import TaskError
     from sim.report_file import PAGE_SUFFIXES, write_report
 
-    video = None if options.video is None else Path(options.video)
     check_folder(output, picture)
     files = listed_plans(plans)
-    if len(files) > 1 and any((output, picture, video)):
+    if len(files) > 1 and any((output, picture, trial.video)):
         raise TaskError(
             f"--out, --picture and --video are of one plan, and {len(files)} are given; leave them "
             "out, or give one plan"
         )
     keep_inputs(output, *files)
     loaded = [one_plan(file) for file in files]
-    trial = TrialOptions(**{**vars(options), "video": video})
     for plan in loaded:
-        trial.check_policy(plan.task.hand, lambda plan=plan: plan.task.object, None)
+        trial.check_policy(plan.task.hand, partial(getattr, plan.task, "object"), None)
     execute = trial.trial()
     reports = []
     for file, plan in zip(files, loaded, strict=True):
@@ -276,6 +282,7 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
     from sim.looking.picture import check_video
     from sim.protocols import (
         IN_ALL,
+        PROTOCOLS,
         Settings,
         protocol_table,
         run_protocol,
@@ -288,9 +295,12 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
         raise NotFoundError("choice of pages", asked.pages, PAGES)
     # the protocol draws from the errors of a laboratory where none are named
     parts = options.parts(draws=asked.protocol == "reality")
-    ending = "" if options.video is None else f".{options.video.rpartition('.')[2]}"
+    film = options.video
+    ending = "" if film is None else film.suffix or f".{film}"
     check_video(f"film{ending}" if ending else None)
     every = asked.protocol == "all"
+    if not every and asked.protocol not in PROTOCOLS:
+        raise NotFoundError("protocol", asked.protocol, (HOLD, CREEP, *PROTOCOLS, "all"))
     trials = trials_of(IN_ALL if every else [asked.protocol], asked.only, Settings(), asked.seed)
     loaded = [(path, read_plan(path)) for path in listed_plans(plans)]
     folder = asked.folder

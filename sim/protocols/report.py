@@ -20,7 +20,8 @@ from planner.errors import FileFormatError
 from planner.version import written_by
 from sim.protocols.outcome import Outcome
 from sim.reality import draws_in_words
-from sim.screen import OnScreen, number, percent, reality_lines, table
+from sim.screen import OnScreen, number, percent, reality_lines
+from sim.tables import table
 
 PROTOCOL_VERSION = 2
 """Version of the JSON form; version 1 called the loads borne and broke, and one protocol fc."""

@@ -26,7 +26,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-import sim.scene_export.mjcf as check_script
+import sim.scene_export.check as check_script
 from planner.arrays import finite
 from planner.errors import FileFormatError
 from planner.exchange.formats import GraspFormat, Writing, register_format
