@@ -26,11 +26,11 @@ WIDTH, HEIGHT = 80, 40
 LONG = ("run", "plan", "batch", "manipulate", "plan-motion", "plan-gait", "states", "refine")
 """Commands with so many options that no help of one line each fits a screen."""
 
-SLOW = ("test", "demo", "plan-gait", "creep", "learn")
+SLOW = ("demo", "plan-gait", "creep", "learn", "episodes")
 """Commands whose example takes more than a few seconds, and that no page runs with its options."""
 
-JUDGING = ("test", "creep")
-"""Commands whose answer to the example is no: the default grip is not sized for shaking."""
+JUDGING = ("creep",)
+"""Commands whose answer to the example may be no: the default grip creeps."""
 
 
 def printed(*arguments: str, width: int = WIDTH) -> str:
