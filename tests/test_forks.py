@@ -22,7 +22,7 @@ def tell(word: str) -> None:
 def ask(folder: str) -> None:
     """Run a program from a program."""
     again = forks.run(tell, "inner", folder=Path(folder), environment=os.environ)
-    print(again.returncode, again.stdout, end="")
+    print(again.returncode, again.stdout, end="")  # though the fork ends, and removes its folders
 
 
 def sleep(seconds: str) -> None:
