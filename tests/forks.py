@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
+import weakref
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from multiprocessing import forkserver
@@ -89,8 +90,9 @@ def run(
         process.join(timeout)
         if process.is_alive():
             assert process.pid is not None and timeout is not None
-            with suppress(ProcessLookupError):
+            with suppress(ProcessLookupError):  # it has not come as far as to lead a group
                 os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
             process.join()
             raise subprocess.TimeoutExpired([program.__name__, *words], timeout)
         out, err = (f.read_text(encoding="utf-8") if f.exists() else "" for f in files)
@@ -120,6 +122,9 @@ def _work(
 ) -> None:
     """Run a program in this process, which is a fork, and end as an interpreter does."""
     os.setsid()  # so that it is killed with its children
+    inherited: Any = weakref.finalize
+    for finalizer in list(inherited._registry):
+        finalizer.atexit = False  # folders and the like of its parent are its parent's to remove
     for number, path in ((1, out), (2, err)):
         opened = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(opened, number)

@@ -1,4 +1,4 @@
-"""The fast half of the tests (``pytest -m "not slow"``) reaches every room of both packages."""
+"""The fast half of the tests (``pytest``) reaches every room of both packages."""
 
 from __future__ import annotations
 

@@ -49,7 +49,8 @@ def opposable(
         [sys.executable, "-c", start, *arguments],
         check=False,
         cwd=folder,
-        env=os.environ | {"COLUMNS": "200"},
+        # a copy without compiled loops, which would be compiled anew for half a minute
+        env=os.environ | {"COLUMNS": "200", "OPPOSABLE_COMPILE": "0"},
         capture_output=True,
         text=True,
     )
