@@ -17,7 +17,8 @@ from planner.errors import ObjectError
 from planner.files import read_plan, write_plan
 from planner.objects import parse_object
 from planner.shapes import Mesh, shape_from_dict, shape_to_dict
-from planner.shapes.meshes.mending import MOVED, WIDEST_HOLE
+from planner.shapes.meshes.mending import MOVED
+from planner.shapes.meshes.repair import WIDEST_HOLE
 from planner.shapes.meshes.soundness import faults_of
 from planner.system.disk_cache import CACHE_VARIABLE
 
