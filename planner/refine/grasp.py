@@ -23,6 +23,7 @@ from planner.attempt import Attempt
 from planner.collision.pad_contact import pad_contacts
 from planner.failure import Failure
 from planner.finishing import true_geometry, verified_on_surface
+from planner.numerics.kernels import attempt_kernels
 from planner.plan import GraspPlan, SolveRecord
 from planner.refine.movement import Movement
 from planner.refine.pads import UnderPads, fingers_near, under_pads
@@ -42,6 +43,7 @@ NEAR_ENOUGH = 0.012
 """Displacement (m) of all contacts up to which the first plan ends the ladder: half a fingertip."""
 
 
+@attempt_kernels(0)
 def refine_grasp(
     task: GraspTask,
     T_world_base: SE3,
