@@ -4,10 +4,10 @@ Where arrays are small, calling NumPy costs more than its arithmetic. A kernel i
 plain loops, which numba compiles, and in NumPy. Both give the same numbers to rounding, which a
 test of each kernel checks.
 
-Loading numba and its machine code takes half a second per process, and compiling 20 to 40 s once per
-machine: more than a single plan. So attempts run in NumPy until a search lasts, and compiled from
-then on. Which attempts those are is a matter of counts, never of the clock or of what was compiled
-before, and the same seed gives the same plan in any thread or process:
+Loading numba and its machine code takes half a second per process, and compiling 20 to 40 s once
+per machine: more than a single plan. So attempts run in NumPy until a search lasts, and compiled
+from then on. Which attempts those are is a matter of counts, never of the clock or of what was
+compiled before, and the same seed gives the same plan in any thread or process:
 
 - attempt ``PLAIN_ATTEMPTS`` of a search and all after it are compiled (``attempt_kernels``);
 - in batches, and wherever ``compiled_searches`` asks for it, all attempts are;
