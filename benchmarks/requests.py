@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -24,7 +24,7 @@ from planner.collision.world import OBJECT
 from planner.errors import PlannerError, TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.numerics.kernels import kernels_are_compiled
+from planner.numerics.kernels import compiled_searches
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.quality.ball import epsilon_frogger, epsilon_l1
@@ -127,12 +127,15 @@ class RequestOutcome:
     features: GraspFeatures | None = None
 
 
-def outcome_of(request: Request, check: Callable[[], None] = lambda: None) -> RequestOutcome:
+def outcome_of(
+    request: Request, check: Callable[[], None] = lambda: None, *, compiled: bool = True
+) -> RequestOutcome:
     """Make a request.
 
     Args:
         request: What is wanted.
         check: Called after every attempt; what it raises ends the request.
+        compiled: Whether kernels are compiled from the first attempt, as in batches.
     """
     loaded_hand(request.hand)  # once per hand, no matter of the object
     begin = time.process_time()
@@ -140,7 +143,7 @@ def outcome_of(request: Request, check: Callable[[], None] = lambda: None) -> Re
     if isinstance(task, str):
         return RequestOutcome(k=request.k, error=task)
     made = time.process_time() - begin
-    outcome = outcome_of_task(task, request.k, request.setting, check)
+    outcome = outcome_of_task(task, request.k, request.setting, check, compiled=compiled)
     return replace(outcome, prepare_s=outcome.prepare_s + made)
 
 
@@ -154,14 +157,20 @@ def _load_kernels(task: GraspTask, setting: Setting) -> None:
     Loading takes about a second and belongs to no grasp: it counts as preparation.
     """
     kind = (isinstance(task.object.shape, Mesh), setting.options.rounds > 0)
-    if kernels_are_compiled() and kind not in _loaded:
+    if kind not in _loaded:
         _loaded.add(kind)
-        with suppress(PlannerError):  # a task that cannot work is told by the request itself
+        # a task that cannot work is told by the request itself
+        with suppress(PlannerError), compiled_searches():
             next(attempts(task, seed=setting.seed, options=setting.options))
 
 
 def outcome_of_task(
-    task: GraspTask, k: int, setting: Setting, check: Callable[[], None] = lambda: None
+    task: GraspTask,
+    k: int,
+    setting: Setting,
+    check: Callable[[], None] = lambda: None,
+    *,
+    compiled: bool = True,
 ) -> RequestOutcome:
     """Make request k of a task.
 
@@ -170,15 +179,17 @@ def outcome_of_task(
         k: Number of the request; with ``setting.seed`` and the shape it fixes the starts.
         setting: Options, clearance and attempts; the rest is the task's.
         check: Called after every attempt; what it raises ends the request.
+        compiled: Whether kernels are compiled from the first attempt, as in batches.
     """
     shape = task.object.shape
     seed = grasp_seed(setting.seed, shape_key(shape), k)
     begin = time.process_time()
-    _load_kernels(task, setting)
+    if compiled:
+        _load_kernels(task, setting)
     made: list[Attempt[GraspPlan]] = []
     reasons: list[str] = []
     plan = None
-    with timed() as stages:
+    with timed() as stages, compiled_searches() if compiled else nullcontext():
         try:
             for attempt in attempts(task, seed=seed, options=setting.options):
                 made.append(attempt)

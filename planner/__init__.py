@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         manipulation_task,
         plan_manipulation,
     )
+    from planner.numerics.kernels import compiled_searches
     from planner.objects import GraspObject, parse_object
     from planner.plan import GraspPlan
     from planner.quality import analyse, force_closure
@@ -61,6 +62,7 @@ __all__ = [
     "__version__",
     "analyse",
     "attempts",
+    "compiled_searches",
     "distribute_forces",
     "force_closure",
     "hand_from_model",
@@ -103,6 +105,7 @@ _HOMES = {
     "SymbolicHand": "planner.kinematics.symbolic",
     "analyse": "planner.quality",
     "attempts": "planner.search",
+    "compiled_searches": "planner.numerics.kernels",
     "distribute_forces": "planner.forces",
     "force_closure": "planner.quality",
     "manipulation_task": "planner.motion.manipulation",

@@ -18,6 +18,7 @@ import numpy as np
 from planner.arrays import LARGEST_INT
 from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
+from planner.numerics.kernels import attempt_kernels
 
 __all__ = [
     "Attempt",
@@ -130,7 +131,8 @@ def run_attempts(
     for index in count():
         shared = context(index)
         begin = time.process_time()
-        outcome = shared.attempt(np.random.default_rng([seed, index]))
+        with attempt_kernels(index):
+            outcome = shared.attempt(np.random.default_rng([seed, index]))
         cpu = time.process_time() - begin
         total += cpu
         yield recorded(outcome, seed=seed, index=index, cpu_s=cpu, total=total, context=shared)

@@ -28,6 +28,7 @@ from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError, shown
 from planner.failure import Failure
 from planner.forces import ForceSolution
+from planner.numerics.kernels import attempt_kernels
 from planner.numerics.levenberg_marquardt import MAX_ITERATIONS
 from planner.plan import BestOf, GraspPlan
 from planner.plan_metrics import Measure
@@ -101,7 +102,8 @@ def improving_attempts(
     while True:
         shared = context(index, bool(kept))
         begin = time.process_time()
-        outcome = _attempt(shared, np.random.default_rng([seed, index]), measure, kept)
+        with attempt_kernels(index):
+            outcome = _attempt(shared, np.random.default_rng([seed, index]), measure, kept)
         cpu = time.process_time() - begin
         total += cpu
         yield recorded(outcome, seed=seed, index=index, cpu_s=cpu, total=total, context=shared)

@@ -22,6 +22,7 @@ from planner.batch.rows import failed_row
 from planner.errors import TaskError
 from planner.files import read_plan, write_plan
 from planner.hands.hand import Hand
+from planner.numerics.kernels import compiled_searches
 from planner.search import plan_grasp
 from planner.task import GraspTask
 
@@ -106,7 +107,8 @@ def test_rows_are_in_order_and_whole(reference: GraspSet) -> None:
 
 def test_a_row_turns_back_into_its_plan(reference: GraspSet, tmp_path: Path) -> None:
     row, plan = reference[4], reference.plan(4)
-    direct = plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=row["seed"])
+    with compiled_searches():
+        direct = plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=row["seed"])
     assert plan.q == pytest.approx(direct.q, abs=1e-12)
     assert plan.T_world_base.homogeneous == pytest.approx(
         direct.T_world_base.homogeneous, abs=1e-12
@@ -291,6 +293,8 @@ STUCK = """
 import ctypes, os, sys, time
 from pathlib import Path
 from planner.batch.pool import end_with
+from planner.batch.jobs import end_with
+from planner.numerics.kernels import compiled_searches
 from planner.batch.pool import finished
 
 folder, backend, parent = Path(sys.argv[1]), sys.argv[2], os.getpid()

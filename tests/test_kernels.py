@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import dis
-import importlib.util
 import marshal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from types import CodeType, FunctionType
 from typing import Any
 
 import numpy as np
 import pytest
 
+from planner import GraspTask, attempts
+from planner.errors import PlannerError
 from planner.numerics import kernels
-from planner.numerics.kernels import compile_loops, globals_read, kernel
+from planner.numerics.kernels import (
+    COMPILE_VARIABLE,
+    PLAIN_ATTEMPTS,
+    attempt_kernels,
+    compile_loops,
+    compiled_searches,
+    globals_read,
+    kernel,
+    kernels_are_compiled,
+)
 from planner.proximity import gap_loops
 from planner.synthesis.loops import clearances
 
@@ -36,10 +48,11 @@ def norms(rows: np.ndarray) -> np.ndarray:
 
 
 def test_both_forms_agree() -> None:
-    pytest.importorskip("numba")
     rows = np.random.default_rng(0).normal(size=(20, 3))
     expected = plain_norms(rows)
-    assert np.allclose(norms(rows), expected, atol=1e-15, rtol=0)
+    for wanted in (nullcontext(), compiled_searches()):
+        with wanted, attempt_kernels(0):
+            assert np.allclose(norms(rows), expected, atol=1e-15, rtol=0)
     assert np.allclose(compile_loops(norms.loops)(rows), expected, atol=1e-15, rtol=0)  # type: ignore[attr-defined]
     assert norms.plain is plain_norms  # type: ignore[attr-defined]
 
@@ -96,19 +109,64 @@ def test_the_name_of_machine_code_does_not_depend_on_where_the_loops_were_read_f
     assert kernels._digest(again) == kernels._digest(loops) and held
 
 
-@pytest.mark.parametrize("asked", ["0", ""])
-def test_the_variable_switches_kernels_off(asked: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("OPPOSABLE_COMPILE", asked)
-    ran: list[str] = []
+def test_compiling_is_decided_by_the_number_of_an_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a search from ``PLAIN_ATTEMPTS`` on, in a batch from the first; outside of them never."""
+    monkeypatch.delenv(COMPILE_VARIABLE, raising=False)
 
-    def same_plain(x: float) -> float:
-        ran.append("plain")
-        return x
+    def compiled_at(*indices: int) -> list[bool]:
+        told = []
+        for index in indices:
+            with attempt_kernels(index):
+                told.append(kernels_are_compiled())
+            assert not kernels_are_compiled()
+        return told
 
-    @kernel(same_plain)
-    def same(x: float) -> float:
-        return x
+    assert compiled_at(0, PLAIN_ATTEMPTS - 1, PLAIN_ATTEMPTS) == [False, False, True]
+    with compiled_searches():
+        assert compiled_at(0, PLAIN_ATTEMPTS) == [True, True]
+        with ThreadPoolExecutor(1) as other:  # another thread makes searches of its own
+            assert other.submit(compiled_at, 0).result() == [False]
+    assert compiled_at(0) == [False]
+    monkeypatch.setenv(COMPILE_VARIABLE, "0")
+    with compiled_searches():
+        assert compiled_at(0, PLAIN_ATTEMPTS) == [False, False]
+    monkeypatch.setenv(COMPILE_VARIABLE, "1")
+    assert kernels_are_compiled()
+    monkeypatch.setenv(COMPILE_VARIABLE, "yes")
+    with pytest.raises(PlannerError, match="set it to 1 or to 0"):
+        kernels_are_compiled()
 
-    assert same(2.0) == 2.0
-    has_numba = importlib.util.find_spec("numba") is not None
-    assert (ran == ["plain"]) == (asked == "0" or not has_numba)
+
+def test_a_plan_does_not_load_numba() -> None:
+    code = """
+import sys
+from planner import GraspTask, plan_grasp
+plan_grasp(GraspTask.create("allegro_hand", "mug"), seed=0)
+assert "numba" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_plan_does_not_depend_on_what_was_compiled_before() -> None:
+    """Attempts in NumPy and compiled ones, mixed in one process in either order, on a mesh."""
+    task = GraspTask.create("allegro_hand", "mug")
+
+    def ends() -> list[Any]:
+        made = [next(attempts(task, seed=seed)) for seed in range(3)]
+        return [a.plan.q.tolist() if a.plan is not None else a.failure for a in made]
+
+    plain = ends()
+    with compiled_searches():
+        compiled = ends()
+    assert ends() == plain
+    with compiled_searches():
+        assert ends() == compiled
+
+
+def test_without_numba_it_is_said_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)
+    kernels._numba.cache_clear()
+    kernels._compile.cache_clear()
+    with compiled_searches(), attempt_kernels(0), pytest.raises(PlannerError, match="pip install"):
+        norms(np.ones((2, 3)))
+    kernels._numba.cache_clear()

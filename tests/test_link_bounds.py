@@ -14,6 +14,7 @@ from planner.collision.world import FAR, CollisionWorld
 from planner.hands.hand import Hand
 from planner.kinematics import form_kernels
 from planner.kinematics.link_bounds import LinkBounds
+from planner.numerics.kernels import attempt_kernels, compile_loops, compiled_searches
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
@@ -74,21 +75,23 @@ def test_no_bound_is_above_the_distance_from_a_mesh(right_hand: Hand) -> None:
 
 @pytest.mark.parametrize("item", ["box", "cylinder", "ellipsoid", "mug"])
 def test_both_forms_of_the_kernels_agree(right_hand: Hand, item: str) -> None:
-    pytest.importorskip("numba")
     task = GraspTask.create(right_hand, item)
     world = CollisionWorld(task)
     bounds = bounds_of(world)
     place: Any = form_kernels.place_forms
     bound: Any = form_kernels.bound_pairs
+    quick_place, quick_bound = compile_loops(place.loops), compile_loops(bound.loops)
     for base, q in places(task, 4):
         path = q + CLOSING_SHARES * 0.3
         chain = (path, bounds._parents, bounds._joints, bounds._axes)
         bodies = bounds._carriers, bounds._bodies
-        np.testing.assert_allclose(place(*chain, *bodies), place.plain(*chain, *bodies), atol=1e-12)
+        np.testing.assert_allclose(
+            quick_place(*chain, *bodies), place.plain(*chain, *bodies), atol=1e-12
+        )
         poses = bounds.place(path, [base.inverse() * pose for pose in world._table.fixed])
         forms = bounds._kinds, bounds._sizes, bounds._capsules, bounds._along
         given = poses, *forms, bounds._planes, bounds.pairs, np.linspace(0.0, 0.1, len(path))
-        np.testing.assert_allclose(bound(*given), bound.plain(*given), atol=1e-12)
+        np.testing.assert_allclose(quick_bound(*given), bound.plain(*given), atol=1e-12)
 
 
 def test_what_is_called_clear_on_a_way_is_clear_all_along(right_hand: Hand) -> None:
@@ -116,9 +119,6 @@ def test_the_verdict_is_the_same_without_bounds(
 ) -> None:
     """A world that asks coal for every pair says the same."""
     task = GraspTask.create(right_hand, "box")
-    with_bounds = CollisionWorld(task)
-    if not bounds_of(with_bounds).pays:
-        pytest.skip("kernels are not compiled")
     plan = plan_grasp(task, seed=1)
     questions = [(plan.T_world_base, plan.q), (plan.T_world_base, plan.q_pregrasp)]
     questions += list(places(task, 12))
@@ -137,6 +137,8 @@ def test_the_verdict_is_the_same_without_bounds(
             out.append(found is None or (found.first, found.second))
         return out
 
-    quick = answers(with_bounds)
-    monkeypatch.setattr(LinkBounds, "pays", False)
-    assert quick == answers(CollisionWorld(task))
+    with compiled_searches(), attempt_kernels(0):
+        assert bounds_of(CollisionWorld(task)).pays
+        quick = answers(CollisionWorld(task))
+        monkeypatch.setattr(LinkBounds, "pays", False)
+        assert quick == answers(CollisionWorld(task))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import coal
@@ -9,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from planner.numerics.kernels import attempt_kernels, compile_loops, compiled_searches
 from planner.objects import parse_object
-from planner.proximity import gap_loops, mesh_gaps, tree_kernels
+from planner.proximity import gap_loops, tree_kernels
 from planner.proximity.bodies import ConvexBodies
 from planner.proximity.mesh import MeshPair
 from planner.proximity.mesh_pairs import MeshPairs
@@ -122,7 +124,6 @@ def test_a_plane_between_body_and_triangle_proves_the_distance(name: str) -> Non
 @pytest.mark.parametrize("known", [(), (0.3,), (0.001, 0.2, np.inf)])
 @pytest.mark.parametrize("limit", [np.inf, 0.1])
 def test_both_forms_of_the_gaps_agree(known: tuple[float, ...], limit: float) -> None:
-    pytest.importorskip("numba")
     bodies = ConvexBodies.of(GEOMETRIES)
     assert bodies is not None
     gaps: Any = tree_kernels.gaps_to_triangles
@@ -132,7 +133,7 @@ def test_both_forms_of_the_gaps_agree(known: tuple[float, ...], limit: float) ->
     for seed in range(3):
         turns, shifts = arrays_of(poses(len(which), seed, 0.15))
         given = *bodies.arrays, which, turns, shifts, *tree.arrays, limit, 1e-5, np.array(known)
-        quick, plain = gaps(*given), gaps.plain(*given)
+        quick, plain = compile_loops(gaps.loops)(*given), gaps.plain(*given)
         apart = plain[:, 0] > 0.0
         assert ((quick[:, 0] > 0.0) == apart).all()
         np.testing.assert_allclose(quick[apart, 0], plain[apart, 0], atol=1e-10)
@@ -143,20 +144,20 @@ def test_both_forms_of_the_gaps_agree(known: tuple[float, ...], limit: float) ->
 
 
 def test_both_forms_of_the_nearest_triangles_agree() -> None:
-    pytest.importorskip("numba")
     tree = some_mesh().ball_tree
     arrays = tree.corners, tree.numbers, tree.balls, tree.nodes, tree.first
     points = np.random.default_rng(0).normal(0.0, 0.04, (40, 3))
     points[0] = tree.corners[3, 1]  # on a vertex: of all around it the first
     points[1] = tree.corners[5, :2].mean(axis=0)
     nearest: Any = nearest_kernels.nearest_triangles
-    quick, plain = nearest(points, *arrays), nearest.plain(points, *arrays)
+    quick, plain = compile_loops(nearest.loops)(points, *arrays), nearest.plain(points, *arrays)
     np.testing.assert_allclose(quick[0], plain[0], atol=1e-14)
     np.testing.assert_array_equal(quick[1], plain[1])
     np.testing.assert_array_equal(quick[2], plain[2])
     within: Any = nearest_kernels.triangles_within
     for radius in (0.002, 0.02):  # of the second, more than the first arrays hold
-        found, all_of = within(plain[0], radius, *arrays), within.plain(plain[0], radius, *arrays)
+        given = plain[0], radius, *arrays
+        found, all_of = compile_loops(within.loops)(*given), within.plain(*given)
         assert len(found[0]) > 100
         assert set(zip(*map(list, found), strict=True)) == set(zip(*map(list, all_of), strict=True))
         assert len(found[0]) == len(all_of[0])
@@ -169,14 +170,22 @@ def assert_same(told: FloatArray, truth: FloatArray) -> None:
     np.testing.assert_allclose(told[apart], truth[apart], atol=2e-6)
 
 
+def compiled(answer: Callable[..., Any]) -> Callable[..., Any]:
+    """The same with compiled kernels."""
+
+    def call(*given: Any) -> Any:
+        with compiled_searches(), attempt_kernels(0):
+            return answer(*given)
+
+    return call
+
+
 @pytest.mark.parametrize("item", ["torus", "mug"])
-def test_meshes_are_as_far_as_coal_says(item: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("numba", reason="without compiled loops both sides are coal's")
+def test_meshes_are_as_far_as_coal_says(item: str) -> None:
     mesh = parse_object(item).shape
     assert isinstance(mesh, Mesh)
     quick = MeshPairs(GEOMETRIES, mesh)
     singles = [MeshPair(g, mesh) for g in GEOMETRIES]
-    monkeypatch.setattr(mesh_gaps, "kernels_are_compiled", lambda: False)
     by_coal = MeshPairs(GEOMETRIES, mesh)
     alone = [MeshPair(g, mesh) for g in GEOMETRIES]
     which, deep, near, off = np.arange(len(GEOMETRIES)), 0, 0, 0
@@ -189,17 +198,17 @@ def test_meshes_are_as_far_as_coal_says(item: str, monkeypatch: pytest.MonkeyPat
             [pair.distance(pose, here) for pair, pose in zip(alone, places, strict=True)]
         )
         told = np.array(
-            [pair.distance(pose, here) for pair, pose in zip(singles, places, strict=True)]
+            [compiled(one.distance)(pose, here) for one, pose in zip(singles, places, strict=True)]
         )
         assert_same(told, truth)
         for limit in (0.005, 0.02):
-            found = quick.distances(which, limit)
+            found = compiled(quick.distances)(which, limit)
             assert_same(found, np.minimum(truth, limit))
-            nearest, real = quick.nearest(which, limit), by_coal.nearest(which, limit)
+            nearest, real = compiled(quick.nearest)(which, limit), by_coal.nearest(which, limit)
             assert (nearest is None) == (real is None)
             if nearest is not None and real is not None:
                 assert_same(np.array(nearest[1:]), np.array(real[1:]))
-            places_near, apart, rows = quick.near(which, limit)
+            places_near, apart, rows = compiled(quick.near)(which, limit)
             same, real_apart, real_rows = by_coal.near(which, limit)
             np.testing.assert_array_equal(places_near, same)
             assert_same(apart, real_apart)
@@ -211,7 +220,7 @@ def test_meshes_are_as_far_as_coal_says(item: str, monkeypatch: pytest.MonkeyPat
             )
             np.testing.assert_allclose(rows[outside, 6:], real_rows[outside, 6:], atol=0.02)
             near += int(outside.sum())
-        few = quick.smallest(which, np.array([0.004]), 3)
+        few = compiled(quick.smallest)(which, np.array([0.004]), 3)
         least = np.sort(np.append(truth, 0.004))[2]
         expected = np.where((truth < 0.0) | (truth <= least), truth, np.inf)
         kept = (few < np.inf) & (few > 1e-5 + 5e-6)

@@ -6,11 +6,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import needs
 
 from planner import GraspTask, plan_grasp
 from planner.numerics import tape as tape_module
-from planner.numerics.kernels import compile_loops
+from planner.numerics.kernels import compile_loops, compiled_searches
 from planner.numerics.levenberg_marquardt import LMResult
 from planner.numerics.tape import run_tape, run_tape_on_lanes, tape_of
 from planner.shapes import Mesh
@@ -26,8 +25,6 @@ from planner.synthesis.residuals import Residuals
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.terms.link_distance import LinkDistances
 from planner.task import Obstacle
-
-needs_numba = needs("numba")
 
 BINARY: dict[str, Callable[[Any, Any], Any]] = {
     "add": lambda a, b: a + b,
@@ -88,9 +85,7 @@ def loops_or_compiled(loops: Any, compiled: bool) -> Any:
     return compile_loops(loops) if compiled else loops
 
 
-compiled_too = pytest.mark.parametrize(
-    "compiled", [False, pytest.param(True, marks=needs_numba)], ids=["python", "numba"]
-)
+compiled_too = pytest.mark.parametrize("compiled", [False, True], ids=["python", "numba"])
 
 
 @compiled_too
@@ -233,7 +228,6 @@ def test_a_run_in_loops_is_the_run_in_numpy(
         assert_same(*ends)
 
 
-@needs_numba
 def test_there_is_room_for_any_number_of_true_distances() -> None:
     task = near(False, "allegro_hand", "box")
     problem, start, parameters = started(task, 0)
@@ -256,15 +250,12 @@ def test_there_is_room_for_any_number_of_true_distances() -> None:
     assert_same(*ends)
 
 
-@needs_numba
 @pytest.mark.parametrize(("hand", "item"), [("allegro_hand", "box"), ("shadow_hand", "hammer")])
-def test_plans_are_those_without_compiled_loops(
-    hand: str, item: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plans_are_those_without_compiled_loops(hand: str, item: str) -> None:
     task = GraspTask.create(hand, item)
     options = SynthesisOptions(rounds=0)
-    mine = [plan_grasp(task, seed=seed, options=options) for seed in range(3)]
-    monkeypatch.setattr("planner.synthesis.problem.kernels_are_compiled", lambda: False)
+    with compiled_searches():
+        mine = [plan_grasp(task, seed=seed, options=options) for seed in range(3)]
     for seed, plan in enumerate(mine):
         plain = plan_grasp(task, seed=seed, options=options)
         assert plan.record.attempts == plain.record.attempts

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
+from planner.numerics.kernels import attempt_kernels, compiled_searches
 from planner.quality import primitive_wrenches, wrench_hull
 from planner.quality.weakest import EDGES, pyramid_wrenches, sides_of, wrench_faces
 from planner.quality.wrench_hull import _SHIFTS, distinct_faces, hull_faces, walked_faces
@@ -15,6 +18,13 @@ from planner.spatial import FloatArray
 
 LENGTH = 0.05
 SIDES = sides_of(EDGES)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _compiled() -> Iterator[None]:
+    """The walk, which runs where kernels are compiled; else Qhull answers."""
+    with compiled_searches(), attempt_kernels(0):
+        yield
 
 
 def contacts(seed: int) -> tuple[FloatArray, FloatArray, float]:
@@ -48,7 +58,6 @@ def by_qhull(wrenches: FloatArray) -> FloatArray:
 @settings(max_examples=150, deadline=None)
 @given(st.integers(0, 100_000))
 def test_the_walk_finds_what_qhull_finds(seed: int) -> None:
-    pytest.importorskip("numba")
     wrenches = wrenches_of(seed)
     assert walked_faces(wrenches, _SHIFTS)[1]
     found, expected = hull_faces(wrenches), by_qhull(wrenches)
@@ -110,7 +119,6 @@ def test_qhull_answers_where_the_walk_goes_astray_or_is_too_long(
 
 
 def test_symmetrical_faces_come_in_one_order_whatever_finds_them() -> None:
-    pytest.importorskip("numba")
     points = 0.04 * np.array([[1, 0.5, 0.2], [1, -0.5, 0.2], [-1, 0.5, 0.2], [-1, -0.5, 0.2]])
     inward = np.array([[-1.0, 0, 0], [-1, 0, 0], [1, 0, 0], [1, 0, 0]])
     wrenches = pyramid_wrenches(points, inward, 0.5, LENGTH, SIDES)

@@ -42,6 +42,7 @@ from planner.arrays import checked_count
 from planner.batch.recipe import recipe_of, task_of
 from planner.batch.rows import failed_row, found_row
 from planner.errors import NoGraspFoundError, PlannerError, TaskError, shown
+from planner.numerics.kernels import compiled_searches
 from planner.plan import GraspPlan
 from planner.search import Attempt, plan_grasp
 from planner.shapes import Mesh, shape_key
@@ -151,7 +152,8 @@ def warm_up(job: Job) -> None:
         task = task_of(job.object.recipe)
         if isinstance(task.object.shape, Mesh):
             task = GraspTask.create(task.hand, "sphere")
-        plan_grasp(task, seed=0, max_attempts=1, options=job.options)
+        with compiled_searches():
+            plan_grasp(task, seed=0, max_attempts=1, options=job.options)
     except PlannerError:
         return  # what was loaded is loaded; the jobs' rows have their own reasons
 
@@ -172,14 +174,15 @@ def plan_row(job: Job) -> dict[str, Any]:
 
         try:
             task = task_of(job.object.recipe)
-            plan = plan_grasp(
-                task,
-                seed=job.seed,
-                max_attempts=job.max_attempts,
-                max_cpu_s=job.max_cpu_s,
-                options=job.options,
-                progress=note,
-            )
+            with compiled_searches():
+                plan = plan_grasp(
+                    task,
+                    seed=job.seed,
+                    max_attempts=job.max_attempts,
+                    max_cpu_s=job.max_cpu_s,
+                    options=job.options,
+                    progress=note,
+                )
         except NoGraspFoundError:
             return failed_row(
                 job.index, job.object.label, job.k, job.seed, str(made[-1].failure), made

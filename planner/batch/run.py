@@ -87,7 +87,8 @@ def plan_grasps(
         hand: The hand, its name, or the path of its description.
         objects: Objects, specifications such as "box:0.05x0.05x0.08", or whole tasks with this
             hand, for other friction, fingers or surroundings. A request is searched for as
-            ``plan_grasp`` does: its row's seed gives the same plan there.
+            ``plan_grasp`` does, compiled from the first attempt: its row's seed gives the same plan
+            there, to the bit within ``planner.compiled_searches``.
         n: Grasps per object.
         seed: Same seed, same grasps, for any number of workers.
         workers: Processes (or what the backend has); -1 for one per core, 1 for this process.

@@ -1,9 +1,20 @@
-"""Small loops over arrays, compiled where numba is installed (extra ``fast``): ``kernel``.
+"""Small loops over arrays, compiled by numba once a search lasts: ``kernel``, and when it compiles.
 
 Where arrays are small, calling NumPy costs more than its arithmetic. A kernel is written twice: as
-plain loops, which numba compiles, and in NumPy, which runs where numba is missing or not wanted
-(``OPPOSABLE_COMPILE=0``). Both give the same numbers to rounding, which a test of each kernel
-checks. numba is imported at the first call of a kernel, never before: that costs 0.3 s.
+plain loops, which numba compiles, and in NumPy. Both give the same numbers to rounding, which a
+test of each kernel checks.
+
+Loading numba and its machine code takes half a second per process, and compiling 20 to 40 s once
+per machine: more than a single plan. So attempts run in NumPy until a search lasts, and compiled
+from then on. Which attempts those are is a matter of counts, never of the clock or of what was
+compiled before, and the same seed gives the same plan in any thread or process:
+
+- attempt ``PLAIN_ATTEMPTS`` of a search and all after it are compiled (``attempt_kernels``);
+- in batches, and wherever ``compiled_searches`` asks for it, all attempts are;
+- the environment variable ``OPPOSABLE_COMPILE`` decides for a process: "0" for never, "1" for
+  always, outside of searches too.
+
+This is the only place that decides. Outside of attempts kernels run in NumPy.
 
 Loops may call loops: those of other kernels, and those marked ``loops_of_kernels``, which only
 kernels call.
@@ -14,17 +25,24 @@ from __future__ import annotations
 import dis
 import hashlib
 import importlib
-import importlib.util
+import logging
 import marshal
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache, wraps
 from types import CodeType, FunctionType
 from typing import Any, ParamSpec, TypeVar
 
+from planner.errors import PlannerError, shown
+
 __all__ = [
     "COMPILE_VARIABLE",
+    "PLAIN_ATTEMPTS",
+    "attempt_kernels",
     "compile_loops",
+    "compiled_searches",
     "globals_read",
     "kernel",
     "kernels_are_compiled",
@@ -32,22 +50,72 @@ __all__ = [
 ]
 
 COMPILE_VARIABLE = "OPPOSABLE_COMPILE"
-"""Environment variable: "0" compiles nothing, "1" compiles expressions of CasADi too."""
+"""Environment variable: "0" compiles nothing, "1" everything; unset, what lasts is compiled."""
+
+PLAIN_ATTEMPTS = 100
+"""Attempts of a search that run in NumPy (-), 2 to 5 s: the default budget of one plan."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_from_the_first: ContextVar[bool] = ContextVar("compiled from the first attempt", default=False)
+_compiled: ContextVar[bool | None] = ContextVar("compiled", default=None)
+
+
+@contextmanager
+def compiled_searches() -> Iterator[None]:
+    """Compile all attempts of the searches made in this block by this thread, as batches do.
+
+    A row's seed of a batch gives the row's plan to the bit within such a block; outside of it the
+    first ``PLAIN_ATTEMPTS`` attempts run in NumPy, and the plan differs by rounding.
+    """
+    token = _from_the_first.set(True)
+    try:
+        yield
+    finally:
+        _from_the_first.reset(token)
+
+
+@contextmanager
+def attempt_kernels(index: int) -> Iterator[None]:
+    """Decide for an attempt of a search whether its kernels are compiled.
+
+    Args:
+        index: Number of the attempt, from 0.
+
+    Raises:
+        PlannerError: ``OPPOSABLE_COMPILE`` is neither 0 nor 1.
+    """
+    lasts = _from_the_first.get() or index >= PLAIN_ATTEMPTS
+    token = _compiled.set({"0": False, "1": True}.get(_asked(), lasts))
+    try:
+        yield
+    finally:
+        _compiled.reset(token)
+
 
 def kernels_are_compiled() -> bool:
-    """Whether kernels run compiled: numba is installed, and ``OPPOSABLE_COMPILE`` is not 0."""
-    return os.environ.get(COMPILE_VARIABLE, "") != "0" and _HAS_NUMBA
+    """Whether kernels run compiled now, in this thread.
+
+    Raises:
+        PlannerError: ``OPPOSABLE_COMPILE`` is neither 0 nor 1.
+    """
+    decided = _compiled.get()
+    return _asked() == "1" if decided is None else decided
 
 
-_HAS_NUMBA = importlib.util.find_spec("numba") is not None
+def _asked() -> str:
+    """The value of ``OPPOSABLE_COMPILE``, "" where it is not set."""
+    asked = os.environ.get(COMPILE_VARIABLE, "")
+    if asked not in {"", "0", "1"}:
+        raise PlannerError(
+            f"{COMPILE_VARIABLE} is {shown(asked)}; set it to 1 or to 0, or not at all"
+        )
+    return asked
 
 
 def kernel(plain: Callable[P, R]) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorate loops that numba can compile; the first call decides for the whole process.
+    """Decorate loops that numba can compile; each call runs as ``kernels_are_compiled`` says.
 
     Args:
         plain: The same function in NumPy, same arguments and results. The decorated function keeps
@@ -55,13 +123,9 @@ def kernel(plain: Callable[P, R]) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """
 
     def decorate(loops: Callable[P, R]) -> Callable[P, R]:
-        chosen: Callable[P, R] | None = None
-
         @wraps(loops)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            nonlocal chosen
-            if chosen is None:
-                chosen = compile_loops(loops) if kernels_are_compiled() else plain
+            chosen = compile_loops(loops) if kernels_are_compiled() else plain
             return chosen(*args, **kwargs)
 
         call.plain, call.loops = plain, loops  # type: ignore[attr-defined]
@@ -86,10 +150,44 @@ def compile_loops(loops: Callable[P, R]) -> Callable[P, R]:
     return compiled
 
 
+@lru_cache(maxsize=1)
+def _numba() -> Any:
+    """numba, which tells when it begins to compile what the disk does not have.
+
+    Raises:
+        PlannerError: It cannot be loaded.
+    """
+    try:
+        numba: Any = importlib.import_module("numba")
+        event: Any = importlib.import_module("numba.core.event")
+    except ImportError as error:
+        raise PlannerError(
+            f"numba cannot be loaded ({error}); install it (pip install numba), or set "
+            f"{COMPILE_VARIABLE}=0 to plan without"
+        ) from error
+
+    class Told(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: Any) -> None:
+            _tell_once()
+
+        def on_end(self, event: Any) -> None:
+            """Nothing to tell."""
+
+    event.register("numba:compile", Told())
+    return numba
+
+
+@lru_cache(maxsize=1)
+def _tell_once() -> None:
+    logging.getLogger(__name__).warning(
+        "compiling the inner loops for this machine, once: 20 to 40 s of CPU"
+    )
+
+
 @lru_cache(maxsize=256)
 def _compile(loops: Any, *, called: bool) -> Any:
     """Compiled loops; those that others call can be called from Python only slowly, if at all."""
-    numba: Any = importlib.import_module("numba")
+    numba = _numba()
     calls = {name: value.loops for name, value in _taken(loops).items() if hasattr(value, "loops")}
     globals_ = {
         **loops.__globals__,

@@ -9,12 +9,14 @@ its radius, exactly, except where it is in two surfaces at a time.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, Protocol
 
 import coal
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.numerics.kernels import kernels_are_compiled
 from planner.proximity.convex import Proximity
 from planner.proximity.mesh_depth import TOLERANCE, Exit, Moved, Start, shortest_exit
 from planner.proximity.mesh_gaps import MeshGaps
@@ -94,7 +96,14 @@ class MeshPair:
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
         self._exit: Exit | None = None
         self.inner = np.array(geometry.computeCOM())
-        self._gaps = MeshGaps.of([geometry], mesh)
+
+    @property
+    def _gaps(self) -> MeshGaps | None:
+        return self._loops if kernels_are_compiled() else None
+
+    @cached_property
+    def _loops(self) -> MeshGaps | None:
+        return MeshGaps.of([self.geometry], self.mesh)
 
     def distance(self, pose: SE3, pose_mesh: SE3) -> float:
         """Signed distance, m; negative where they share a point.

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from planner.numerics.kernels import kernels_are_compiled
 from planner.proximity.bodies import ConvexBodies
 from planner.proximity.tree_kernels import gaps_to_triangles
 from planner.shapes.meshes.nearest_triangle import BallTree
@@ -39,9 +38,7 @@ class MeshGaps:
 
     @classmethod
     def of(cls, geometries: Sequence[Any], mesh: Any) -> MeshGaps | None:
-        """The gaps of coal geometries; None where coal is quicker, or alone knows their form."""
-        if not kernels_are_compiled():
-            return None
+        """The gaps of coal geometries; None where coal alone knows their form."""
         bodies = ConvexBodies.of(geometries)
         return None if bodies is None else cls(bodies, mesh.ball_tree)
 

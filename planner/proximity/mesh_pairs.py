@@ -9,13 +9,14 @@ they are not, coal is asked for each: 60 to 500 us, but only 4 us to see that it
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import coal
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.numerics.kernels import kernels_are_compiled
 from planner.proximity.mesh import CROSSING, ClosedMesh, MeshPair, maybe_within
 from planner.proximity.mesh_gaps import MeshGaps
 from planner.spatial import SE3, FloatArray, IntArray
@@ -39,11 +40,18 @@ class MeshPairs:
         self._mesh = mesh
         self._lower, self._upper = mesh.bounds
         self._pairs = [MeshPair(g, mesh) for g in geometries]
-        self._gaps = MeshGaps.of(geometries, mesh)
         self._inner = np.array([p.inner for p in self._pairs])
         covers = [_cover(g) for g in geometries]
         self._local_covers = np.array([centers for centers, _ in covers])  # (n, BALLS, 3)
         self._radii = np.array([radius for _, radius in covers])
+
+    @property
+    def _gaps(self) -> MeshGaps | None:
+        return self._loops if kernels_are_compiled() else None
+
+    @cached_property
+    def _loops(self) -> MeshGaps | None:
+        return MeshGaps.of([p.geometry for p in self._pairs], self._mesh)
 
     def place(self, poses: Any, T_mesh: SE3) -> None:
         """Put everything somewhere.

@@ -26,6 +26,7 @@ from planner.collision.pad_contact import pad_contacts
 from planner.failure import Failure
 from planner.finishing import true_geometry, verified_on_surface
 from planner.immutable import freeze
+from planner.numerics.kernels import attempt_kernels
 from planner.plan import GraspPlan, SolveRecord
 from planner.refine.pose import GivenPose, Movement, UnderPads, fingers_near, palm_pose, under_pads
 from planner.refine.rungs import BOUNDED, RUNGS, Rung, climb_rung, near_options, start_at
@@ -125,6 +126,7 @@ NEAR_ENOUGH = 0.012
 """Displacement (m) of all contacts up to which the first plan ends the ladder: half a fingertip."""
 
 
+@attempt_kernels(0)
 def refine_grasp(
     task: GraspTask,
     T_world_base: SE3,

@@ -153,7 +153,7 @@ class GraspProblem:
     def least_squares(self, p: FloatArray, field: Field | None) -> Residuals | LoopResiduals:
         """The residuals of one run with parameters p, and the field of a mesh.
 
-        As compiled loops, unless numba is missing or not wanted.
+        As compiled loops where kernels are compiled (``planner.numerics.kernels``).
         """
         if kernels_are_compiled() and self._loops is not None:
             return LoopResiduals(self._loops, p, field)

@@ -15,6 +15,10 @@ from planner.spatial import FloatArray, IntArray
 from planner.synthesis.link_capsules import PARALLEL, POINT_LENGTH
 from planner.synthesis.loops.field import SplineTables, taylor_at
 from planner.synthesis.loops.tables import (
+    FINGERS_PLACE,
+    OBJECT_PLACE,
+    OBSTACLE_PLACE,
+    TABLE_PLACE,
     Capsules,
     Clearance,
     Joints,
@@ -60,9 +64,9 @@ def clearance_rows(
     place(joints, p.carried, frames, origins, spheres, local, placed)
     n, at = 0, 0
     for obstacle in range(-1, len(around.lanes)):
-        weight, term = OBJECT_WEIGHT, 0
+        weight, term = OBJECT_WEIGHT, OBJECT_PLACE
         if obstacle >= 0:
-            weight, term = OBSTACLE_WEIGHT, 2
+            weight, term = OBSTACLE_WEIGHT, OBSTACLE_PLACE
             lanes = around.lanes[obstacle]
             on_lanes(obstacle_clearance, lanes, placed, around.reach, gaps, slopes)
         elif is_mesh:
@@ -79,8 +83,9 @@ def clearance_rows(
         below[k] = dot(around.normal, above[k]) - around.height[k]
         for i in range(3):
             up[k, i] = around.normal[i]
+    weight, term = TABLE_WEIGHT, TABLE_PLACE
     n, at = point_rows(
-        p, rows, twists, frames, rates, hull.joint, over, below, up, TABLE_WEIGHT, 1, n, at
+        p, rows, twists, frames, rates, hull.joint, over, below, up, weight, term, n, at
     )
     return finger_rows(p.chains, p.chain_ends, capsules, around.apart, rows, joints, twists, n, at)
 
@@ -185,7 +190,7 @@ def finger_rows(
             twice[i] = 2.0 * (foot[0, i] - foot[1, i])
         if room >= 0.0:
             continue
-        rows.least[3] = min(rows.least[3], room)
+        rows.least[FINGERS_PLACE] = min(rows.least[FINGERS_PLACE], room)
         for j in range(len(dense)):
             dense[j] = 0.0
         for side in range(2):

@@ -17,6 +17,8 @@ from planner.synthesis.contact_wrenches import TINY
 from planner.synthesis.loops.clearances import clearance_rows, cross, dot, gather
 from planner.synthesis.loops.field import SplineTables, taylor_at
 from planner.synthesis.loops.tables import (
+    LINKS_PLACE,
+    TAYLOR_ROW,
     Contacts,
     ProblemTables,
     Rows,
@@ -83,10 +85,10 @@ def look_up(contacts: Contacts, field: SplineTables, work: FloatArray, x: FloatA
     """Put the Taylor rows of a mesh at the contacts into the work array."""
     for i in range(len(contacts.normals_at)):
         point = x[contacts.first + 3 * i : contacts.first + 3 * i + 3]
-        begin = contacts.taylor + 13 * i
+        begin = contacts.taylor + TAYLOR_ROW * i
         for k in range(3):
             work[begin + k] = point[k]
-        taylor_at(field, point, 2, work[begin + 3 : begin + 13])
+        taylor_at(field, point, 2, work[begin + 3 : begin + TAYLOR_ROW])
 
 
 @loops_of_kernels
@@ -115,13 +117,13 @@ def written_rows(
 def link_rows(rows: Rows, sources: Sources, x: FloatArray, n: int, at: int) -> tuple[int, int]:
     """Append the linearised distances of true links that are too small."""
     rates, link_x = sources.link_rows, sources.link_x
-    rows.least[4] = 0.0
+    rows.least[LINKS_PLACE] = 0.0
     for k in range(len(rates)):
         value = sources.link_values[k]
         for j in range(len(x)):
             value += rates[k, j] * (x[j] - link_x[j])
         if value < -ROUNDING:
-            rows.least[4] = min(rows.least[4], value)
+            rows.least[LINKS_PLACE] = min(rows.least[LINKS_PLACE], value)
             for j in range(len(x)):
                 if rates[k, j] != 0.0:
                     rows.columns[at], rows.entries[at] = j, LINKS_WEIGHT * rates[k, j]

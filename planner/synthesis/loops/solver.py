@@ -1,7 +1,7 @@
 """``LoopResiduals``: a run of least squares in compiled loops, with the numbers of ``Residuals``.
 
-Where numba is installed, ``GraspProblem.least_squares`` gives these in place of ``Residuals``. Both
-read the same expressions and tables; here CasADi's functions are tapes
+Where kernels are compiled, ``GraspProblem.least_squares`` gives these in place of ``Residuals``.
+Both read the same expressions and tables; here CasADi's functions are tapes
 (``planner.numerics.tape``), and clearances come from the placements of the joints.
 """
 
@@ -20,13 +20,18 @@ from planner.synthesis.field_points import Field
 from planner.synthesis.loops.build import LoopProblem
 from planner.synthesis.loops.field import NO_FIELD, spline_tables
 from planner.synthesis.loops.least_squares import STATUS, minimise
-from planner.synthesis.loops.tables import Kept, ObjectRoom, Rows, RunTables, Sources, Surroundings
-from planner.synthesis.terms.clearance import FINGERS, OBJECT, OBSTACLE, OBSTACLE_DIM, TABLE
-from planner.synthesis.terms.link_distance import LINKS, LinkDistances
+from planner.synthesis.loops.tables import (
+    SOURCES,
+    Kept,
+    ObjectRoom,
+    Rows,
+    RunTables,
+    Sources,
+    Surroundings,
+)
+from planner.synthesis.terms.clearance import OBSTACLE_DIM
+from planner.synthesis.terms.link_distance import LinkDistances
 from planner.synthesis.terms.resistance import N_DIRECTIONS, checked_directions
-
-SOURCES = OBJECT, TABLE, OBSTACLE, FINGERS, LINKS
-"""The terms of ``Rows.least``, in its order."""
 
 LINK_ROWS = 64
 """True distances for which there is room at first."""

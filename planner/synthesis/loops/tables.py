@@ -14,7 +14,18 @@ from numpy.typing import NDArray
 
 from planner.numerics.tape import Program
 from planner.spatial import FloatArray, IntArray
+from planner.synthesis.field_points import COEFFICIENTS
 from planner.synthesis.loops.field import SplineTables
+from planner.synthesis.terms.clearance import FINGERS, OBJECT, OBSTACLE, TABLE
+from planner.synthesis.terms.link_distance import LINKS
+
+SOURCES = (OBJECT, TABLE, OBSTACLE, FINGERS, LINKS)
+"""Terms that must hold and whose rows come in numbers; each has its place in ``Rows.least``."""
+
+OBJECT_PLACE, TABLE_PLACE, OBSTACLE_PLACE, FINGERS_PLACE, LINKS_PLACE = range(len(SOURCES))
+
+TAYLOR_ROW = 3 + COEFFICIENTS
+"""Numbers of a contact's Taylor row on a mesh: its point, then the coefficients there."""
 
 
 class Written(NamedTuple):
@@ -170,8 +181,7 @@ class Rows(NamedTuple):
         values: (r,).
         ends: Where the entries of each row end (r,).
         columns, entries: Unknown and value of each entry.
-        least: Least value of clearances from object, table, obstacles, fingers, true links, (5,);
-            0 where none is violated.
+        least: Least value of each term of ``SOURCES`` (5,); 0 where none is violated.
     """
 
     values: FloatArray
