@@ -46,6 +46,7 @@ from sim.real_hand import CommandLimits, LossyLink, Safety
 from sim.real_hand.limits import CommandLimiter
 from sim.reality import Reality
 from sim.reset_states.asked import Draws, StatesAsked
+from sim.trial import TrialOptions
 from sim.verdict import DropCriteria, Thresholds
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -117,6 +118,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
         },
     ),
     (Settings(), {"random": NOT_NEGATIVE, "": POSITIVE}),
+    (TrialOptions(), {"record_every": POSITIVE}),
     (Safety(), {"joint_margin": NOT_NEGATIVE, "": POSITIVE}),
     (Reality(), {"drift_time": POSITIVE, "seed": "", "": NOT_NEGATIVE}),
     (
