@@ -47,6 +47,7 @@ from sim.real_hand import CommandLimits, Safety
 from sim.real_hand.safety import CommandLimiter
 from sim.reality import Reality
 from sim.reset_states.starts import Draws, StatesAsked
+from sim.trial import TrialOptions
 from sim.verdict import DropCriteria, Thresholds
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -118,6 +119,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
         },
     ),
     (Settings(), {"random": NOT_NEGATIVE, "": POSITIVE}),
+    (TrialOptions(), {"record_every": POSITIVE}),
     (Safety(), {"joint_margin": NOT_NEGATIVE, "": POSITIVE}),
     (Reality(), {"drift_time": POSITIVE, "seed": "", "": NOT_NEGATIVE}),
     (
