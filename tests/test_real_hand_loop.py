@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -210,7 +210,7 @@ def bad_pads(name: str, value: float) -> Any:
     """A reading whose pads have one bad number, of the third finger."""
     array = np.array(getattr(PADS, name))
     array[(2, 1) if array.ndim == 2 else 2] = value
-    return at(5, pads=replace(PADS, **{name: array}))
+    return at(5, pads=replace(PADS, **cast(Any, {name: array})))
 
 
 READINGS: dict[str, tuple[Any, str, str]] = {

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import typer
 
-from benchmarks.commands import turns
-from benchmarks.commands.audit import audit
-from benchmarks.commands.best import best
-from benchmarks.commands.control import control
-from benchmarks.commands.dexgraspbench import dexgraspbench
-from benchmarks.commands.episodes import episodes
-from benchmarks.commands.exports import exports
-from benchmarks.commands.grasps import grasps
-from benchmarks.commands.pages import pages
-from benchmarks.commands.reality import reality
-from benchmarks.commands.refine import refine
-from benchmarks.commands.synthesis import synthesis
-from benchmarks.commands.touch import touch
-from benchmarks.commands.witness import witness
-from benchmarks.commands.zoo import zoo
+from benchmarks.commands import (
+    audit,
+    best,
+    control,
+    dexgraspbench,
+    episodes,
+    exports,
+    grasps,
+    pages,
+    reality,
+    refine,
+    synthesis,
+    touch,
+    turns,
+    witness,
+    zoo,
+)
 
 __all__ = ["app"]
 

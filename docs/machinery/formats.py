@@ -286,7 +286,9 @@ def pages() -> dict[str, str]:
     """Name of a file -> its text."""
     names = [*(form.file for form in FORMATS), "dataset"]
     first = ["File formats", "============", ""]
-    first += ["``opposable schema KIND`` prints the JSON Schema of what is JSON. Files say their"]
+    first += [
+        "``opposable export --schema KIND`` prints the JSON Schema of what is JSON. Files say their"
+    ]
     first += ["version; unknown fields, NaN and infinity are refused with the field's name. Units"]
     first += ["are in the names: ``_m``, ``_N``, ``_rad``; frames and signs are those of the"]
     first += [":doc:`conventions </how/conventions>`.", "", ".. toctree::", "   :maxdepth: 1", ""]

@@ -25,7 +25,7 @@ LEAST_MASS = 1e-5
 
 LEAST_INERTIA = 1e-9
 """Its moment of inertia about every axis, kg m^2: a tenth of a per cent of a fingertip's, and less
-than the armature that ``opposable describe`` gives a joint."""
+than the armature that ``opposable hands --describe`` gives a joint."""
 
 
 def give_least_inertias(spec: Any) -> None:

@@ -4,7 +4,7 @@ Files that are written whole or not at all, and names that stay in their folder.
 
 Plan files of a folder, as ``opposable refine`` writes one, without reading them whole.
 
-``opposable audit``, ``refine``, ``export``, ``episodes`` and ``test`` take such a folder for its
+``opposable refine``, ``export``, ``dataset`` and ``test`` take such a folder for its
 files.
 """
 

@@ -25,7 +25,7 @@ from planner.spatial import FloatArray, IntArray
 from planner.system.package import models_dir
 
 
-class Made(Sized, Mesh):  # type: ignore[misc]
+class Made(Sized, Mesh):
     """A mesh that is made from a few sizes.
 
     A subclass is a frozen dataclass, compared as meshes are (``eq=False``), whose fields are its
