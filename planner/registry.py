@@ -1,21 +1,17 @@
 """``Registry``: things of one kind by name, ours and those that others add.
 
 What is added is found by name wherever such a thing is named: on the command line, in files, in
-options. A package of others adds it by an entry point, which needs no import by the user::
-
-    [project.entry-points."opposable.shapes"]
-    cone = "my_package.cone:Cone"
-
-Ours come first; nothing of others is imported before its name is asked for.
+options. Packages of others add to it by entry points (``planner.system.plugins``). Ours come first;
+nothing of others is imported before its name is asked for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, MutableMapping
-from importlib import metadata
 from typing import Generic, TypeVar
 
 from planner.errors import NotFoundError, PlannerError, TaskError, shown
+from planner.system.plugins import plugin, plugin_names
 
 __all__ = ["Registry"]
 
@@ -27,7 +23,7 @@ class Registry(MutableMapping[str, T], Generic[T]):
 
     Attributes:
         kind: What a message calls one of them, for example "shape".
-        group: Group of the entry points by which packages add some; "" for none.
+        group: Group of ``planner.system.plugins`` by which packages add some; "" for none.
     """
 
     def __init__(
@@ -49,7 +45,6 @@ class Registry(MutableMapping[str, T], Generic[T]):
         self.kind, self.group = kind, group
         self._error, self._check = error, check
         self._known: dict[str, T] = {}
-        self._points: dict[str, metadata.EntryPoint] | None = None
 
     def add(self, name: str, thing: T) -> T:
         """Add a thing; the same one may be added again.
@@ -79,32 +74,14 @@ class Registry(MutableMapping[str, T], Generic[T]):
             raise NotFoundError(self.kind, name, self, hint)
         return self[name]
 
-    def _brought(self) -> dict[str, metadata.EntryPoint]:
-        """Entry points by name, looked for once; none is loaded."""
-        if self._points is None:
-            found = metadata.entry_points(group=self.group) if self.group else ()
-            self._points = {point.name: point for point in found}
-        return self._points
-
-    def _load(self, point: metadata.EntryPoint) -> T:
-        """Add what an entry point names.
-
-        Raises:
-            PlannerError: ``error`` of the registry: it cannot be imported, or is not usable.
-        """
-        try:
-            thing = point.load()
-        except (ImportError, AttributeError) as fault:
-            raise self._error(
-                f"{self.kind} {shown(point.name)} of the entry point {point.value!r} cannot be "
-                f"loaded ({fault}); mend or uninstall the package that brings it"
-            ) from fault
-        return self.add(point.name, thing)
+    def _brought(self) -> tuple[str, ...]:
+        """Names that other packages bring; none is loaded."""
+        return plugin_names(self.group) if self.group else ()
 
     def __getitem__(self, name: str) -> T:
         """The thing of a name; KeyError if there is none."""
         if name not in self._known and name in self._brought():
-            return self._load(self._brought()[name])
+            return self.add(name, plugin(self.group, name))
         return self._known[name]
 
     def __setitem__(self, name: str, thing: T) -> None:

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from planner.errors import NotFoundError, TaskError
+from planner.errors import ModelError, NotFoundError, TaskError
 from planner.hands.catalog import FOREIGN_HANDS, find_hand, foreign_hand_names, hand_reference
 from planner.objects import parse_object
 from planner.registry import Registry
 from planner.shapes import SIZED_SHAPES
+from planner.system.plugins import forget_plugins
 
 PACKAGE = "somebodys_things"
 
@@ -43,9 +44,10 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     registries: tuple[Registry[object], ...] = (SIZED_SHAPES, FOREIGN_HANDS)  # type: ignore
     for registry in registries:
         monkeypatch.setattr(registry, "_known", dict(registry._known))
-        monkeypatch.setattr(registry, "_points", None)
+    forget_plugins()
     yield tmp_path
     sys.modules.pop(PACKAGE, None)
+    forget_plugins()
 
 
 def test_an_installed_package_brings_a_shape_and_a_hand(installed: Path) -> None:
@@ -58,8 +60,8 @@ def test_an_installed_package_brings_a_shape_and_a_hand(installed: Path) -> None
 
 
 def test_an_entry_point_that_cannot_be_loaded_is_named(installed: Path) -> None:
-    broken: Registry[object] = Registry("thing", group="opposable.broken")
-    with pytest.raises(TaskError, match=r"thing 'nothing' of the entry point .*:Nothing' cannot"):
+    broken: Registry[object] = Registry("thing", group="broken")
+    with pytest.raises(ModelError, match=r"brings 'nothing' as .*:Nothing for opposable.broken"):
         broken.named("nothing")
     assert list(broken) == ["nothing"]  # listing imports nothing
 

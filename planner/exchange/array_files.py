@@ -27,8 +27,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+import planner.exchange.unpickle as unpickle
 from planner.errors import FileFormatError, NotFoundError
-from planner.exchange import unpickle
 from planner.exchange.unpickle import DAMAGED, MEMORY, REPLY, REQUEST, SECONDS, VALUE
 
 ARRAY_SUFFIXES = (".npy", ".npz", ".pkl", ".pickle", ".pt", ".pth")

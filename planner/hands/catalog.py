@@ -23,7 +23,6 @@ from pathlib import Path
 from planner.errors import ModelError, NotFoundError
 from planner.registry import Registry
 from planner.system.package import models_dir
-from planner.system.plugins import plugin, plugin_names
 from planner.system.process import Held
 
 __all__ = [
@@ -67,7 +66,7 @@ _KNOWN = {
 """Hands in packages that we know, ``PACKAGE:NAME`` -> model. The fragment ``hand/robot.xml`` of
 gymnasium-robotics is empty by itself, so a scene that includes it stands here."""
 
-FOREIGN_HANDS: Registry[str | Path] = Registry("hand", group="opposable.hands", error=ModelError)
+FOREIGN_HANDS: Registry[str | Path] = Registry("hand", group="hands", error=ModelError)
 """Hands of others: name -> path of a description or model, or ``package:PACKAGE/PATH``. A package
 adds its own by an entry point of the group ``opposable.hands``, which names such a path."""
 
@@ -92,10 +91,9 @@ def hand_names() -> tuple[str, ...]:
 def foreign_hand_names() -> tuple[str, ...]:
     """Names of hands in packages of others, sorted.
 
-    ``PACKAGE:NAME`` of known ones, installed or not, and those that installed packages bring
-    (``planner.system.plugins``).
+    ``PACKAGE:NAME`` of known ones, installed or not, and those that installed packages bring.
     """
-    return tuple(sorted((*FOREIGN_HANDS, *plugin_names("hands"))))
+    return tuple(sorted(FOREIGN_HANDS))
 
 
 def foreign_hand_model(name: str) -> str | None:
@@ -133,11 +131,7 @@ def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
     if source == "robot_descriptions":
         return _robot_descriptions_model(name, download=download)
     foreign = foreign_hand_model(text)
-    if foreign is not None:
-        return model_file(foreign, Path())
-    path = Path(name_or_path)
-    if not os.path.exists(path) and (brought := plugin("hands", text)) is not None:
-        path = Path(brought)
+    path = Path(name_or_path) if foreign is None else model_file(foreign, Path())
     if os.path.isdir(path):  # False, not an error, where the name is too long or the way is barred
         path = path / DESCRIPTION_FILE
     if os.path.isfile(path):
@@ -152,15 +146,16 @@ def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
         advice = "give a hand.toml, a model, or a name that opposable hands lists"
         raise NotFoundError("hand", str(path), hand_names(), advice, is_path=True)
     hint = "Or give the path of a hand.toml or of a model."
-    names = (*hand_names(), *(foreign_hand_names() if name else plugin_names("hands")))
+    brought = (n for n in foreign_hand_names() if name or ":" not in n)
+    names = (*hand_names(), *brought)
     raise NotFoundError("hand", text, names, hint)
 
 
 def hand_reference(name_or_path: str | Path) -> str:
     """Reference to the same hand from any folder: the name, or the absolute path."""
     text = str(name_or_path)
-    is_name = text in (*hand_names(), *FOREIGN_HANDS) or (
-        not os.path.exists(text) and (":" in text or text in plugin_names("hands"))
+    is_name = text in hand_names() or (
+        not os.path.exists(text) and (":" in text or text in FOREIGN_HANDS)
     )
     return text if is_name else str(Path(name_or_path).absolute())
 

@@ -49,7 +49,7 @@ def _check(kind: str, shape: type[Shape]) -> None:
 
 
 SIZED_SHAPES: Registry[type[Shape]] = Registry(
-    "shape", group="opposable.shapes", error=ObjectError, check=_check
+    "shape", group="shapes", error=ObjectError, check=_check
 )
 """Every kind of shape that its sizes determine, by its name."""
 

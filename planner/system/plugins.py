@@ -4,6 +4,8 @@ A package names a group and what it brings in its ``pyproject.toml``::
 
     [project.entry-points."opposable.hands"]
     my_hand = "my_package:HAND"              # path of a hand.toml or of a model
+    [project.entry-points."opposable.shapes"]
+    cone = "my_package:Cone"                 # a planner.shapes.Shape
     [project.entry-points."opposable.formats"]
     my-format = "my_package:FORMAT"          # a planner.exchange.GraspFormat
     [project.entry-points."opposable.protocols"]
