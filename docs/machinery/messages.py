@@ -42,7 +42,7 @@ PAGES = {
     "PlannerError": "What is not installed, and the rest",
     "NoGraspFoundError": "What is not installed, and the rest",
     "InfeasibleError": "What is not installed, and the rest",
-    "Finding": "What check-hand finds",
+    "Finding": "What hands --check finds",
     "Fault": "Faults of meshes",
     "ValueError": "Faults of a file, with the field where they are",
     "Failure": "Why nothing was found",

@@ -169,7 +169,7 @@ def _summary(hand: Hand, check: CheckReport | None) -> tuple[Block, ...]:
         }
         told = ", ".join(f"{n} {k}{'s' * (n != 1)}" for k, n in counts.items() if n)
         verdict = "Nothing forbids planning" if check.ok else "Planning is forbidden"
-        blocks.append(Sentence(text=f"{verdict}; check-hand finds {told or 'nothing'}."))
+        blocks.append(Sentence(text=f"{verdict}; hands --check finds {told or 'nothing'}."))
     blocks.append(Command(text=f"opposable plan {hand.reference or hand.name} sphere:0.035"))
     return tuple(blocks)
 
