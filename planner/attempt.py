@@ -6,7 +6,6 @@ machine is, but for rounding; budgets stop between attempts.
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ import numpy as np
 from planner.arrays import LARGEST_INT
 from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
-from planner.numerics.kernels import attempt_kernels
+from planner.numerics.kernels import attempt_kernels, planning_time
 
 __all__ = [
     "Attempt",
@@ -130,10 +129,10 @@ def run_attempts(
     total = 0.0
     for index in count():
         shared = context(index)
-        begin = time.process_time()
+        begin = planning_time()
         with attempt_kernels(index):
             outcome = shared.attempt(np.random.default_rng([seed, index]))
-        cpu = time.process_time() - begin
+        cpu = planning_time() - begin
         total += cpu
         yield recorded(outcome, seed=seed, index=index, cpu_s=cpu, total=total, context=shared)
 

@@ -14,7 +14,6 @@ What a search for a grasp is to keep: the first found, or the best of several, a
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,7 +27,7 @@ from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError, shown
 from planner.failure import Failure
 from planner.forces import ForceSolution
-from planner.numerics.kernels import attempt_kernels
+from planner.numerics.kernels import attempt_kernels, planning_time
 from planner.numerics.levenberg_marquardt import MAX_ITERATIONS
 from planner.plan import BestOf, GraspPlan
 from planner.plan_metrics import Measure
@@ -101,10 +100,10 @@ def improving_attempts(
     total, index = 0.0, 0
     while True:
         shared = context(index, bool(kept))
-        begin = time.process_time()
+        begin = planning_time()
         with attempt_kernels(index):
             outcome = _attempt(shared, np.random.default_rng([seed, index]), measure, kept)
-        cpu = time.process_time() - begin
+        cpu = planning_time() - begin
         total += cpu
         yield recorded(outcome, seed=seed, index=index, cpu_s=cpu, total=total, context=shared)
         index += 1
@@ -171,7 +170,7 @@ def _climbed(
 ) -> tuple[Candidate, float] | Failure:
     """The best grasp near a start, and its value; a failure if it would not beat the best."""
     task, problem, options = context.task, context.grasp_problem, context.options
-    begin = time.process_time()
+    begin = planning_time()
     posture, margins = context.seeder.posture, with_room(options, task)
     with stage("solve"):
         run = GraspRun(problem, task, start, problem.parameters(task, start, posture, margins))

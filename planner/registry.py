@@ -81,7 +81,10 @@ class Registry(MutableMapping[str, T], Generic[T]):
     def __getitem__(self, name: str) -> T:
         """The thing of a name; KeyError if there is none."""
         if name not in self._known and name in self._brought():
-            return self.add(name, plugin(self.group, name))
+            thing: T = plugin(self.group, name)
+            if self._check is not None:
+                self._check(name, thing)
+            return thing
         return self._known[name]
 
     def __setitem__(self, name: str, thing: T) -> None:

@@ -41,13 +41,11 @@ from sim.controllers import (
     ReportsLimits,
     controller_for,
 )
-from sim.estimation import AnyEstimator, Estimator
 from sim.looking.picture import FRAME_RATE, Tape, draw_tape
 from sim.looking.viewer import Viewer
 from sim.physics import AnyPhysics
-from sim.reality import REALITIES, AnyReality, Reality, RealityOfTrial
+from sim.reality import REALITIES, AnyReality, Reality
 from sim.scene import Scene, build_scene
-from sim.tactile import read_touch
 
 if TYPE_CHECKING:
     from sim.controllers.touch import TouchReading
@@ -470,4 +468,6 @@ def filmed(video: Path | None) -> Iterator[None]:
 
 def _read_touch(scene: Scene, data: Any, fingers: Sequence[str]) -> TouchReading:
     """As ``sim.tactile.read_touch``, which is loaded for those that feel."""
+    from sim.tactile import read_touch
+
     return read_touch(scene, data, fingers)

@@ -35,7 +35,6 @@ from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
 from sim.controllers import PHASES, AnyController, Phase
 from sim.controllers.retouch import AGAIN_TIME, closed
 from sim.creep import CREEP_BUDGET, least_creep, remedies
-from sim.estimation import AnyEstimator
 from sim.looking.picture import check_video, draw_tape, moments_of
 from sim.physics import AnyPhysics
 from sim.reality import AnyReality

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from planner.batch import BatchProgress, GraspSet
 from planner.files import read_plan
+from planner.numerics.kernels import compiled_searches
 from sim.cli import batch as commands
 from sim.cli import grasp, main
 from sim.cli.batch import BatchBar
@@ -111,9 +112,10 @@ def test_a_batch_takes_what_a_plan_takes(tmp_path: Path) -> None:
     assert code == 0, err
     grasps = GraspSet(folder)
     seed = str(grasps[0]["seed"])
-    code, _, err = opposable(
-        "plan", *words, *asked, "--seed", seed, "--out", tmp_path / "plan.json"
-    )
+    with compiled_searches():  # to the bit, as rows are planned
+        code, _, err = opposable(
+            "plan", *words, *asked, "--seed", seed, "--out", tmp_path / "plan.json"
+        )
     assert code == 0, err
     plan, row = read_plan(tmp_path / "plan.json"), grasps[0]
     assert row["q_rad"] == plan.q.tolist()

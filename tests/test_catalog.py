@@ -224,7 +224,10 @@ def test_a_package_that_is_missing(name: str, said: str) -> None:
 def test_a_known_hand_of_a_missing_package_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setitem(catalog.FOREIGN_HANDS, "nowhere-hands:one", "package:nowhere_hands/one.xml")
+    monkeypatch.setitem(catalog._KNOWN, "nowhere-hands:one", "package:nowhere_hands/one.xml")
+    monkeypatch.setitem(
+        catalog.FOREIGN_HANDS, "nowhere-hands:one", catalog._KNOWN["nowhere-hands:one"]
+    )
     for given in ("nowhere-hands:one", "nowhere_hands:one"):
         with pytest.raises(ModelError, match=r"'nowhere_hands' is not installed; install it, "):
             load_hand(given)

@@ -304,8 +304,8 @@ def test_the_command_executes_motions_and_gaits_too(
     [
         ([], "give HAND and OBJECT, or a file"),
         (["allegro_hand"], "give HAND and OBJECT, or a file"),
-        (["allegro_hand", "box", "--plan", "m.json"], "leave HAND, OBJECT and the options"),
-        (["--plan", "m.json", "--rotate", "30"], "leave HAND, OBJECT and the options"),
+        (["allegro_hand", "box", "--plan", "m.json"], "leave HAND, OBJECT out"),
+        (["--plan", "m.json", "--rotate", "30"], "leave --rotate out"),
         (["--plan", "missing.json"], "cannot read plan file missing.json"),
         (["allegro_hand", "box", "--controller", "none"], "none"),
     ],

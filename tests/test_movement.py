@@ -1,4 +1,4 @@
-"""``sim.cli.movement``: what ``--rotate`` and ``--shift`` say."""
+"""``sim.cli.options.movement``: what ``--rotate`` and ``--shift`` say."""
 
 from __future__ import annotations
 

@@ -102,6 +102,6 @@ def test_the_command_writes_pages_of_failures(plan: GraspPlan, tmp_path: Path) -
     for page, row in zip(pages, lost, strict=True):
         kind, data = read_page_data(page)
         assert (kind, data["trial"], data["protocol"]) == ("trial", row["trial"], "robust")
-        assert data["command"].endswith("--pages failures")
+        assert "--pages failures" in data["command"]
     refused = CliRunner().invoke(app, [*words, "--pages", "some"])
     assert refused.exit_code == 3 and "choice of pages" in refused.output

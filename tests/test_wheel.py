@@ -75,5 +75,5 @@ def test_measuring_from_a_wheel_says_what_it_needs(
     run = opposable(installed, tmp_path, *words, code=3)
     assert run.stdout == ""
     (line,) = run.stderr.splitlines()
-    assert line.startswith("error: measuring needs a checkout")
+    assert line.startswith("error: measuring is `python -m benchmarks NAME` in a checkout")
     assert "pip install -e ." in line

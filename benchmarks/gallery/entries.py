@@ -30,6 +30,10 @@ GROUPS = {"": "Examples", "lab": "The lab's six steps and its errors"}
 """Folder below ``examples`` -> heading."""
 
 
+MODULES = {EXAMPLES / "udp_hand.py"}
+"""What stands beside the scripts to be imported by them."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Entry:
     """One thing that the gallery shows.
@@ -53,7 +57,7 @@ def gallery_entries() -> list[Entry]:
     """All of them: the scripts by name, then the commands."""
     entries = []
     for folder, heading in GROUPS.items():
-        for path in sorted((EXAMPLES / folder).glob("*.py")):
+        for path in sorted(set((EXAMPLES / folder).glob("*.py")) - MODULES):
             document = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or path.stem
             title = " ".join(document.split("\n\n")[0].split()).removesuffix(".")
             script = path.relative_to(EXAMPLES).as_posix()

@@ -28,6 +28,7 @@ import importlib
 import logging
 import marshal
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -167,14 +168,29 @@ def _numba() -> Any:
         ) from error
 
     class Told(event.Listener):  # type: ignore[misc]
+        def __init__(self) -> None:
+            self.begun: list[float] = []  # of compilations within each other
+
         def on_start(self, event: Any) -> None:
             _tell_once()
+            self.begun.append(time.process_time())
 
         def on_end(self, event: Any) -> None:
-            """Nothing to tell."""
+            begin = self.begun.pop()
+            if not self.begun:
+                _compiling[0] += time.process_time() - begin
 
     event.register("numba:compile", Told())
     return numba
+
+
+_compiling = [0.0]
+"""CPU time (s) that this process has spent on compiling."""
+
+
+def planning_time() -> float:
+    """CPU time (s) of this process without that of compiling: what a budget in seconds counts."""
+    return time.process_time() - _compiling[0]
 
 
 @lru_cache(maxsize=1)

@@ -28,9 +28,10 @@ to where it is wanted as far as the band lets it:
 The encoder sits on the motor's side: it reads how far that has gone ahead of the joint too. Between
 the stops the servo's damping still acts on the joint, and within a time step its spring.
 
-Here F = gain ctrl + bias0 + bias1 length (``planner.actuation``). k is 1 for a position servo and 0
-for a motor, which gives its torque whatever the encoder says. Scale errors act explicitly, once a
-time step. Encoder noise is left out of the servo: it closes its loop many times per time step.
+Here F = gain ctrl + bias0 + bias1 length (``planner.joints.actuation``). k is 1 for a position
+servo and 0 for a motor, which gives its torque whatever the encoder says. Scale errors act
+explicitly, once a time step. Encoder noise is left out of the servo: it closes its loop many times
+per time step.
 """
 
 from __future__ import annotations
