@@ -292,10 +292,7 @@ def test_a_killed_parent_leaves_what_was_planned(reference: GraspSet, tmp_path: 
 STUCK = """
 import ctypes, os, sys, time
 from pathlib import Path
-from planner.batch.pool import end_with
-from planner.batch.jobs import end_with
-from planner.numerics.kernels import compiled_searches
-from planner.batch.pool import finished
+from planner.batch.pool import end_with, finished
 
 folder, backend, parent = Path(sys.argv[1]), sys.argv[2], os.getpid()
 
@@ -319,7 +316,11 @@ def test_no_worker_outlives_its_parent_whatever_it_is_busy_with(
         [sys.executable, "-c", STUCK, str(tmp_path), backend], start_new_session=True
     ) as process:
         try:
-            wait_for(lambda: len(list(tmp_path.iterdir())) == 2, "two busy workers")
+            wait_for(
+                lambda: len(list(tmp_path.iterdir())) == 2 or process.poll() is not None,
+                "two busy workers",
+            )
+            assert process.poll() is None, "it ended before its workers were busy"
             process.kill()
             process.wait()
             wait_for(lambda: not members(process.pid), "the workers to end")

@@ -61,9 +61,7 @@ def opposable(
 @pytest.mark.slow
 def test_help_and_run_work_without_the_measurements(installed: Path, tmp_path: Path) -> None:
     assert not (installed / "benchmarks").exists()
-    shown = opposable(installed, tmp_path, "--help").stdout
-    assert "bench" in shown
-    assert "in a checkout only" in shown
+    assert "manipulate" in opposable(installed, tmp_path, "--help").stdout
     opposable(installed, tmp_path, "run", "allegro_hand", "sphere", "--out", "out")
     assert (tmp_path / "out" / "report.json").is_file()
 
