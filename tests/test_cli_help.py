@@ -32,7 +32,7 @@ LONG = {
 }
 """Commands with so many options that no help of one line each fits a screen, and panels of them."""
 
-SLOW = ("test", "learn")
+SLOW = ("learn",)
 """Commands whose example takes more than a few seconds, and that no page runs with its options."""
 
 
