@@ -6,6 +6,7 @@ import dis
 import marshal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from types import CodeType, FunctionType
@@ -170,3 +171,11 @@ def test_without_numba_it_is_said_what_to_do(monkeypatch: pytest.MonkeyPatch) ->
     with compiled_searches(), attempt_kernels(0), pytest.raises(PlannerError, match="pip install"):
         norms(np.ones((2, 3)))
     kernels._numba.cache_clear()
+
+
+def test_a_budget_of_time_does_not_count_compiling() -> None:
+    numba = kernels._numba()
+    begin, planning = time.process_time(), kernels.planning_time()
+    assert numba.njit(lambda x: x + 1.0)(1.0) == 2.0
+    whole, counted = time.process_time() - begin, kernels.planning_time() - planning
+    assert counted < 0.5 * whole
