@@ -39,7 +39,7 @@ class ConvexLink:
     """
 
     def __init__(self, geometry: LinkGeometry) -> None:
-        """Take what is needed from a geometry; a mesh is its convex hull."""
+        """Read size and place of a geometry; a mesh counts as its convex hull."""
         from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
 
         self.name, self.kind, self.body = geometry.name, geometry.kind, geometry.body
@@ -111,7 +111,7 @@ def sphere_directions(count: int) -> FloatArray:
 def cone_directions(axis: FloatArray, half_angle: float, rings: int = 4) -> FloatArray:
     """Unit vectors (n, 3) on rings about a unit axis up to ``half_angle`` (rad), the axis first.
 
-    Symmetric about the axis, so that what is averaged over them keeps a body's own symmetry.
+    Symmetric about the axis, so that averages over them keep a body's own symmetry.
     """
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     side /= np.linalg.norm(side)

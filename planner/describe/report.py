@@ -39,7 +39,7 @@ class Findings(list[Finding]):
         self.add("warning", what, what_to_do)
 
     def note(self, what: str, what_to_do: str) -> None:
-        """Note what is worth knowing."""
+        """Note a fact that is no fault."""
         self.add("note", what, what_to_do)
 
     def worst_first(self) -> tuple[Finding, ...]:
