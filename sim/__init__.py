@@ -81,5 +81,7 @@ register_page(
     "sim.report_file:write_report_of",
 )
 register_page("TrialReport", "sim.pages:page_of_report", "sim.report_file:write_report_of")
+register_page("ManipulationReportFile", "sim.manipulation.page:manipulation_page")
+register_page("ReportFile", "sim.pages:trial_page")
 register_notebook("ManipulationReport", "sim.looking.notebook:manipulation_html")
 register_notebook("TrialReport", "sim.looking.notebook:trial_html")

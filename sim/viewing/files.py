@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
+from importlib import import_module
 from typing import Any
 
 from planner.errors import NoGraspFoundError
@@ -14,11 +14,8 @@ from planner.pages.page import Page
 from planner.pages.plan_page import plan_page, with_alternatives
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
+from planner.showing import page_of
 from planner.synthesis.options import SynthesisOptions
-from sim.manipulation import read_manipulation_report
-from sim.manipulation.page import manipulation_page
-from sim.pages import trial_page
-from sim.report_file import read_report
 from sim.viewing.kinds import Kind, Target, ViewOptions
 from sim.viewing.opening import WrittenPage
 
@@ -81,11 +78,12 @@ MOTION = Kind(
 """See ``sim.viewing.kinds``."""
 
 
-PAGES: dict[str, Callable[[Path], Page]] = {
-    "opposable-report": lambda path: trial_page(read_report(path)),
-    "opposable-manipulation-report": lambda path: manipulation_page(read_manipulation_report(path)),
+REPORT_READERS: dict[str, str] = {
+    "opposable-report": "sim.report_file:read_report",
+    "opposable-manipulation-report": "sim.manipulation:read_manipulation_report",
 }
-"""Format of a report -> what makes its page."""
+"""Format of a report -> "module:function" of what reads it, loaded at first use; its page is that
+which is registered for what it returns (``planner.showing.register_page``)."""
 
 REPORTS = ("report.json", "report.html")
 """Names of a report in the folder of a run."""
@@ -101,12 +99,14 @@ def _report(target: Target) -> Target:
 def _report_page(target: Target, options: ViewOptions) -> Page:
     report = _report(target)
     assert report.path is not None
-    return PAGES[report.format](report.path)
+    module, _, reader = REPORT_READERS[report.format].partition(":")
+    page: Page = page_of(getattr(import_module(module), reader)(report.path))
+    return page
 
 
 REPORT = Kind(
     name="a report of a trial or manipulation (JSON, HTML, or the folder of the run)",
-    recognises=lambda target: _report(target).format in PAGES,
+    recognises=lambda target: _report(target).format in REPORT_READERS,
     shown=_report_page,
 )
 """See ``sim.viewing.kinds``."""
