@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.contacts import ContactSet
 from planner.errors import ContactError
-from planner.quality.reach import wrench_reach
+from planner.quality.ball import wrench_reach
 from planner.spatial import FloatArray
 
 

@@ -18,8 +18,14 @@ from planner.quality.closure import (
 from planner.quality.cones import RoundCones, primitive_wrenches
 from planner.quality.internal_forces import plainly_closed
 from planner.quality.interval import Interval, ball_interval, epsilon_linf, epsilon_round
-from planner.quality.isotropy import isotropy, singular_values, smallest_singular_value
-from planner.quality.report import QualityReport, analyse, closure_and_epsilon
+from planner.quality.report import (
+    QualityReport,
+    analyse,
+    closure_and_epsilon,
+    isotropy,
+    singular_values,
+    smallest_singular_value,
+)
 
 __all__ = [
     "ClosureResult",

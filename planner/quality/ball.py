@@ -7,6 +7,8 @@ inside it (Ferrari and Canny 1992), the size of the least wrench that the grasp 
 h(u) = max_j u . w_j at the facet normal where it is least, evaluated on W itself.
 
 Time grows fast with the number of edges: about 3, 8 and 40 ms for four contacts at k = 4, 8 and 16.
+
+How far the wrenches that a grasp can apply reach along single directions, for charts.
 """
 
 from __future__ import annotations
@@ -24,6 +26,48 @@ from planner.spatial import FloatArray
 
 if TYPE_CHECKING:
     from scipy.spatial import ConvexHull
+
+
+def wrench_reach(
+    contacts: ContactSet, directions: FloatArray, *, length: float, edges: int = 8
+) -> FloatArray:
+    """The largest wrench along each direction that contacts apply with normal forces of sum 1.
+
+    The wrench of a disturbance that they resist is its opposite.
+
+    Args:
+        contacts: n contacts with force closure.
+        directions: (k, 6), [force; torque divided by ``length`` and about the centre], not 0.
+        length: Torque is divided by it, m.
+        edges: Edges per inscribed cone.
+
+    Returns:
+        (k,), in lengths of the directions; per newton of total normal force.
+
+    Raises:
+        ContactError: The contacts have no force closure, so that the hull does not hold 0.
+    """
+    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+
+    check_hull(len(contacts), edges)
+    wrenches = primitive_wrenches(contacts, edges, length=length)
+    try:
+        # joggled: points in special position are common, and a chart shows three digits
+        facets = ConvexHull(wrenches.T, qhull_options="QJ").equations
+    except QhullError as error:
+        raise ContactError(f"{NOTHING}: the wrenches are in a hyperplane") from error
+    offsets = -facets[:, -1]
+    if offsets.min() <= 0:
+        raise ContactError(f"{NOTHING}: 0 is not inside the hull of wrenches")
+    along = np.asarray(directions, dtype=np.float64) @ facets[:, :-1].T  # (k, facets)
+    reach: FloatArray = np.min(np.where(along > 0, offsets / np.maximum(along, TINY), np.inf), 1)
+    return reach
+
+
+NOTHING = "contacts without force closure have no reach in every direction"
+TINY = 1e-300
+"""Against division by 0."""
+
 
 FLAT_TOL = 1e-9
 """A hull is flat, and has no ball and no volume, where the least singular value of its centred
