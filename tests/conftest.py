@@ -28,6 +28,7 @@ from planner.shapes import Mesh
 from planner.spatial import FloatArray
 from planner.system.package import models_dir
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.controllers.follow import MotionReference
 from sim.controllers.reference import Target
 from sim.real_hand import RealClock
@@ -114,7 +115,7 @@ PlanOf = Callable[..., GraspPlan]
 """Gives the plan of a hand and an object: ``plan_of("allegro_hand", "box", seed=0, mu=0.6)``."""
 
 ReportOf = Callable[..., TrialReport]
-"""Gives the report of that plan's trial, by defaults."""
+"""Gives the report of that plan's trial, by the quick timeline."""
 
 
 @pytest.fixture(scope="session")
@@ -134,7 +135,7 @@ def report_of(plan_of: PlanOf) -> ReportOf:
 
     @cache
     def executed(hand: str, thing: str, seed: int = 0, **options: Any) -> TrialReport:
-        return simulate(plan_of(hand, thing, seed, **options))
+        return simulate(plan_of(hand, thing, seed, **options), timeline=Timeline.quick())
 
     return executed
 
