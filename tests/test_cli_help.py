@@ -6,6 +6,7 @@ import re
 import shlex
 import shutil
 from collections.abc import Sequence
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from test_docs import RUNNING
 from typer.testing import CliRunner
 
 from planner.system.package import models_dir
+from sim.carrier import Timeline
 from sim.cli import app
 from sim.cli.listing import GROUPS, RENAMED, Commands, Listed, flowing
 
@@ -34,6 +36,10 @@ LONG = {
 
 SLOW = ("learn",)
 """Commands whose example takes more than a few seconds, and that no page runs with its options."""
+
+
+FEWER = {"learn": ("-n", "1")}
+"""What is added to an example: smaller numbers of what takes long."""
 
 
 def printed(*arguments: str, width: int = WIDTH) -> str:
@@ -141,12 +147,14 @@ def is_run_by_a_page(listed: Listed) -> bool:
 
 def run_examples(folder: Path, monkeypatch: pytest.MonkeyPatch, chosen: list[Listed]) -> None:
     """Run examples in a folder in the order in which they are listed, as a reader would."""
+    monkeypatch.setattr(Timeline.__init__, "__defaults__", astuple(Timeline.quick()))
     shutil.copy(
         models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml", folder / "my_hand.xml"
     )
     monkeypatch.chdir(folder)
     for listed in chosen:
-        done = RUN.invoke(app, shlex.split(listed.example)[1:])
+        words = [*shlex.split(listed.example)[1:], *FEWER.get(listed.name, ())]
+        done = RUN.invoke(app, words)
         assert done.exit_code == 0, f"{listed.example}: {done.output}"
 
 
