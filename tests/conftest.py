@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import astuple
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -138,6 +139,14 @@ def report_of(plan_of: PlanOf) -> ReportOf:
         return simulate(plan_of(hand, thing, seed, **options), timeline=Timeline.quick())
 
     return executed
+
+
+@pytest.fixture(scope="module")
+def brief_trials() -> Iterator[None]:
+    """Trials of a module take the quick timeline unless they name another: those of commands."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Timeline.__init__, "__defaults__", astuple(Timeline.quick()))
+        yield
 
 
 @pytest.fixture(scope="session", params=RIGHT_HANDS)

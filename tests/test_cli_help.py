@@ -6,7 +6,6 @@ import re
 import shlex
 import shutil
 from collections.abc import Sequence
-from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from test_docs import RUNNING
 from typer.testing import CliRunner
 
 from planner.system.package import models_dir
-from sim.carrier import Timeline
 from sim.cli import app
 from sim.cli.listing import GROUPS, RENAMED, Commands, Listed, flowing
 
@@ -147,7 +145,6 @@ def is_run_by_a_page(listed: Listed) -> bool:
 
 def run_examples(folder: Path, monkeypatch: pytest.MonkeyPatch, chosen: list[Listed]) -> None:
     """Run examples in a folder in the order in which they are listed, as a reader would."""
-    monkeypatch.setattr(Timeline.__init__, "__defaults__", astuple(Timeline.quick()))
     shutil.copy(
         models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml", folder / "my_hand.xml"
     )
@@ -168,13 +165,13 @@ def of_no_page(*, slow: bool) -> list[Listed]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("virtual_time")
+@pytest.mark.usefixtures("virtual_time", "brief_trials")
 def test_slow_examples_do_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_examples(tmp_path, monkeypatch, of_no_page(slow=True))
     assert (tmp_path / "plan.json").exists()
 
 
-@pytest.mark.usefixtures("virtual_time")
+@pytest.mark.usefixtures("virtual_time", "brief_trials")
 def test_quick_examples_do_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_examples(tmp_path, monkeypatch, of_no_page(slow=False))
     assert (tmp_path / "plan.json").exists()
