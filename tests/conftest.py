@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import astuple
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,6 +30,7 @@ from planner.shapes import Mesh
 from planner.spatial import FloatArray
 from planner.system.package import models_dir
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.controllers.follow import MotionReference
 from sim.controllers.reference import Target
 from sim.real_hand import RealClock
@@ -63,7 +66,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Run tests that are named, slow or not."""
+    """Run tests that are named, slow or not; let Ctrl-C be sent to what they start.
+
+    What a shell starts in the background ignores it, and so would all that is started from there.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if config.option.markexpr == "not slow" and any("::" in name for name in config.args):
         config.option.markexpr = ""
 
@@ -114,7 +122,7 @@ PlanOf = Callable[..., GraspPlan]
 """Gives the plan of a hand and an object: ``plan_of("allegro_hand", "box", seed=0, mu=0.6)``."""
 
 ReportOf = Callable[..., TrialReport]
-"""Gives the report of that plan's trial, by defaults."""
+"""Gives the report of that plan's trial, by the quick timeline."""
 
 
 @pytest.fixture(scope="session")
@@ -134,9 +142,17 @@ def report_of(plan_of: PlanOf) -> ReportOf:
 
     @cache
     def executed(hand: str, thing: str, seed: int = 0, **options: Any) -> TrialReport:
-        return simulate(plan_of(hand, thing, seed, **options))
+        return simulate(plan_of(hand, thing, seed, **options), timeline=Timeline.quick())
 
     return executed
+
+
+@pytest.fixture(scope="module")
+def brief_trials() -> Iterator[None]:
+    """Trials of a module take the quick timeline unless they name another: those of commands."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Timeline.__init__, "__defaults__", astuple(Timeline.quick()))
+        yield
 
 
 @pytest.fixture(scope="session", params=RIGHT_HANDS)

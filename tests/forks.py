@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import warnings
 import weakref
 from collections.abc import Callable, Mapping
@@ -137,5 +138,7 @@ def _work(
     try:
         program(*words)
     finally:
+        ending: Any = threading
+        ending._shutdown()  # pools send their workers away; who idles is waited for by minutes
         atexit._run_exitfuncs()
         sys.stdout.flush()

@@ -6,6 +6,7 @@ import ast
 import importlib
 import tomllib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -45,16 +46,43 @@ def imported(tree: ast.AST, module: str, *, functions_too: bool) -> Iterator[str
             yield from imported(node, module, functions_too=functions_too)
 
 
+@dataclass(frozen=True)
+class Facts:
+    """What the tests need of a module; its tree is dropped, as collecting garbage walks all trees.
+
+    Attributes:
+        early: What it imports when it is imported.
+        late: The same, in functions too.
+        public: ``__all__`` as it is written, or None.
+        assigned: Names that it assigns at its top level.
+    """
+
+    early: frozenset[str]
+    late: frozenset[str]
+    public: tuple[str, ...] | None
+    assigned: frozenset[str]
+
+
 @cache
-def tree_of(module: str) -> ast.Module:
+def facts(module: str) -> Facts:
     """A module as its parser sees it."""
-    return ast.parse(sources()[module].read_text(encoding="utf-8"))
+    tree = ast.parse(sources()[module].read_text(encoding="utf-8"))
+    early, late = (frozenset(imported(tree, module, functions_too=too)) for too in (False, True))
+    values = {
+        target.id: node.value
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
+    public = values.get("__all__")
+    names = None if public is None else tuple(ast.literal_eval(public))
+    return Facts(early, late, names, frozenset(values))
 
 
-@cache
 def imports_of(module: str, *, functions_too: bool = True) -> frozenset[str]:
     """What a module imports; branches of ``if TYPE_CHECKING`` count like any other."""
-    return frozenset(imported(tree_of(module), module, functions_too=functions_too))
+    return facts(module).late if functions_too else facts(module).early
 
 
 @cache
@@ -147,9 +175,9 @@ def room_of(module: str) -> str:
 def rooms_of(package: str) -> dict[str, set[str]]:
     """Room of a package -> rooms that it imports, in functions too."""
     out: dict[str, set[str]] = {}
+    known = {room_of(m) for m in sources()}
     for module in [m for m in sources() if within(m, package) and m != package]:
         below = {room_of(i) for i in imports_of(module) if i.count(".") and within(i, package)}
-        known = {room_of(m) for m in sources()}
         out.setdefault(room_of(module), set()).update((below & known) - {room_of(module)})
     return out
 
@@ -184,13 +212,11 @@ def test_grasp_analysis_reaches_neither_hand_nor_engine(room: str) -> None:
 
 
 def test_tolerances_are_defined_on_their_page_alone() -> None:
-    page = set(public_names("planner.tolerances") or ())
+    page = set(facts("planner.tolerances").public or ())
     assert page
     for module in set(sources()) - {"planner.tolerances"}:
-        body = tree_of(module).body
-        targets = [t for node in body if isinstance(node, ast.Assign) for t in node.targets]
-        own = {t.id for t in targets if isinstance(t, ast.Name)}
-        assert not own & page, f"{module} defines {sorted(own & page)} again"
+        again = facts(module).assigned & page
+        assert not again, f"{module} defines {sorted(again)} again"
 
 
 def test_synthesis_does_not_know_who_uses_it() -> None:
@@ -219,26 +245,19 @@ def sort_key(name: str) -> tuple[int, str]:
     return group, name
 
 
-@cache
-def public_names(module: str) -> list[str] | None:
-    """``__all__`` as it is written, or None."""
-    for node in tree_of(module).body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
-            names = ast.literal_eval(node.value)
-            assert isinstance(names, list)
-            return names
-    return None
+FACES = [m for m, path in sources().items() if "__all__" in path.read_text(encoding="utf-8")]
+"""Modules that may say what is public; the text alone, as parsing all of them takes seconds."""
 
 
-@pytest.mark.parametrize("module", [m for m in sources() if public_names(m) is not None])
+@pytest.mark.parametrize("module", FACES)
 def test_public_names_are_sorted_and_resolve(module: str) -> None:
-    names = public_names(module)
-    assert names == sorted(set(names or ()), key=sort_key)
+    names = facts(module).public or ()
+    assert list(names) == sorted(set(names), key=sort_key)
     loaded = importlib.import_module(module)
-    assert [n for n in names or () if not hasattr(loaded, n)] == []
+    assert [n for n in names if not hasattr(loaded, n)] == []
 
 
 def test_every_package_with_contents_says_what_is_public() -> None:
     for module, path in sources().items():
         if path.name == "__init__.py" and imports_of(module):
-            assert public_names(module), f"{module} re-exports without __all__"
+            assert facts(module).public, f"{module} re-exports without __all__"

@@ -196,7 +196,7 @@ def test_threads_plan_at_once(allegro: Hand, monkeypatch: pytest.MonkeyPatch) ->
     together = threading.Barrier(4)
 
     def meets(task: GraspTask, **_: object) -> None:
-        together.wait(timeout=30.0)  # breaks unless all four are here
+        together.wait(timeout=300.0)  # breaks unless all four are here
         raise TaskError("none")
 
     monkeypatch.setattr(pool, "plan_grasp", meets)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joblib.externals.loky import get_reusable_executor
 
 from planner.batch import BatchProgress, GraspFeatures, GraspSet, plan_grasps, pool
 from planner.batch.pool import BatchObject, Job, can_fork, finished, planned_rows
@@ -74,6 +75,17 @@ def gone_on(out: Path) -> GraspSet:
 def reference() -> GraspSet:
     """Planned by this process alone."""
     return batch(workers=1)
+
+
+def make_ready(backend: str) -> None:
+    """End what loky's workers of an earlier test are watched by: a process with threads forks none.
+
+    Skips the test where there is no such thing as a fork.
+    """
+    if backend == "fork":
+        get_reusable_executor().shutdown(wait=True, kill_workers=True)
+        if not can_fork():
+            pytest.skip("another thread runs Python")
 
 
 def fake_jobs(n: int) -> Iterator[Job]:
@@ -147,8 +159,7 @@ def test_thinned_rows_are_some_of_those_found(reference: GraspSet) -> None:
 
 @pytest.mark.parametrize(("workers", "backend"), [(2, "loky"), (2, "threading"), (2, "fork")])
 def test_workers_make_no_difference(reference: GraspSet, workers: int, backend: str) -> None:
-    if backend == "fork" and not can_fork():
-        pytest.skip("another thread runs Python")
+    make_ready(backend)
     assert rows_of(batch(workers=workers, backend=backend)) == rows_of(reference)
 
 
@@ -184,8 +195,7 @@ def test_a_batch_goes_on_where_it_was_interrupted(reference: GraspSet, tmp_path:
 
 @pytest.mark.parametrize("backend", ["loky", "fork"])
 def test_a_killed_worker_costs_nothing_but_time(reference: GraspSet, backend: str) -> None:
-    if backend == "fork" and not can_fork():
-        pytest.skip("another thread runs Python")
+    make_ready(backend)
     killed: list[int] = []
 
     def kill(now: BatchProgress) -> None:
@@ -206,8 +216,7 @@ def test_a_killed_worker_costs_nothing_but_time(reference: GraspSet, backend: st
 def test_a_request_that_kills_its_worker_is_found_out(
     monkeypatch: pytest.MonkeyPatch, backend: str
 ) -> None:
-    if backend == "fork" and not can_fork():
-        pytest.skip("another thread runs Python")
+    make_ready(backend)
 
     def deadly(job: Job) -> dict[str, Any]:
         if job.index == 4:

@@ -9,17 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import ReportOf
 from typer.testing import CliRunner
 
 from benchmarks.episodes import agrees, check, episodes_table
-from planner.hands.hand import Hand
-from planner.search import plan_grasp
-from planner.task import GraspTask
 from sim.cli import app
 from sim.episodes import episodes_of, write_lerobot
 from sim.episodes.lerobot import VIDEO_KEY
 from sim.report import TrialReport
-from sim.trial import simulate
 
 pytestmark = pytest.mark.slow
 
@@ -74,9 +71,8 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def reports(allegro: Hand) -> list[TrialReport]:
-    specs = ("box", "sphere")
-    return [simulate(plan_grasp(GraspTask.create(allegro, spec))) for spec in specs]
+def reports(report_of: ReportOf) -> list[TrialReport]:
+    return [report_of("allegro_hand", thing) for thing in ("box", "sphere")]
 
 
 @pytest.fixture(scope="module")

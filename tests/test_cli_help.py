@@ -36,6 +36,10 @@ SLOW = ("learn",)
 """Commands whose example takes more than a few seconds, and that no page runs with its options."""
 
 
+FEWER = {"learn": ("-n", "1")}
+"""What is added to an example: smaller numbers of what takes long."""
+
+
 def printed(*arguments: str, width: int = WIDTH) -> str:
     """What a command prints on a terminal of a width."""
     return RUN.invoke(app, arguments, env={"COLUMNS": str(width)}, prog_name="opposable").output
@@ -146,7 +150,8 @@ def run_examples(folder: Path, monkeypatch: pytest.MonkeyPatch, chosen: list[Lis
     )
     monkeypatch.chdir(folder)
     for listed in chosen:
-        done = RUN.invoke(app, shlex.split(listed.example)[1:])
+        words = [*shlex.split(listed.example)[1:], *FEWER.get(listed.name, ())]
+        done = RUN.invoke(app, words)
         assert done.exit_code == 0, f"{listed.example}: {done.output}"
 
 
@@ -160,13 +165,13 @@ def of_no_page(*, slow: bool) -> list[Listed]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("virtual_time")
+@pytest.mark.usefixtures("virtual_time", "brief_trials")
 def test_slow_examples_do_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_examples(tmp_path, monkeypatch, of_no_page(slow=True))
     assert (tmp_path / "plan.json").exists()
 
 
-@pytest.mark.usefixtures("virtual_time")
+@pytest.mark.usefixtures("virtual_time", "brief_trials")
 def test_quick_examples_do_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_examples(tmp_path, monkeypatch, of_no_page(slow=False))
     assert (tmp_path / "plan.json").exists()

@@ -18,6 +18,8 @@ from sim.cli import app
 from sim.cli.search import PlanOptions
 from sim.cli.tasks import GRAVITY, obstacle_of, pose_of, table_of
 
+pytestmark = pytest.mark.usefixtures("brief_trials")
+
 RUN = CliRunner()
 
 

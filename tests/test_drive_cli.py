@@ -15,7 +15,7 @@ from planner.task import GraspTask
 from sim.cli import app
 from sim.real_hand import read_log
 
-pytestmark = pytest.mark.usefixtures("virtual_time")
+pytestmark = pytest.mark.usefixtures("virtual_time", "brief_trials")
 
 RUN = CliRunner()
 

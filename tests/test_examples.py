@@ -171,8 +171,8 @@ REAL_TIME = {"20_hand_over_udp": ("done: ", "the object: held")}
 
 
 def is_busy() -> bool:
-    """Whether two programs or more wait for each processor."""
-    return os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
+    """Whether there are more programs at work than processors."""
+    return os.getloadavg()[0] > (os.cpu_count() or 1)
 
 
 def run_example(path: Path, folder: Path) -> str:

@@ -30,6 +30,18 @@ def sleep(seconds: str) -> None:
     time.sleep(float(seconds))
 
 
+def pool() -> None:
+    """Leave workers that would stay for minutes, should there be more work."""
+    from joblib import Parallel, delayed
+
+    Parallel(n_jobs=2, backend="loky")(delayed(abs)(k) for k in (-1, 1))
+
+
+def test_a_program_ends_although_its_workers_would_wait_for_more(tmp_path: Path) -> None:
+    done = forks.run(pool, folder=tmp_path, timeout=200.0)  # s; workers idle for 300 s
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_program_has_its_folder_environment_output_and_code(tmp_path: Path) -> None:
     environment = {**forks.environment_of_programs(), "MINE": "yes"}
     for program, word, code, said in (

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import PlanOf
+from conftest import PlanOf, ReportOf
 from PIL import Image, ImageDraw
 
 from planner.batch import GraspSet, plan_grasps
@@ -117,8 +117,8 @@ def plan(plan_of: PlanOf) -> GraspPlan:
 
 
 @pytest.fixture(scope="module")
-def report(plan: GraspPlan) -> TrialReport:
-    return simulate(plan)
+def report(report_of: ReportOf) -> TrialReport:
+    return report_of("allegro_hand", "cylinder:0.03x0.10")
 
 
 @pytest.fixture(scope="module")

@@ -169,6 +169,7 @@ def test_it_is_known_by_name_and_sizes_and_survives_plain_data(cone: type[Cone])
 
 def test_it_is_planned_written_and_held_like_any_other(cone: type[Cone], tmp_path: Any) -> None:
     from sim import simulate
+    from sim.carrier import Timeline
 
     plan = plan_grasp(GraspTask.create("allegro_hand", "cone", mu=0.8), seed=0)
     shape = cone(*cone.default_sizes)
@@ -176,7 +177,7 @@ def test_it_is_planned_written_and_held_like_any_other(cone: type[Cone], tmp_pat
     assert np.abs(shape.signed_distance(np.array(local))).max() <= 5e-4
     write_plan(plan, tmp_path / "plan.json")
     assert read_plan(tmp_path / "plan.json").task.object.shape == shape
-    report = simulate(plan)
+    report = simulate(plan, timeline=Timeline.quick())
     assert report.success, report.reason
 
 

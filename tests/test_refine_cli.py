@@ -18,6 +18,8 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, pose_to_wxyz
 from sim.cli import app
 
+pytestmark = pytest.mark.usefixtures("brief_trials")
+
 RUN = CliRunner()
 
 

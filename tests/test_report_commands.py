@@ -16,6 +16,8 @@ from sim.cli import app
 from sim.manipulation import read_manipulation_report
 from sim.report_file import read_report
 
+pytestmark = pytest.mark.usefixtures("brief_trials")
+
 
 def opposable(*words: str | Path) -> Any:
     return CliRunner().invoke(app, [str(word) for word in words], prog_name="opposable")

@@ -30,7 +30,7 @@ def test_a_joblib_of_the_current_folder_is_not_run(tmp_path: Path, backend: str)
     program = PROGRAM.replace("BACKEND", repr(backend))
     environment = {name: v for name, v in os.environ.items() if name != SAFE_PATH}
     done = subprocess.run(
-        [sys.executable, "-P", "-c", program], cwd=tmp_path, env=environment, timeout=120,
+        [sys.executable, "-P", "-c", program], cwd=tmp_path, env=environment, timeout=600,
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.stdout == "[-2, -1]\n", done.stderr

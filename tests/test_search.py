@@ -112,7 +112,7 @@ def test_same_seed_same_plan_in_a_fresh_process_that_built_other_problems_first(
         env=environment,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=True,
     )
     here = plan_grasp(GraspTask.create(allegro, "box"), seed=3)

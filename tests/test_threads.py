@@ -50,7 +50,7 @@ def at_once(*works: Callable[[], Any]) -> list[Any]:
     found: list[Any] = [None] * len(works)
 
     def run(i: int) -> None:
-        begin.wait(timeout=60.0)
+        begin.wait(timeout=300.0)
         try:
             found[i] = works[i]()
         except BaseException as error:
@@ -331,11 +331,11 @@ def test_threads_that_want_no_warnings_leave_them_as_they_were() -> None:
     def first() -> None:
         with without_warnings():
             entered.set()
-            left.wait(timeout=30.0)  # leaves after the second, which entered later
+            left.wait(timeout=300.0)  # leaves after the second, which entered later
             warnings.warn("not heard", stacklevel=1)
 
     def second() -> None:
-        entered.wait(timeout=30.0)
+        entered.wait(timeout=300.0)
         with without_warnings():
             warnings.warn("not heard", stacklevel=1)
         left.set()
