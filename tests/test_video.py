@@ -358,6 +358,7 @@ def opposable(*arguments: str | Path) -> tuple[int, str, str]:
     return ended.value.code, out.getvalue(), " ".join(err.getvalue().split())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawing", "brief_trials")
 def test_simulate_films(plan: GraspPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
