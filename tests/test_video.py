@@ -360,7 +360,7 @@ def opposable(*arguments: str | Path) -> tuple[int, str, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("drawing", "brief_trials")
+@pytest.mark.usefixtures("drawing")
 def test_simulate_films(plan: GraspPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
     code, out, err = opposable("test", tmp_path / "plan.json", "--video", tmp_path / "run.gif")
