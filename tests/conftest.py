@@ -9,7 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple
+from dataclasses import asdict
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -151,7 +151,8 @@ def report_of(plan_of: PlanOf) -> ReportOf:
 def brief_trials() -> Iterator[None]:
     """Trials of a module take the quick timeline unless they name another: those of commands."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Timeline.__init__, "__defaults__", astuple(Timeline.quick()))
+        patch.setattr(Timeline.__init__, "__kwdefaults__", asdict(Timeline.quick()))
+        assert Timeline() == Timeline.quick()
         yield
 
 

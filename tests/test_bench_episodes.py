@@ -125,6 +125,7 @@ def test_faults_are_noticed(read: tuple[Path, dict[str, Any]], reports: list[Tri
     assert check._quantiles_off(wrong) > check.BINS_OFF
 
 
+@pytest.mark.usefixtures("brief_trials")
 def test_the_command_tells_whether_all_agrees(python: Path, can_draw: bool, tmp_path: Path) -> None:
     if not can_draw:
         pytest.skip("this machine draws nothing")

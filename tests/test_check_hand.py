@@ -332,6 +332,7 @@ def test_arrays_of_taxels_are_shown_and_wrong_ones_are_told_by_finger(edit_hand:
         load_hand(edit_hand({line: f"{line}\n{twice}"}))
 
 
+@pytest.mark.slow
 def test_describe_command(runner: CliRunner, tmp_path: Path) -> None:
     model = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
     printed = runner.invoke(app, ["hands", str(model), "--describe"])

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from planner.files import write_plan
 from planner.search import plan_grasp
 from planner.task import GraspTask
+from sim.carrier import Timeline
 from sim.cli import app
 from sim.real_hand import read_log
 
@@ -91,7 +92,8 @@ def test_a_simulated_hand_holds_and_its_log_replays(drive: Any, folder: Path) ->
     data = json.loads(done.stdout)
     assert data["loop"]["done"] and data["trial"]["success"]
     assert data["loop"]["rate_hz"] == 100.0
-    assert len(read_log(folder / "run.npz")) == data["loop"]["ticks"] > 500
+    ticks = data["loop"]["ticks"]
+    assert len(read_log(folder / "run.npz")) == ticks > 0.8 * 100.0 * Timeline().duration
     again = drive("--replay", "run.npz")
     assert again.exit_code == 0, again.output
     assert "largest difference" in again.output

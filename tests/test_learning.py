@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 import numpy as np
@@ -498,11 +499,15 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(
 ) -> None:
     pytest.importorskip("sklearn")
     at_once, in_two = tmp_path / "at-once", tmp_path / "in-two"
-    for run in (at_once, in_two):
-        (run / "plans").mkdir(parents=True)
-        file = folder / "plan-0000.json"
-        (run / "plans" / file.name).write_bytes(file.read_bytes())
-    whole = learn(TASK, TINY, at_once, command="one")
+    (at_once / "plans").mkdir(parents=True)
+    file = folder / "plan-0000.json"
+    (at_once / "plans" / file.name).write_bytes(file.read_bytes())
+
+    def leave(now: Progress) -> None:
+        if now.episode == 1:  # what an interruption after it would leave
+            copytree(at_once, in_two)
+
+    whole = learn(TASK, TINY, at_once, command="one", progress=leave)
 
     def press(now: Progress) -> None:
         if now.episode == 2:

@@ -58,11 +58,13 @@ def equal(one: list[Any], other: list[Any]) -> bool:
     return [v for t in one for v in flat(t)] == [v for t in other for v in flat(t)]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*render.*")
 def test_gymnasium_finds_nothing_wrong_with_it(env: TurnEnv) -> None:
     check_env(env, skip_render_check=True)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_rollout_bit_for_bit(env: TurnEnv, folder: Path) -> None:
     first = rollout(env, 5, 30)
     assert equal(first, rollout(env, 5, 30))  # also after an episode that was left

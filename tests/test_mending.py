@@ -262,6 +262,7 @@ def test_plain_data_tells_that_another_mending_was_stored(tmp_path: Path) -> Non
         shape_from_dict(data)
 
 
+@pytest.mark.slow
 def test_what_crosses_itself_too_much_is_refused_with_its_place() -> None:
     """A ball whose vertices are shaken by several lengths of its edges: folds everywhere."""
     made = ball()

@@ -77,6 +77,7 @@ def need_plan(result: RefinedGrasp) -> GraspPlan:
 # --- what must hold of any pose -------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(hand=some_hand, item=some_object, seed=some_seed)
 def test_a_good_grasp_stays_where_it_is(hand: str, item: str, seed: int) -> None:

@@ -281,6 +281,7 @@ def samples_of(report: TrialReport) -> dict[str, str]:
     return {f.name: str(np.asarray(getattr(samples, f.name)).tolist()) for f in fields(samples)}
 
 
+@pytest.mark.slow
 def test_a_film_changes_nothing(plan: GraspPlan, tmp_path: Path, can_draw: bool) -> None:
     plain = simulate(plan, timeline=SHORT)
     shown = simulate(
@@ -358,7 +359,8 @@ def opposable(*arguments: str | Path) -> tuple[int, str, str]:
     return ended.value.code, out.getvalue(), " ".join(err.getvalue().split())
 
 
-@pytest.mark.usefixtures("drawing", "brief_trials")
+@pytest.mark.slow
+@pytest.mark.usefixtures("drawing")
 def test_simulate_films(plan: GraspPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
     code, out, err = opposable("test", tmp_path / "plan.json", "--video", tmp_path / "run.gif")
@@ -367,6 +369,7 @@ def test_simulate_films(plan: GraspPlan, tmp_path: Path) -> None:
     assert len(film_in(tmp_path / "run.gif")[0]) > 40
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawing")
 def test_plans_are_drawn_without_a_simulation(tmp_path: Path) -> None:
     for command, sort in (("plan", ()), ("manipulate", ("--plan-only", "--rotate", "20"))):
