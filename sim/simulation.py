@@ -48,7 +48,7 @@ from sim.reality import REALITIES, AnyReality, Reality
 from sim.scene import Scene, build_scene
 
 if TYPE_CHECKING:
-    from sim.controllers.touch import TouchReading
+    from sim.controllers.readings import TouchReading
     from sim.estimation import AnyEstimator, Estimator
     from sim.reality import RealityOfTrial
 

@@ -15,8 +15,8 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim import simulate
 from sim.controllers import ObjectImpedance, Phase
-from sim.controllers.belief import PoseBelief
-from sim.controllers.doubt import DEVIATIONS, Doubt
+from sim.controllers.impedance import DEVIATIONS, Doubt
+from sim.controllers.readings import PoseBelief
 from sim.reality import Reality
 from sim.simulation import Simulation
 

@@ -17,16 +17,13 @@ from planner.shapes import Box, Cylinder, Ellipsoid, Shape, Sphere
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation, PadReading, Phase
-from sim.controllers.belief import SeenPose
+from sim.controllers.readings import SeenPose
 from sim.estimation import ObjectEstimator, SensorErrors, Trust
+from sim.estimation.contacts import Grip, TipKinematics, Tips, rolling, touch_equations
 from sim.estimation.estimator import PERIOD
 from sim.estimation.filter import TOO_MANY, PoseFilter
-from sim.estimation.knowing import FOUND, LOST, Knowing
-from sim.estimation.moments import Look, Moment
-from sim.estimation.rolling import Grip, rolling
-from sim.estimation.state import Belief
-from sim.estimation.surface import touch_equations
-from sim.estimation.tips import TipKinematics, Tips
+from sim.estimation.state import Belief, Look, Moment
+from sim.estimation.track import FOUND, LOST, Knowing
 from sim.reality import Reality
 from sim.reality.senses import Drift
 

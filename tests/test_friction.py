@@ -13,8 +13,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.carrier import Timeline
 from sim.controllers import GraspController, Observation
-from sim.controllers.friction import FAST, LEAST_TIME, FoundFriction
-from sim.controllers.motors import joint_drag
+from sim.controllers.hand_dynamics import FAST, LEAST_TIME, FrictionEstimate, joint_drag
 from sim.controllers.torques import LEVER, HoldingTorques
 from sim.reality import Reality
 from sim.trial import simulate
@@ -37,7 +36,7 @@ def of_fingers(hand: Hand) -> FloatArray:
 
 def moved(hand: Hand, friction: float, rate: float, seconds: float) -> FloatArray:
     """What is found of joints that move evenly, to and fro, against a friction."""
-    found = FoundFriction(hand)
+    found = FrictionEstimate(hand)
     weight = HandState(hand, hand.neutral).gravity_torque(GRAVITY)
     drag, stiction = joint_drag(hand)
     for k in range(round(seconds / DT)):

@@ -19,8 +19,8 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.contacts.pads import read_pads
 from sim.controllers import ImpedanceGains, ObjectImpedance, Observation
-from sim.controllers.belief import PoseBelief
 from sim.controllers.impedance import ImpedanceLaw
+from sim.controllers.readings import PoseBelief
 from sim.manipulation import InHandController, ManipulationObservation, manipulate
 from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.in_hand import AnyTurningController

@@ -30,11 +30,11 @@ from planner.spatial import contact_frames
 from planner.synthesis.options import SynthesisOptions
 from sim.carrier import Timeline
 from sim.controllers.impedance import ImpedanceGains
-from sim.controllers.pads import PadReading
+from sim.controllers.readings import PadReading
 from sim.crosscheck.parts import Tolerances
 from sim.episodes.episode import Asked
-from sim.estimation.errors import SensorErrors
 from sim.estimation.filter import Trust
+from sim.estimation.state import SensorErrors
 from sim.learning.policy import PolicyFor
 from sim.learning.training import Course
 from sim.learning.trials import Conditions, TurnTask

@@ -11,7 +11,7 @@ from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.shapes import Sphere
 from planner.spatial import SE3, FloatArray
-from sim.controllers.offsets import DISTANCE, OFFSET, Look, estimate_offsets
+from sim.controllers.calibration import DISTANCE, OFFSET, Look, estimate_offsets
 
 
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])

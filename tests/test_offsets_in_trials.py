@@ -11,7 +11,7 @@ from planner.spatial import FloatArray
 from sim.carrier import Timeline
 from sim.controllers.believed import BelievedJoints
 from sim.controllers.calibration import Calibration
-from sim.controllers.lightly import LightTouch
+from sim.controllers.hand_dynamics import ContactForceLimit
 from sim.reality import REALITIES
 from sim.report import TrialReport
 from sim.trial import simulate
@@ -54,7 +54,7 @@ def test_a_free_hand_does_not_notice_the_light_touch(
     plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with_it = simulate(plan, timeline=QUICK)
-    monkeypatch.setattr(LightTouch, "commands", lambda _self, ctrl, *_: ctrl)
+    monkeypatch.setattr(ContactForceLimit, "commands", lambda _self, ctrl, *_: ctrl)
     without = simulate(plan, timeline=QUICK)
     assert with_it.success
     np.testing.assert_array_equal(with_it.samples.normal_force, without.samples.normal_force)

@@ -26,7 +26,7 @@ from planner.motion.manipulation import (
 )
 from planner.spatial import SE3, FloatArray
 from sim.controllers import Event, ObjectImpedance, Observation
-from sim.controllers.events import told_events
+from sim.controllers.base import told_events
 from sim.controllers.follow import MotionReference
 from sim.manipulation import (
     ManipulationReport,

@@ -13,7 +13,6 @@ from typing import Any, Literal, TypeAlias
 import mujoco
 import numpy as np
 
-from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import FloatArray
 from sim.scene import HAND_PREFIX, OBJECT, OBSTACLE_PREFIX, TABLE, Scene
 
@@ -43,7 +42,6 @@ def normal_forces(scene: Scene, data: Any, fingers: tuple[str, ...]) -> FloatArr
     return np.array(total)
 
 
-@loops_of_kernels
 def load_of(
     forces: Any, address: int, dim: int, friction: Any, pyramids: bool
 ) -> tuple[float, float, float]:

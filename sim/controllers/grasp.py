@@ -24,10 +24,13 @@ from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Sense
 from sim.controllers.believed import BelievedJoints, servo_commands
 from sim.controllers.calibration import Calibration
-from sim.controllers.friction import FoundFriction
-from sim.controllers.lightly import LightTouch
-from sim.controllers.loads import HandLoads, crossed
-from sim.controllers.motors import MotorServo
+from sim.controllers.hand_dynamics import (
+    ContactForceLimit,
+    FrictionEstimate,
+    HandLoads,
+    MotorServo,
+    crossed,
+)
 from sim.controllers.retouch import TouchAgain
 
 FIRST_SHARE = 0.1
@@ -74,8 +77,8 @@ class GraspController:
         self._twists = bool(torsion.any())
         self.calibration = Calibration(plan)
         self._closing = TouchAgain(plan, self.calibration)
-        self._light = LightTouch(self._hand)
-        self.friction = FoundFriction(self._hand)
+        self._light = ContactForceLimit(self._hand)
+        self.friction = FrictionEstimate(self._hand)
         self._believed = BelievedJoints(self._hand.actuation, plan.q)
         self._servo = MotorServo(self._hand, plan.q)
         self._loads = HandLoads(self._hand, self._fingers)

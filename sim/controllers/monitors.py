@@ -3,7 +3,7 @@
 A slip is a tangential speed above ``SLIP_SPEED`` for 10 ms at a loaded contact. The detector sees a
 pad's sliding velocity with noise and averages it over some readings; a slip that it reports
 ends when the average has fallen to half of the speed of the alarm. A pad that spins creeps far
-inside its friction cone (``sim.controllers.pads.CREEP``): such sliding is a slip if it is fast
+inside its friction cone (``sim.controllers.readings.CREEP``): such sliding is a slip if it is fast
 enough, but no sign of too little friction, and is reported separately.
 
 A wrench is infeasible while no contact forces within friction, normal forces and actuators give it.
@@ -16,10 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.numerics.kernels import kernel
-from planner.spatial import FloatArray
-from sim.controllers.events import EventKind
-from sim.controllers.pads import CREEP, PadReading
+from sim.controllers.base import EventKind
+from sim.controllers.readings import PadReading
 
 SLIP_SPEED = 0.005
 """Tangential speed (m/s) of an object over a pad that counts as a slip."""
@@ -55,79 +53,6 @@ the wrench itself. The larger grip after a slip gives way too: it needs actuator
 
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
-
-
-def _follow_plain(
-    elapsed: float,
-    normal_force: FloatArray,
-    sliding: FloatArray,
-    spin: FloatArray,
-    average: FloatArray,
-    creep: FloatArray,
-    speeds: FloatArray,
-    above: FloatArray,
-    slipping: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
-    """``follow_sliding`` in NumPy."""
-    share = elapsed / (AVERAGE_TIME + elapsed)
-    loaded = normal_force > LOADED
-    seen = np.where(loaded[:, None], sliding, 0.0)
-    average[:] = loaded[:, None] * (average + share * (seen - average))
-    creep += share * (loaded * CREEP * np.abs(spin) - creep)
-    speeds[0] = np.sqrt((average * average).sum(axis=1))
-    speeds[1] = speeds[0] - creep
-    above[:] = (above + elapsed) * (speeds > ALARM_SPEED)
-    begins = (above >= ALARM_TIME - elapsed / 2) & ~slipping
-    slipping[:] = (slipping | begins) & (speeds > ALARM_SPEED / 2)
-    return begins
-
-
-@kernel(_follow_plain)
-def follow_sliding(
-    elapsed: float,
-    normal_force: FloatArray,
-    sliding: FloatArray,
-    spin: FloatArray,
-    average: FloatArray,
-    creep: FloatArray,
-    speeds: FloatArray,
-    above: FloatArray,
-    slipping: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
-    """Which pads have just begun to slip, (2, n): by their speed, and beyond what spin explains.
-
-    Args:
-        elapsed: Time since the last call, s.
-        normal_force: (n,), N.
-        sliding: (n, 3), m/s; anything where nothing touches.
-        spin: (n,) or (1,), rad/s.
-        average: (n, 3), averaged sliding of loaded pads, m/s: moved on.
-        creep: (n,), averaged speed that spin explains, m/s: moved on.
-        speeds: (2, n), m/s, of ``average``, and of what creep leaves of it: written.
-        above: (2, n), for how long they have been above the alarm, s: moved on.
-        slipping: (2, n): moved on.
-    """
-    n = len(normal_force)
-    share = elapsed / (AVERAGE_TIME + elapsed)
-    begins = np.zeros((2, n), dtype=np.bool_)
-    for i in range(n):
-        turning = 0.0
-        if normal_force[i] > LOADED:
-            for k in range(3):
-                average[i, k] += share * (sliding[i, k] - average[i, k])
-            turning = CREEP * abs(spin[i if len(spin) > 1 else 0])
-        else:
-            average[i, 0], average[i, 1], average[i, 2] = 0.0, 0.0, 0.0
-        creep[i] += share * (turning - creep[i])
-        a, b, c = average[i, 0], average[i, 1], average[i, 2]
-        speeds[0, i] = np.sqrt(a * a + b * b + c * c)
-        speeds[1, i] = speeds[0, i] - creep[i]
-        for s in range(2):
-            above[s, i] = above[s, i] + elapsed if speeds[s, i] > ALARM_SPEED else 0.0
-            begins[s, i] = above[s, i] >= ALARM_TIME - elapsed / 2 and not slipping[s, i]
-            on = slipping[s, i] or begins[s, i]
-            slipping[s, i] = on and speeds[s, i] > ALARM_SPEED / 2
-    return begins
 
 
 class SlipDetector:
@@ -167,22 +92,21 @@ class SlipDetector:
                 return self.begun_beyond_spin.copy()
             since = elapsed if self._felt is None else pads.time - self._felt
             self._felt, elapsed = pads.time, min(READING_TIME, since)
-        told = pads.slipping
-        begins = follow_sliding(
-            elapsed,
-            pads.normal_force,
-            pads.sliding,
-            pads.spin,
-            self._average,
-            self._creep,
-            self._speeds,
-            self._above,
-            self._slipping if told is None else self._slipping.copy(),
-        )
+        share = elapsed / (AVERAGE_TIME + elapsed)
+        loaded = pads.normal_force > LOADED
+        sliding = np.where(loaded[:, None], pads.sliding, 0.0)
+        self._average = loaded[:, None] * (self._average + share * (sliding - self._average))
+        self._creep += share * (loaded * pads.creep_speed - self._creep)
+        self._speeds[0] = np.sqrt((self._average * self._average).sum(axis=1))
+        self._speeds[1] = self._speeds[0] - self._creep
+        self._above = (self._above + elapsed) * (self._speeds > ALARM_SPEED)
+        begins = (self._above >= ALARM_TIME - elapsed / 2) & ~self._slipping
         self.speed = self._speeds[0]
-        if told is not None:  # pads that notice slips by themselves
-            begins = told & ~self._slipping
-            self._slipping[:] = told
+        if pads.slipping is None:
+            self._slipping = (self._slipping | begins) & (self._speeds > ALARM_SPEED / 2)
+        else:  # pads that notice slips by themselves
+            begins = pads.slipping & ~self._slipping
+            self._slipping[:] = pads.slipping
         self.begun_beyond_spin = np.asarray(begins[1])
         return np.asarray(begins[0])
 

@@ -8,7 +8,7 @@ phases ``REFERENCE_PHASES`` a ``Reference`` may move the targets of object and f
     forces   the least contact forces that give that wrench within friction, normal forces and
              actuators (``planner.forces.ForceLoop``), at the contacts that the pads feel
     ctrl     joint torques for these forces (``sim.controllers.torques``), through motors, servos
-             or tendons, and for the joints' dry friction (``sim.controllers.friction``)
+             or tendons, and for the joints' dry friction (``sim.controllers.hand_dynamics``)
 
 What it notices and what it does then:
     contact lost    the forces are planned over the others at once; the finger searches along its
@@ -34,18 +34,14 @@ from planner.errors import NotFoundError, TaskError
 from planner.forces import ForceLoop, turned_frames
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
-from sim.controllers.base import Observation, Phase, Sense
+from sim.controllers.base import Event, EventKind, Observation, Phase, Reference, Sense
 from sim.controllers.believed import BelievedJoints
-from sim.controllers.doubt import Doubt
-from sim.controllers.events import Event, EventKind
 from sim.controllers.grasp import FIRST_SHARE, GraspController
-from sim.controllers.holding_loops import twist_of
-from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw, felt_inertia
+from sim.controllers.impedance import Doubt, ImpedanceGains, ImpedanceLaw, felt_inertia
 from sim.controllers.monitors import InfeasibilityMonitor, SlipDetector
-from sim.controllers.pads import PadReading
-from sim.controllers.reference import Reference
+from sim.controllers.readings import PadReading
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
-from sim.controllers.torques import HoldingTorques
+from sim.controllers.torques import HoldingTorques, twist_of
 
 MAX_NORMAL = 40.0
 """Largest normal force (N) that a pad is asked for; the actuators usually end far below."""

@@ -18,15 +18,12 @@ from numpy.typing import NDArray
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Event, Observation, Phase, Sense
-from sim.controllers.belief import PoseBelief
 from sim.controllers.monitors import LOADED
-from sim.controllers.pads import PadReading
+from sim.controllers.readings import PadReading, PoseBelief
 from sim.controllers.schedule import TOUCH_FORCE
-from sim.estimation.errors import SensorErrors
 from sim.estimation.filter import Filtered, PoseFilter, Trust
-from sim.estimation.knowing import Knowing
-from sim.estimation.moments import Look, Moment
-from sim.estimation.track import Track
+from sim.estimation.state import Look, Moment, SensorErrors
+from sim.estimation.track import Knowing, Track
 
 PERIOD = 0.01
 """Time (s) between two moments of the filter; it goes on at once where a finger (un)touches."""

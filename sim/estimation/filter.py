@@ -21,12 +21,16 @@ from numpy.typing import NDArray
 from planner.arrays import check_fields
 from planner.spatial import FloatArray, skew
 from planner.task import GraspTask
-from sim.estimation.errors import SensorErrors
-from sim.estimation.moments import Look, Moment
-from sim.estimation.rolling import Grip, Motion, rolling
-from sim.estimation.state import Belief
-from sim.estimation.surface import nearest, touch_equations
-from sim.estimation.tips import TipKinematics, Tips
+from sim.estimation.contacts import (
+    Grip,
+    Motion,
+    TipKinematics,
+    Tips,
+    nearest,
+    rolling,
+    touch_equations,
+)
+from sim.estimation.state import Belief, Look, Moment, SensorErrors
 
 FARTHEST = 22.5
 """Largest squared Mahalanobis distance (-) of a pose that is believed: 99.9 % of a chi-square

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from planner.errors import NotFoundError, TaskError, shown
 from planner.task import GraspTask
 from sim.controllers import Event, Observation
-from sim.estimation.errors import SensorErrors
+from sim.estimation.estimator import ObjectEstimator
+from sim.estimation.state import SensorErrors
 from sim.reality import Reality
 
 NONE = "none"
@@ -81,6 +83,16 @@ def register_estimator(name: str, reads: str) -> Callable[[MakeEstimator], MakeE
         return make
 
     return register
+
+
+register_estimator("all", "joints, pads and camera")(ObjectEstimator)
+# contacts where round tips touch the estimated object, a nominal force, no sliding
+register_estimator("contact", "joints, and which fingers touch; no camera once the hand closes")(
+    partial(ObjectEstimator, touch="binary", camera=False)
+)
+register_estimator("touch", "joints and pads; no camera once the hand closes")(
+    partial(ObjectEstimator, camera=False)
+)
 
 
 def default_estimator(reality: Reality | None) -> str:

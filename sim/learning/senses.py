@@ -63,7 +63,7 @@ from planner.task import GraspTask
 from sim.controllers import MotionReference, Observation, Phase
 from sim.controllers.follow import CREEP, RAMP, RATE
 from sim.controllers.grasp import FIRST_SHARE
-from sim.controllers.loads import HandLoads, crossed
+from sim.controllers.hand_dynamics import HandLoads, crossed
 
 PLACES = 101
 """Places on the path at which everything planned is tabulated: a degree apart."""

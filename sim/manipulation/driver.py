@@ -25,7 +25,7 @@ from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.carrier import ArmCarrier, Timeline
 from sim.controllers import ClosesAgain, Event, HasOwnAim, Observation, Phase
 from sim.controllers.follow import MotionReference
-from sim.controllers.motors import MotorServo
+from sim.controllers.hand_dynamics import MotorServo
 from sim.gantry import Gantry
 from sim.manipulation.in_hand import InHandController
 from sim.manipulation.swing import FingerSwing

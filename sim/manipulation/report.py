@@ -16,7 +16,7 @@ from planner.showing import Shown, in_notebook
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers import Event
-from sim.controllers.events import told_events
+from sim.controllers.base import told_events
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.modes import mode_table, told_modes
 from sim.manipulation.pressing import FingerForce, finger_forces

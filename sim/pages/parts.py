@@ -22,7 +22,7 @@ from planner.pages.plan_scene import Stage
 from planner.pages.scene import Band, Contacts, Line, Mark, Motion, Plot, Scene
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask, Obstacle
-from sim.controllers.events import AS_TOLD
+from sim.controllers.base import AS_TOLD
 from sim.recording import Recording
 from sim.report_file import EventData
 from sim.screen import reality_lines

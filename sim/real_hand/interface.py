@@ -42,7 +42,7 @@ from planner.plan import GraspPlan
 from planner.shapes import shape_key
 from planner.spatial import SE3, FloatArray
 from sim.controllers.base import Controller, NeedsSenses, Observation, Phase, Sense
-from sim.controllers.pads import PadReading
+from sim.controllers.readings import PadReading
 
 
 class EndOfReadings(HandError):

@@ -19,7 +19,7 @@ import numpy as np
 from planner.errors import FileFormatError, HandError, TaskError
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray, pose_from_wxyz
-from sim.controllers.pads import PadReading
+from sim.controllers.readings import PadReading
 from sim.real_hand.interface import Clock, EndOfReadings, HandReading, PlanMark, places
 from sim.real_hand.log import HandLog, read_log
 

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 
 from planner.arrays import checked_number, finite
 from planner.errors import NotFoundError, TaskError, shown
-from sim.controllers.touch import EXACT
+from sim.controllers.readings import EXACT
 from sim.presets import Presets
 
 IDEAL = "ideal"

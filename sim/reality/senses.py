@@ -24,8 +24,7 @@ from planner.kinematics.state import MovingHand
 from planner.spatial import SE3, FloatArray, cross
 from planner.task import GraspTask
 from sim.controllers import Observation, Phase
-from sim.controllers.belief import SeenPose
-from sim.controllers.pads import PadReading
+from sim.controllers.readings import PadReading, SeenPose
 from sim.reality.drawn import Drawn, stream
 from sim.reality.errors import Reality
 

@@ -1,6 +1,6 @@
 """Tactile pads: arrays of taxels, what follows from their images, and cheaper senses of touch."""
 
-from sim.controllers.touch import EXACT
+from sim.controllers.readings import EXACT
 from sim.tactile.binary import BinarySense
 from sim.tactile.effort import EffortSense
 from sim.tactile.estimate import ContactEstimate, ContactEstimator, FrictionWatch

@@ -30,7 +30,7 @@ from planner.spatial import SE3, FloatArray, cross, skew
 from planner.system.plugins import plugin
 from sim.contacts.pads import body_twist
 from sim.controllers import Observation, PadReading, TouchReading
-from sim.controllers.touch import EXACT
+from sim.controllers.readings import EXACT
 from sim.scene import HAND_PREFIX, Scene
 from sim.tactile.exact import layouts_of
 from sim.tactile.layout import TaxelLayout
