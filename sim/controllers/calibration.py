@@ -24,7 +24,7 @@ what they do not see stays at its prior, 0, and ``deviation`` says so.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -279,15 +279,4 @@ class Calibration:
         read, true = self._read.move(observation.q), self._true.move(q)
         joints = [finger.pad.joint_id for finger in self._fingers]
         moves = [base * true.joint_pose(j) * (base * read.joint_pose(j)).inverse() for j in joints]
-        turns = np.array([move.rotation for move in moves])
-
-        def turned(rows: FloatArray) -> FloatArray:
-            return np.asarray((turns @ rows[:, :, None])[:, :, 0])
-
-        return replace(
-            pads,
-            force=turned(pads.force),
-            position=turned(pads.position) + np.array([move.translation for move in moves]),
-            normal=turned(pads.normal),
-            sliding=turned(pads.sliding),
-        )
+        return pads.moved(moves)

@@ -15,7 +15,8 @@ Made by ``sim.tactile``; read by whoever wants more than a ``PadReading``: polic
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,6 +157,21 @@ class PadReading:
             position=none,
             normal=none.copy(),
             sliding=none.copy(),
+        )
+
+    def moved(self, moves: Sequence[SE3]) -> PadReading:
+        """The same with the vectors of each of the n pads moved."""
+        turns = np.array([move.rotation for move in moves])
+
+        def turned(rows: FloatArray) -> FloatArray:
+            return np.asarray((turns @ rows[:, :, None])[:, :, 0])
+
+        return replace(
+            self,
+            force=turned(self.force),
+            position=turned(self.position) + np.array([move.translation for move in moves]),
+            normal=turned(self.normal),
+            sliding=turned(self.sliding),
         )
 
     @property

@@ -194,7 +194,8 @@ class Reality:
 
         What is left is drawn as before. It is the best that any estimator could do.
         """
-        exact: dict[str, Any] = dict.fromkeys(SENSED, 0.0)
+        sensed = (name for name in self.numbers if name not in NOT_SENSED)
+        exact: dict[str, Any] = dict.fromkeys(sensed, 0.0)
         return replace(self, name=f"{self.name}, sensed exactly", **exact)
 
     def without_camera(self) -> Reality:
@@ -225,34 +226,19 @@ NO_ERROR = ("name", "touch", "seed")
 EXAMPLE = "encoder_offset"
 """An error, for a message."""
 
-SENSED = (
-    "encoder_offset",
-    "encoder_scale",
-    "encoder_noise",
-    "encoder_step",
-    "rate_noise",
-    "backlash",
-    "pose_noise",
-    "turn_noise",
-    "pose_drift",
-    "turn_drift",
-    "pose_bias",
-    "turn_bias",
-    "pose_rate",
-    "pose_delay",
-    "dropout",
-    "dropout_time",
-    "touch_noise",
-    "touch_scale",
-    "touch_step",
-    "touch_threshold",
-    "touch_place",
-    "touch_rate",
-    "touch_delay",
-    "sliding_noise",
+NOT_SENSED = (
+    "drift_time",
+    "dry_friction",
+    "torque_constant",
+    "command_delay",
+    "command_rate",
+    "object_size",
+    "object_mass",
+    "object_center",
+    "object_friction",
 )
-"""Errors of sensors and of what stands between them and the joints; the others are of drives and of
-the world."""
+"""Errors of drives and of the world; the others are of sensors and of what stands between them and
+the joints."""
 
 FOREVER = 1e9
 """A time (s) that no trial lasts."""
