@@ -26,8 +26,7 @@ from sim.controllers import (
     named_controller,
 )
 from sim.controllers.impedance import ImpedanceLaw, felt_inertia
-from sim.controllers.monitors import SlipDetector
-from sim.controllers.schedule import LOST_TIME, RAMP, TOUCH_TIME, ContactSchedule
+from sim.controllers.monitors import LOST_TIME, RAMP, TOUCH_TIME, ContactSchedule, SlipDetector
 from sim.controllers.torques import (
     RETREAT,
     RETREAT_STIFFNESS,

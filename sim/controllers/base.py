@@ -25,8 +25,7 @@ from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 from planner.contacts import ContactSet
 from planner.spatial import SE3, FloatArray
-from sim.controllers.readings import PadReading, PoseBelief, SeenPose, TouchReading
-from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.readings import TOUCH_FORCE, PadReading, PoseBelief, SeenPose, TouchReading
 
 EventKind: TypeAlias = Literal[
     "contact lost",

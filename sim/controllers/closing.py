@@ -32,7 +32,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray, IntArray, minimum_jerk
 from planner.synthesis.link_capsules import closest_on_segments, collision_pairs, finger_capsules
 from sim.controllers.base import Observation
-from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.readings import TOUCH_FORCE
 
 
 class Neighbours:

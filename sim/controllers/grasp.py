@@ -20,7 +20,7 @@ import numpy as np
 from planner.hands.hand import Hand
 from planner.joints.actuation import Actuation
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, minimum_jerk
+from planner.spatial import SE3, FloatArray, cross, minimum_jerk
 from sim.controllers.base import Observation, Sense
 from sim.controllers.believed import BelievedJoints, servo_commands
 from sim.controllers.calibration import Calibration
@@ -29,7 +29,6 @@ from sim.controllers.hand_dynamics import (
     FrictionEstimate,
     HandLoads,
     MotorServo,
-    crossed,
 )
 from sim.controllers.retouch import TouchAgain
 
@@ -142,7 +141,7 @@ class GraspController:
         points = self._points @ turn + T_base_object.translation
         forces = self._forces @ turn
         # wrenches on the object about the base's origin
-        moments = crossed(points, forces)
+        moments = cross(points, forces)
         if self._twists:
             moments += self._moments @ turn
         return self._loads.torque(forces, moments)

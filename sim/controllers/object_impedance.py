@@ -38,9 +38,8 @@ from sim.controllers.base import Event, EventKind, Observation, Phase, Reference
 from sim.controllers.believed import BelievedJoints
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import Doubt, ImpedanceGains, ImpedanceLaw, felt_inertia
-from sim.controllers.monitors import InfeasibilityMonitor, SlipDetector
-from sim.controllers.readings import PadReading
-from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
+from sim.controllers.monitors import ContactSchedule, InfeasibilityMonitor, SlipDetector
+from sim.controllers.readings import TOUCH_FORCE, PadReading
 from sim.controllers.torques import HoldingTorques, twist_of
 
 MAX_NORMAL = 40.0

@@ -24,6 +24,11 @@ from numpy.typing import NDArray
 from planner.errors import ContactError, shown
 from planner.spatial import SE3, FloatArray
 
+TOUCH_FORCE, LOST_FORCE = 0.1, 0.03
+"""Normal forces (N) from which on a finger touches, and below which it has lost the object: a tenth
+of what moves an object of 0.1 kg, and both far above rounding; apart, so that noise does not toggle
+them."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeenPose:

@@ -20,7 +20,7 @@ from planner.spatial import FloatArray, minimum_jerk
 from sim.controllers.base import ClosesAgain, Observation
 from sim.controllers.calibration import Calibration
 from sim.controllers.closing import GuardedClosing
-from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.readings import TOUCH_FORCE
 
 OPEN_TIME, CLOSE_TIME = 0.3, 0.5
 """Time (s) to open after the first touch, and to close again: as a trial's own closing."""

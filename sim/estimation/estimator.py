@@ -19,8 +19,7 @@ from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Event, Observation, Phase, Sense
 from sim.controllers.monitors import LOADED
-from sim.controllers.readings import PadReading, PoseBelief
-from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.readings import TOUCH_FORCE, PadReading, PoseBelief
 from sim.estimation.filter import Filtered, PoseFilter, Trust
 from sim.estimation.state import Look, Moment, SensorErrors
 from sim.estimation.track import Knowing, Track

@@ -30,7 +30,7 @@ from sim.estimation.contacts import (
     rolling,
     touch_equations,
 )
-from sim.estimation.state import Belief, Look, Moment, SensorErrors
+from sim.estimation.state import Belief, Look, Moment, SensorErrors, about_origin
 
 FARTHEST = 22.5
 """Largest squared Mahalanobis distance (-) of a pose that is believed: 99.9 % of a chi-square
@@ -56,9 +56,6 @@ ROLLING = 0.15
 CARRIED = (0.1, 2.0)
 """The same of one that no contact holds: 10 mm and 11 degrees after 0.01 s, so that nothing is
 believed of a direction along which no finger sticks."""
-
-SHORTEST = 1e-3
-"""Least time (s) between two looks that counts: of two at once drift would tell nothing."""
 
 SHORTEST = 1e-3
 """Least time (s) between two looks that counts: of two at once drift would tell nothing."""
@@ -301,8 +298,7 @@ class PoseFilter:
         level = np.eye(3) - vertical
         free[:3, :3] = (level / along**2 + vertical / up**2) / dt
         free[3:, 3:] = (level / tipping**2 + vertical / about**2) / dt
-        to_center = np.eye(6)
-        to_center[:3, 3:] = -skew(belief.T_base_object.translation)
+        to_center = about_origin(belief.T_base_object.translation)
         return prior, to_center.T @ free @ to_center
 
     def _feel(self, belief: Belief, moment: Moment, dt: float) -> Felt:

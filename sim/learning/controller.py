@@ -31,7 +31,8 @@ from sim.controllers import (
     Reference,
     Sense,
 )
-from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
+from sim.controllers.monitors import ContactSchedule
+from sim.controllers.readings import TOUCH_FORCE
 from sim.learning.policy import ACTION_SCALE, RATE_HZ, Policy
 from sim.learning.senses import AIM, SENSES, Playback, SenseHistory
 

@@ -58,12 +58,12 @@ from planner.kinematics.state import HandState
 from planner.motion import Knot, MotionPlan
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, minimum_jerk, skew
+from planner.spatial import SE3, FloatArray, cross, minimum_jerk, skew
 from planner.task import GraspTask
 from sim.controllers import MotionReference, Observation, Phase
 from sim.controllers.follow import CREEP, RAMP, RATE
 from sim.controllers.grasp import FIRST_SHARE
-from sim.controllers.hand_dynamics import HandLoads, crossed
+from sim.controllers.hand_dynamics import HandLoads
 
 PLACES = 101
 """Places on the path at which everything planned is tabulated: a degree apart."""
@@ -311,7 +311,7 @@ def _tabulated(plan: GraspPlan, motion: MotionPlan | None) -> FloatArray:
         in_base = contacts.transformed(T_base_world)
         weight = loads.move(q, gravity)
         forces = in_base.forces_in_axes()
-        pressing = loads.torque(forces, crossed(in_base.positions, forces))
+        pressing = loads.torque(forces, cross(in_base.positions, forces))
         rest = actuation.commands(q, still, weight)
         rows.append(
             np.concatenate([q, rest, actuation.commands(q, still, weight + pressing) - rest])

@@ -20,7 +20,7 @@ from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import as_believed, hand_contacts, merge_per_finger
 from sim.controllers import Observation
-from sim.controllers.schedule import RAMP
+from sim.controllers.monitors import RAMP
 from sim.manipulation.results import Measured
 from sim.manipulation.simulation import ManipulationSim
 from sim.manipulation.swing import FingerSwing

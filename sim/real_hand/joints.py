@@ -30,7 +30,7 @@ from planner.spatial import FloatArray
 from planner.system.process import interrupts_wait
 from sim.carrier import Timeline
 from sim.controllers.base import PHASES, Controller, Observation, Sense
-from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.readings import TOUCH_FORCE
 from sim.real_hand.interface import Clock, HandInterface, HandObservation, Observer
 from sim.real_hand.loop import Carry, ControlLoop, LoopReport
 from sim.real_hand.safety import CommandLimits, Safety
