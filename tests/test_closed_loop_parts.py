@@ -25,7 +25,7 @@ from sim.controllers import (
     PadReading,
     named_controller,
 )
-from sim.controllers.impedance import ImpedanceLaw, felt_inertia
+from sim.controllers.impedance import ImpedanceLaw, effective_inertia
 from sim.controllers.monitors import LOST_TIME, RAMP, TOUCH_TIME, ContactSchedule, SlipDetector
 from sim.controllers.torques import (
     RETREAT,
@@ -159,7 +159,7 @@ def mobility(plan: GraspPlan, mass: float) -> FloatArray:
 
 def test_felt_mass_is_force_by_acceleration(plan: GraspPlan) -> None:
     moved = np.diag(mobility(plan, 0.2))
-    mass, turning = felt_inertia(plan, 0.2)
+    mass, turning = effective_inertia(plan, 0.2)
     assert mass == pytest.approx(1 / moved[:3].mean(), rel=1e-3)
     assert turning == pytest.approx(1 / moved[3:].mean(), rel=1e-3)
     assert mass > 0.2

@@ -43,7 +43,7 @@ def moved(hand: Hand, friction: float, rate: float, seconds: float) -> FloatArra
         v = np.full(hand.nq, rate * (-1) ** k)
         torque = weight + drag * v + (stiction + friction) * np.sign(v)
         ctrl = hand.actuation.commands(hand.neutral, v, torque)
-        found.feel(DT, ctrl, hand.neutral, v, weight)
+        found.update(DT, ctrl, hand.neutral, v, weight)
     return found.extra
 
 
@@ -101,7 +101,7 @@ def test_what_is_found_is_made_up_for_along_the_motion(plan: GraspPlan) -> None:
 
     def torque(friction: float) -> FloatArray:
         torques = HoldingTorques(plan)
-        torques.make_up_for(np.full(len(plan.q), friction))
+        torques.compensate(np.full(len(plan.q), friction))
         torques.move(plan.q, np.zeros(len(plan.q)), GRAVITY)
         torques.aim(tips, plan.q, rate)
         return torques.own_torque
@@ -118,7 +118,7 @@ def test_a_finger_that_looks_for_the_object_overcomes_what_was_found(plan: Grasp
 
     def torque(friction: float) -> FloatArray:
         torques = HoldingTorques(plan)
-        torques.make_up_for(np.full(nq, friction))
+        torques.compensate(np.full(nq, friction))
         torques.move(plan.q, np.zeros(nq), GRAVITY)
         torques.touch(contacts.positions, contacts.center, ~searching)
         ctrl = torques.commands(np.zeros((n, 3)), contacts.normals, ~searching, searching)
@@ -151,7 +151,7 @@ def test_what_stuck_joints_may_keep_from_a_finger(plan: GraspPlan) -> None:
     torques.move(plan.q, np.zeros(nq), GRAVITY)
     torques.touch(contacts.positions, contacts.center, np.ones(n, dtype=bool))
     np.testing.assert_array_equal(torques.held_back(contacts.normals), 0.0)
-    torques.make_up_for(np.full(nq, 0.02))
+    torques.compensate(np.full(nq, 0.02))
     state = HandState(plan.task.hand, plan.q)
     for i, finger in enumerate(plan.task.fingers):
         at = state.point_jacobian(finger.pad.joint_id, contacts.positions[i])[:3]

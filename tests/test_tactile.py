@@ -27,11 +27,11 @@ from sim.simulation import Simulation
 from sim.tactile import (
     TOUCH_SENSES,
     ContactEstimator,
-    FrictionWatch,
     PadContact,
-    SlipWatch,
     TaxelArray,
+    TaxelFrictionEstimator,
     TaxelLayout,
+    TaxelSlipDetector,
     Texture,
     TouchContext,
     contact_image,
@@ -291,7 +291,7 @@ def watched(
     rng = np.random.default_rng(seed)
     layout = layout_of(noise=noise, rows=13, columns=13)
     array, estimator = TaxelArray(layout, rng), ContactEstimator(layout)
-    texture, slips = Texture(layout.shape, rng, share), SlipWatch([layout])
+    texture, slips = Texture(layout.shape, rng, share), TaxelSlipDetector([layout])
     first, steps = math.inf, round(seconds / 0.002)
     for k in range(steps):
         now = 0.002 * k
@@ -385,7 +385,7 @@ def test_friction_is_found_from_the_spread_of_shear_before_anything_slips(mu: fl
     layout = layout_of(noise=0.05, rows=13, columns=13)
     rng = np.random.default_rng(1)
     array, estimator = TaxelArray(layout, rng), ContactEstimator(layout)
-    watch = FrictionWatch([0.002])
+    watch = TaxelFrictionEstimator([0.002])
     for _ in range(500):
         contact = press(layout, (0.0, 0.0), 3.0, (0.7 * mu * 3.0, 0.0), used=0.7)
         seen = estimator.estimate(array.measured(contact_image(layout, contact)))
@@ -396,7 +396,7 @@ def test_friction_is_found_from_the_spread_of_shear_before_anything_slips(mu: fl
 
 def test_what_slips_has_all_of_its_friction_in_use() -> None:
     layout = layout_of()
-    watch, estimator = FrictionWatch([0.002]), ContactEstimator(layout)
+    watch, estimator = TaxelFrictionEstimator([0.002]), ContactEstimator(layout)
     contact = press(layout, (0.0, 0.0), 2.0, (0.8, 0.0), used=1.0)
     seen = estimator.estimate(contact_image(layout, contact))
     for _ in range(50):

@@ -25,14 +25,13 @@ from sim.contacts.reading import (
     object_contacts,
     other_touches,
 )
-from sim.contacts.rows import ContactRows, as_believed, merge_per_finger
+from sim.contacts.rows import ContactRows, merge_per_finger, with_planned_friction
 
 __all__ = [
     "NO_FORCE",
     "ContactHistory",
     "ContactRows",
     "Touch",
-    "as_believed",
     "contact_loads",
     "contacts_from_mujoco",
     "hand_contacts",
@@ -40,4 +39,5 @@ __all__ = [
     "normal_forces",
     "object_contacts",
     "other_touches",
+    "with_planned_friction",
 ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from sim.controllers.base import (
     PHASES,
-    ClosesAgain,
     Controller,
     Event,
     EventKind,
@@ -12,6 +11,7 @@ from sim.controllers.base import (
     NeedsSenses,
     Observation,
     Phase,
+    Recloses,
     Reference,
     ReportsEvents,
     ReportsLimits,
@@ -39,7 +39,6 @@ __all__ = [
     "CONTROLLERS",
     "PHASES",
     "AnyController",
-    "ClosesAgain",
     "Controller",
     "Event",
     "EventKind",
@@ -53,6 +52,7 @@ __all__ = [
     "Observation",
     "PadReading",
     "Phase",
+    "Recloses",
     "Reference",
     "ReportsEvents",
     "ReportsLimits",

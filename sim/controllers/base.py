@@ -25,7 +25,13 @@ from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 from planner.contacts import ContactSet
 from planner.spatial import SE3, FloatArray
-from sim.controllers.readings import TOUCH_FORCE, PadReading, PoseBelief, SeenPose, TouchReading
+from sim.controllers.readings import (
+    TOUCH_FORCE,
+    MeasuredPose,
+    PadReading,
+    PoseUncertainty,
+    TouchReading,
+)
 
 EventKind: TypeAlias = Literal[
     "contact lost",
@@ -60,15 +66,15 @@ class Event:
     detail: str = ""
 
 
-AS_TOLD: tuple[EventKind, ...] = ("finger leaves", "finger joins")
+COMMANDED: tuple[EventKind, ...] = ("finger leaves", "finger joins")
 """Events that a caller brings about: it knows of them anyway."""
 
 
-def told_events(events: Sequence[Event]) -> list[str]:
+def event_lines(events: Sequence[Event]) -> list[str]:
     """One line for each kind and finger, in order of the first; what was told to do is left out."""
     alike: dict[tuple[str, str], list[Event]] = {}
     for event in events:
-        if event.kind not in AS_TOLD:
+        if event.kind not in COMMANDED:
             alike.setdefault((event.kind, event.finger), []).append(event)
     lines = []
     for (kind, finger), same in alike.items():
@@ -162,9 +168,9 @@ class Observation:
         read_twist: Reads ``object_twist``.
         read_contacts: Reads ``contacts``.
         read_pads: Reads ``pads``.
-        seen: The newest measured pose that has arrived, with its time stamp; None where
+        measured_pose: The newest measured pose that has arrived, with its time stamp; None where
             ``T_world_object`` is one of now.
-        belief: How well an estimator knows ``T_world_object``; None of a pose that was read.
+        uncertainty: How well an estimator knows ``T_world_object``; None of a pose that was read.
         read_touch: Reads ``touch``: raw images of taxels, where there are any.
     """
 
@@ -179,8 +185,8 @@ class Observation:
     read_twist: Callable[[], FloatArray]
     read_contacts: Callable[[], ContactSet]
     read_pads: Callable[[], PadReading] = PadReading.nothing
-    seen: SeenPose | None = None
-    belief: PoseBelief | None = None
+    measured_pose: MeasuredPose | None = None
+    uncertainty: PoseUncertainty | None = None
     read_touch: Callable[[], TouchReading] = TouchReading.nothing
 
     @property
@@ -253,7 +259,7 @@ class ReportsEvents(Protocol):
 
 
 @runtime_checkable
-class ClosesAgain(Protocol):
+class Recloses(Protocol):
     """A controller that may open the fingers after the first touch, to close them better."""
 
     @property

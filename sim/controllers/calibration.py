@@ -1,6 +1,6 @@
 """``Calibration``: the encoder offsets that a controller has found, and its readings without them.
 
-Called by ``TouchAgain`` when all fingers touch and by ``ObjectImpedance`` when the squeeze is over,
+Called by ``Reclosing`` when all fingers touch and by ``ObjectImpedance`` when the squeeze is over,
 with what the pads feel, and from then on at every step. Offsets are taken over only where the
 contacts contradict the joints as read by more than ``CONTRADICTION``, so exact joints stay exactly
 as they are. Contacts beside the pads' balls tell nothing.
@@ -11,11 +11,11 @@ Where a finger touches, its surface is on the object's, and their normals are op
 are off by delta put the contact elsewhere: the known surface closes the loop. Called by
 ``ObjectImpedance`` when the fingers have closed, and by whoever calibrates a hand.
 
-    minimise   sum_looks sum_contacts  (distance / s_d)^2 + |n + outward|^2 / s_n^2
-                  + |delta / s_q|^2 + sum_looks |pose error / s_pose|^2
+    minimise   sum_samples sum_contacts  (distance / s_d)^2 + |n + outward|^2 / s_n^2
+                  + |delta / s_q|^2 + sum_samples |pose error / s_pose|^2
 
 over the offsets delta (reading minus joint) of the joints that move a touching pad, the same in all
-looks, and over the pose error of each look. Distance and outward normal are those of the object's
+samples, and over the pose error of each. Distance and outward normal are those of the object's
 surface at the contact (from the pads' reading, or a pad's ball where only touch is known). Gauss
 and Newton, with the surface's curvature by differences. Contacts see few combinations of joints:
 what they do not see stays at its prior, 0, and ``deviation`` says so.
@@ -42,7 +42,7 @@ OFFSET = np.deg2rad(2.0)
 """Prior standard deviation (rad) of a joint's offset: between a good calibration and a bad one."""
 
 POSITION, ROTATION = 0.001, np.deg2rad(1.0)
-"""Standard deviations of the object's pose in a look, m and rad."""
+"""Standard deviations of the object's pose in a sample, m and rad."""
 
 DISTANCE, NORMAL = 0.0005, np.deg2rad(4.0)
 """Standard deviations of a contact's distance to the surface, m (pads give way by tenths of a
@@ -59,7 +59,7 @@ SHARPEST = 200.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Look:
+class ContactSample:
     """What is read of one moment, base frame; n fingers.
 
     Attributes:
@@ -100,32 +100,32 @@ def estimate_offsets(
     hand: Hand,
     fingers: Sequence[Finger],
     shape: Shape,
-    looks: Sequence[Look],
+    samples: Sequence[ContactSample],
     *,
     prior: float = OFFSET,
     position: float = POSITION,
     rotation: float = ROTATION,
 ) -> OffsetEstimate:
-    """The offsets that explain some looks best.
+    """The offsets that explain some samples best.
 
     Args:
         hand: The hand.
-        fingers: The n fingers of the looks.
+        fingers: The n fingers of the samples.
         shape: The object's, as it is believed.
-        looks: One or more; those in which the object lies differently in the hand tell more.
+        samples: One or more; those in which the object lies differently in the hand tell more.
         prior: Standard deviation of an offset, rad.
-        position: Of the object's position in a look, m.
+        position: Of the object's position in a sample, m.
         rotation: Of its rotation, rad.
     """
-    nq, poses = hand.nq, 6 * len(looks)
+    nq, poses = hand.nq, 6 * len(samples)
     seen = np.zeros(nq, dtype=bool)
-    for look in looks:
-        for i in np.flatnonzero(look.touching).tolist():
+    for sample in samples:
+        for i in np.flatnonzero(sample.touching).tolist():
             seen |= hand.moved_by[fingers[i].pad.joint_id]
     precision = np.concatenate(
         [
             np.full(nq, prior**-2),
-            np.tile(np.repeat([position**-2, rotation**-2], 3), len(looks)),
+            np.tile(np.repeat([position**-2, rotation**-2], 3), len(samples)),
         ]
     )
     x = np.zeros(nq + poses)
@@ -134,12 +134,12 @@ def estimate_offsets(
     for round_ in range(ROUNDS):
         gram, right, squares, count = np.diag(precision), -precision * x, 0.0, 0
         whole, errors_n = 0.0, 0
-        for k, look in enumerate(looks):
+        for k, sample in enumerate(samples):
             mine = slice(nq + 6 * k, nq + 6 * k + 6)
-            state = HandState(hand, look.q - x[:nq])
-            read = HandState(hand, look.q)
-            for i in np.flatnonzero(look.touching).tolist():
-                error, rows = _residual(fingers[i], i, look, state, read, shape, x[mine])
+            state = HandState(hand, sample.q - x[:nq])
+            read = HandState(hand, sample.q)
+            for i in np.flatnonzero(sample.touching).tolist():
+                error, rows = _residual(fingers[i], i, sample, state, read, shape, x[mine])
                 full = np.zeros((len(error), nq + poses))
                 full[:, :nq], full[:, mine] = rows[:, :nq], rows[:, nq:]
                 gram += full.T @ full
@@ -163,7 +163,7 @@ def estimate_offsets(
 def _residual(
     finger: Finger,
     i: int,
-    look: Look,
+    sample: ContactSample,
     state: HandState,
     read: HandState,
     shape: Shape,
@@ -175,11 +175,11 @@ def _residual(
     """
     joint = finger.pad.joint_id
     moved = state.joint_pose(joint) * read.joint_pose(joint).inverse()
-    if look.points is None:
+    if sample.points is None:
         point, clear = state.pad_center(finger), finger.pad.radius
     else:
-        point, clear = moved.act(look.points[i]), 0.0
-    T = look.T_base_object
+        point, clear = moved.act(sample.points[i]), 0.0
+    T = sample.T_base_object
     arm = point - T.translation
     jac = state.point_jacobian(joint, point)
     turn = np.asarray(T.rotation.T)
@@ -193,8 +193,8 @@ def _residual(
     rows = [nu @ d_place / DISTANCE]
     errors = [distance / DISTANCE]
     bend = (outward[1:4] - outward[4:7]).T / (2.0 * STEP)
-    if look.normals is not None and np.linalg.norm(bend, 2) < SHARPEST:
-        normal = moved.rotation @ look.normals[i]
+    if sample.normals is not None and np.linalg.norm(bend, 2) < SHARPEST:
+        normal = moved.rotation @ sample.normals[i]
         felt = turn @ (normal - np.cross(pose_error[3:], normal))
         # normal turns by -J_ang delta; so does what the object sees of it, against r
         d_felt = turn @ np.hstack([skew(normal) @ jac[3:], np.zeros((3, 3)), skew(normal)])
@@ -228,12 +228,12 @@ class Calibration:
         task = plan.task
         self._hand, self._fingers, self._shape = task.hand, task.fingers, task.object.shape
         self._read, self._true = (MovingHand(task.hand, plan.q) for _ in range(2))
-        self._looks: list[Look] = []
+        self._samples: list[ContactSample] = []
         self.offset = np.zeros(task.hand.nq)
         self.estimate: OffsetEstimate | None = None
 
     def learn(self, observation: Observation) -> bool:
-        """Look at the contacts of now, as read; whether the offsets have changed.
+        """Compare the contacts of now, as read; whether the offsets have changed.
 
         Nothing is learned of a hand without pads.
         """
@@ -242,17 +242,17 @@ class Calibration:
         T_base_world = observation.T_world_base.inverse()
         pads = observation.pads
         points = pads.position @ T_base_world.rotation.T + T_base_world.translation
-        look = Look(
+        sample = ContactSample(
             q=observation.q,
             T_base_object=T_base_world * observation.T_world_object,
             touching=self._by_pads(observation.q, points),
             points=points,
             normals=pads.normal @ T_base_world.rotation.T,
         )
-        if not look.touching.any():
+        if not sample.touching.any():
             return False
-        self._looks.append(look)
-        self.estimate = estimate_offsets(self._hand, self._fingers, self._shape, self._looks)
+        self._samples.append(sample)
+        self.estimate = estimate_offsets(self._hand, self._fingers, self._shape, self._samples)
         if self.estimate.misfit < CONTRADICTION:
             return False
         self.offset = self.estimate.offset

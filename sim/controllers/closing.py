@@ -122,9 +122,9 @@ class GuardedClosing:
         """Prepare search directions for a plan."""
         self._plan, self._fingers = plan, plan.task.fingers
         n = len(self._fingers)
-        self._ways = search_ways(plan)
+        self._directions = search_directions(plan)
         self._search, self._along = np.zeros((2, n, plan.task.hand.nq))
-        for i, one in enumerate(self._ways):
+        for i, one in enumerate(self._directions):
             self._search[i, one.index], self._along[i, one.index] = one.straight, one.along
         self._share, self._reach, self._follows = np.zeros((3, n))
         self._moved = np.zeros_like(self._search)  # by searching, rad
@@ -166,15 +166,15 @@ class GuardedClosing:
         Near a neighbour it goes past it, or stays where there is no way past.
         """
         step = min(step, SEARCH_REACH - self._reach[i])
-        way: FloatArray | None = self._ways[i].straight
-        gap, k = self._neighbours.gap(i, q), self._ways[i].index
+        way: FloatArray | None = self._directions[i].straight
+        gap, k = self._neighbours.gap(i, q), self._directions[i].index
         if gap < LEAST_GAP:
             slope = np.zeros(len(k))
             for at, joint in enumerate(k.tolist()):
                 ahead = q.copy()
                 ahead[joint] += LOOK
                 slope[at] = (self._neighbours.gap(i, ahead) - gap) / LOOK
-            way = self._ways[i].past(slope)
+            way = self._directions[i].around(slope)
         if way is not None:
             self._reach[i] += step
             self._moved[i, k] += step * way
@@ -192,7 +192,7 @@ class GuardedClosing:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SearchWay:
+class SearchDirection:
     """How a finger of k joints moves its pad along the contact normal.
 
     With a = J^T n, the pad's motion along the normal per joint, and T its motion across it, the
@@ -216,7 +216,7 @@ class SearchWay:
     free: FloatArray
     cost: FloatArray
 
-    def past(self, slope: FloatArray) -> FloatArray | None:
+    def around(self, slope: FloatArray) -> FloatArray | None:
         """The way (k,), rad/m, that does not lessen a distance that changes by ``slope`` (k,).
 
         None where there is none, or it is too long.
@@ -234,12 +234,12 @@ class SearchWay:
         return np.asarray(way)
 
 
-def search_ways(plan: GraspPlan) -> list[SearchWay]:
-    """The ways of a plan's fingers, in their order."""
+def search_directions(plan: GraspPlan) -> list[SearchDirection]:
+    """The directions of a plan's fingers, in their order."""
     state = HandState(plan.task.hand, plan.q)
     inverse = plan.T_world_base.inverse()
     couplings, _ = plan.task.hand.coupling_matrix
-    ways = []
+    directions = []
     for finger, point, normal in zip(
         plan.task.fingers, plan.contacts.positions, plan.contacts.normals, strict=True
     ):
@@ -252,5 +252,7 @@ def search_ways(plan: GraspPlan) -> list[SearchWay]:
         cost = across.T @ across + SEARCH_DAMPING**2 * np.eye(free.shape[1])
         way = np.linalg.solve(cost, free.T @ along)
         straight = free @ way / max(float(along @ free @ way), STUCK)
-        ways.append(SearchWay(index=k, along=along, straight=straight, free=free, cost=cost))
-    return ways
+        directions.append(
+            SearchDirection(index=k, along=along, straight=straight, free=free, cost=cost)
+        )
+    return directions

@@ -22,7 +22,6 @@ from planner.joints.actuation import Actuation
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, cross, minimum_jerk
 from sim.controllers.base import Observation, Sense
-from sim.controllers.believed import BelievedJoints, servo_commands
 from sim.controllers.calibration import Calibration
 from sim.controllers.hand_dynamics import (
     ContactForceLimit,
@@ -30,7 +29,8 @@ from sim.controllers.hand_dynamics import (
     HandLoads,
     MotorServo,
 )
-from sim.controllers.retouch import TouchAgain
+from sim.controllers.joint_stops import StopCorrection, servo_commands
+from sim.controllers.reclosing import Reclosing
 
 FIRST_SHARE = 0.1
 """Share of the planned forces at which the squeeze begins: about the force of first touch."""
@@ -75,10 +75,10 @@ class GraspController:
         self._moments = torsion[:, None] * planned.normals
         self._twists = bool(torsion.any())
         self.calibration = Calibration(plan)
-        self._closing = TouchAgain(plan, self.calibration)
+        self._closing = Reclosing(plan, self.calibration)
         self._light = ContactForceLimit(self._hand)
         self.friction = FrictionEstimate(self._hand)
-        self._believed = BelievedJoints(self._hand.actuation, plan.q)
+        self._stops = StopCorrection(self._hand.actuation, plan.q)
         self._servo = MotorServo(self._hand, plan.q)
         self._loads = HandLoads(self._hand, self._fingers)
         self._still = np.zeros(self._hand.nq)
@@ -112,14 +112,14 @@ class GraspController:
         self._law_q = self.q_ref
         if self._latched:
             true = self.q_ref - offset if offset.any() else self.q_ref
-            self._law_q = self._believed.believe(true)
+            self._law_q = self._stops.corrected(true)
         ctrl = servo_commands(self._hand.actuation, self.q_ref, self._law_q, self._still, torque)
         if self._latched:
             return ctrl
         if elapsed <= LIGHT_PERIOD:
             ctrl = self._light.commands(ctrl, observation.q, observation.v, weight)
         if not observation.normal_forces.any():
-            self.friction.feel(elapsed, ctrl, observation.q, observation.v, weight)
+            self.friction.update(elapsed, ctrl, observation.q, observation.v, weight)
         return ctrl
 
     @property

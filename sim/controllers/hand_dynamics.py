@@ -248,7 +248,7 @@ class FrictionEstimate(FreeFingers):
         super().__init__(hand)
         self._sum, self._size, self._time = np.zeros((3, len(hand.actuation.names)))
 
-    def feel(
+    def update(
         self, elapsed: float, ctrl: FloatArray, q: FloatArray, v: FloatArray, weight: FloatArray
     ) -> None:
         """Take over a step in which nothing touches.

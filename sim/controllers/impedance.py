@@ -18,7 +18,7 @@ fingers that hold it (Khatib 1987, operational space inertia):
 with H the joint-space inertia and J_i the Jacobian of contact i. K = M w^2 and D = 2 z M w give the
 natural frequency w and the damping ratio z.
 
-``Doubt``: what an estimate takes back is no motion of the object.
+``EstimateCorrection``: what an estimate takes back is no motion of the object.
 
 Called by ``ObjectImpedance`` at every step while it only holds. A carried object moves with the
 fingertips, which the joints tell to hundredths of a millimetre, and against them as the pads feel
@@ -40,13 +40,13 @@ from planner.arrays import check_fields
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
-from sim.controllers.readings import PoseBelief
+from sim.controllers.readings import PoseUncertainty
 
 DEVIATIONS = 3.0
 """How many standard deviations of the estimate, the largest so far, it may take back (-)."""
 
 
-class Doubt:
+class EstimateCorrection:
     """What an estimate has taken back since the wanted pose was set."""
 
     def __init__(self) -> None:
@@ -59,8 +59,13 @@ class Doubt:
         self._last = None
         self._taken, self._most = np.zeros((2, 3)), np.zeros(2)
 
-    def gone_along(
-        self, wanted: SE3, estimate: SE3, twist: FloatArray, elapsed: float, belief: PoseBelief
+    def follow(
+        self,
+        wanted: SE3,
+        estimate: SE3,
+        twist: FloatArray,
+        elapsed: float,
+        uncertainty: PoseUncertainty,
     ) -> SE3:
         """The wanted pose, moved as the estimate has moved without the object.
 
@@ -70,12 +75,12 @@ class Doubt:
             twist: (6,), of the object as its contacts tell it, about its centre, palm axes, m/s and
                 rad/s.
             elapsed: Since the last step, s.
-            belief: How well the estimate is known.
+            uncertainty: How well the estimate is known.
         """
         last, self._last = self._last, estimate
         if last is None:
             return wanted
-        deviations = np.array([belief.position_deviation, belief.rotation_deviation])
+        deviations = np.array([uncertainty.position_deviation, uncertainty.rotation_deviation])
         self._most = np.maximum(self._most, deviations)
         shift = estimate.translation - last.translation - elapsed * twist[:3]
         turn = pin.log3(estimate.rotation @ last.rotation.T @ pin.exp3(-elapsed * twist[3:]))
@@ -198,7 +203,7 @@ class ImpedanceLaw:
         self.load += elapsed * self.gains.learning_rate * (self._spring + missed)
 
 
-def felt_inertia(plan: GraspPlan, mass: float) -> tuple[float, float]:
+def effective_inertia(plan: GraspPlan, mass: float) -> tuple[float, float]:
     """Mass (kg) and moment of inertia (kg m^2) of a held object with the links that move with it.
 
     From the mean of the mobility M^-1 over all directions. A mean of M would be dominated by

@@ -190,7 +190,7 @@ class InfeasibilityMonitor:
 
     Attributes:
         missed: Missed share of the last wrench (-).
-        given: Share of the least normal forces that is asked for (-).
+        grip_share: Share of the least normal forces that is asked for (-).
         gave_up: Why it gave up, "" while it has not; "" again when it is over.
     """
 
@@ -202,27 +202,27 @@ class InfeasibilityMonitor:
             fingers: Names of those that take part, n.
             what: Name of the object.
         """
-        self.missed, self.given, self.gave_up = 0.0, 1.0, ""
+        self.missed, self.grip_share, self.gave_up = 0.0, 1.0, ""
         self._needed, self._fingers, self._what = needed, tuple(fingers), what
         self._missed_for = self._few_for = 0.0
 
     def update(
-        self, elapsed: float, *, short: float, asked: float, holding: NDArray[np.bool_]
+        self, elapsed: float, *, residual: float, wanted: float, holding: NDArray[np.bool_]
     ) -> list[tuple[EventKind, str]]:
         """Take over a step; returns the events to note.
 
         Args:
             elapsed: Since the last step, s.
-            short: Size of the unbalanced wrench, N.
-            asked: Size of the wrench, N.
+            residual: Size of the unbalanced wrench, N.
+            wanted: Size of the wanted wrench, N.
             holding: Which fingers (n,) hold.
         """
-        self.missed = short / max(1.0, asked)
-        wanting = self.missed > MISSED_TOL
+        self.missed = residual / max(1.0, wanted)
+        missing = self.missed > MISSED_TOL
         rate = -1.0 / GIVING_TIME if self.missed > GIVING_TOL else 1.0 / TAKING_TIME
-        self.given = min(1.0, max(LEAST_GIVEN, self.given + elapsed * rate))
+        self.grip_share = min(1.0, max(LEAST_GIVEN, self.grip_share + elapsed * rate))
         before = self._missed_for
-        self._missed_for = before + elapsed if wanting else 0.0
+        self._missed_for = before + elapsed if missing else 0.0
         count = int(holding.sum())
         few = count < self._needed
         self._few_for = self._few_for + elapsed if few else 0.0
@@ -231,13 +231,13 @@ class InfeasibilityMonitor:
         def detail() -> str:
             names = [name for name, holds in zip(self._fingers, holding, strict=True) if holds]
             who = ", ".join(names) or "no finger"
-            return f"{who} on {self._what}: {short:.2f} N of {asked:.2f} N cannot be exerted"
+            return f"{who} on {self._what}: {residual:.2f} N of {wanted:.2f} N cannot be exerted"
 
         if before < INFEASIBLE_TIME <= self._missed_for:
             notes.append(("infeasible", f"{detail()}; the nearest forces are given"))
         if before >= INFEASIBLE_TIME and self._missed_for == 0.0:
             notes.append(("feasible again", f"after {before:.3f} s"))
-        if self.gave_up and (wanting or few):
+        if self.gave_up and (missing or few):
             return notes
         self.gave_up = ""
         if self._few_for > PATIENCE:

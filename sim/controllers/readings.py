@@ -4,7 +4,7 @@ A pad that measures force in three axes and sees the surface move under it (opti
 the force on the object, where it acts, along which normal, and how fast the object slides over it.
 Contacts of one finger are summed; positions and velocities are means weighted by normal force.
 
-``SeenPose`` and ``PoseBelief``: when a pose was seen, and how well one is known.
+``MeasuredPose`` and ``PoseUncertainty``: when a pose was seen, and how well one is known.
 
 Both stand in an ``Observation``, beside the pose itself.
 
@@ -31,7 +31,7 @@ them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SeenPose:
+class MeasuredPose:
     """A measured pose of the object.
 
     Attributes:
@@ -44,7 +44,7 @@ class SeenPose:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PoseBelief:
+class PoseUncertainty:
     """What an estimator knows of the error of ``Observation.T_world_object``.
 
     Attributes:

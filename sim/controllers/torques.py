@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
-from sim.controllers.believed import servo_commands
 from sim.controllers.grasp import saturated
 from sim.controllers.hand_dynamics import FULL_FRICTION_RATE, HandLoads, joint_drag, motor_servo
+from sim.controllers.joint_stops import servo_commands
 
 TIP_STIFFNESS = 150.0
 """Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
@@ -110,7 +110,7 @@ class HoldingTorques:
         self._tip_velocity = np.zeros((n, 3))
         self._law_q, self._torque = plan.q.copy(), np.zeros(nq)
 
-    def make_up_for(self, friction: FloatArray) -> None:
+    def compensate(self, friction: FloatArray) -> None:
         """Take joints to have dry friction (nq,) beyond the model's, N m, from now on."""
         self._stiction = self._stiction + friction
         self._found = self._found + friction
@@ -179,7 +179,7 @@ class HoldingTorques:
         normals: FloatArray,
         holding: NDArray[np.bool_],
         searching: NDArray[np.bool_],
-        believed: FloatArray | None = None,
+        corrected: FloatArray | None = None,
         read: FloatArray | None = None,
     ) -> FloatArray:
         """Commands (nu,) that press.
@@ -189,7 +189,7 @@ class HoldingTorques:
             normals: (n, 3), into the object.
             holding: (n,), which fingers hold.
             searching: (n,), which look for the object; the rest stay off it.
-            believed: (nq,), joints as the stops have them, see ``sim.controllers.believed``; those
+            corrected: (nq,), joints as the stops have them (``sim.controllers.joint_stops``); those
                 of ``move`` if None.
             read: (nq,), joints as the servos' encoders have them; those of ``move`` if None.
         """
@@ -203,8 +203,8 @@ class HoldingTorques:
         encoders = self._law_q
         if read is not None and read is not self._q:
             encoders = self._law_q + (read - self._q)
-        if believed is not None and believed is not self._q:
-            self._law_q = np.where(self._moving, believed, self._q_ref)
+        if corrected is not None and corrected is not self._q:
+            self._law_q = np.where(self._moving, corrected, self._q_ref)
         return servo_commands(self._hand.actuation, encoders, self._law_q, self._v_moving, torque)
 
     def _tip_torque(

@@ -1,7 +1,7 @@
 """Where the object is, from joints, touch and camera, and how well that is known."""
 
 from sim.estimation.estimator import ObjectEstimator
-from sim.estimation.filter import Trust
+from sim.estimation.filter import ContactNoise
 from sim.estimation.log import EstimateLog
 from sim.estimation.named import (
     ESTIMATORS,
@@ -21,12 +21,12 @@ __all__ = [
     "ESTIMATORS",
     "NONE",
     "AnyEstimator",
+    "ContactNoise",
     "EstimateLog",
     "Estimator",
     "NamedEstimator",
     "ObjectEstimator",
     "SensorErrors",
-    "Trust",
     "check_estimator",
     "default_estimator",
     "estimator_for",

@@ -38,7 +38,7 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import MovingHand
 from planner.shapes.base import Shape
 from planner.spatial import FloatArray, IntArray, contact_frames, cross, skew
-from sim.estimation.state import Belief
+from sim.estimation.state import Estimate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,9 +147,9 @@ class Equations:
     distances: int
 
 
-def nearest(shape: Shape, belief: Belief, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def nearest(shape: Shape, estimate: Estimate, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Signed distances (k,), m, and outward normals (k, 3), base axes, at points (k, 3) there."""
-    T, grown = belief.T_base_object, 1.0 + belief.size
+    T, grown = estimate.T_base_object, 1.0 + estimate.size
     local = (points - T.translation) @ T.rotation / grown
     surface, normals = shape.closest_point(local)
     distance = grown * ((local - surface) * normals).sum(axis=1)
@@ -158,7 +158,7 @@ def nearest(shape: Shape, belief: Belief, points: FloatArray) -> tuple[FloatArra
 
 def touch_equations(
     shape: Shape,
-    belief: Belief,
+    estimate: Estimate,
     tips: Tips,
     points: FloatArray,
     radii: FloatArray,
@@ -168,21 +168,23 @@ def touch_equations(
 
     Args:
         shape: The object's.
-        belief: What is known.
+        estimate: What is known.
         tips: Fingertips of the k fingers that touch, at the joints as they are believed.
         points: (k, 3), contacts, or centres of round tips, m, base.
         radii: (k,), 0 or the tips' radii, m.
         felt: (k, 3), outward normals as the pads feel them; None if they do not.
     """
-    k, m = len(points), len(belief.offsets)
-    center = belief.T_base_object.translation
+    k, m = len(points), len(estimate.offsets)
+    center = estimate.T_base_object.translation
     if felt is None:
-        distance, normals = nearest(shape, belief, points)
+        distance, normals = nearest(shape, estimate, points)
     else:
         frames = contact_frames(felt)  # the surface's own would jump with it
         across = frames[:, :, 1:].transpose(0, 2, 1)  # (k, 2, 3)
         beside = points[:, None] + STEP * across
-        distance, normals = nearest(shape, belief, np.concatenate([points, beside.reshape(-1, 3)]))
+        distance, normals = nearest(
+            shape, estimate, np.concatenate([points, beside.reshape(-1, 3)])
+        )
         distance, normals, near = distance[:k], normals[:k], normals[k:].reshape(k, 2, 3)
     jacobians = tips.jacobians(points)  # (k, m, 3)
     rows = np.empty((k, 7 + m))
@@ -190,7 +192,7 @@ def touch_equations(
     rows[:, 3:6] = -cross(points, normals)
     rows[:, 6:-1] = -(jacobians @ normals[:, :, None])[:, :, 0]
     arm = points - center
-    rows[:, -1] = (distance - (normals * arm).sum(axis=1)) / (1.0 + belief.size)
+    rows[:, -1] = (distance - (normals * arm).sum(axis=1)) / (1.0 + estimate.size)
     if felt is None:
         return Equations(radii - distance, rows, k)
     bend = ((near - normals[:, None]) / STEP).transpose(0, 2, 1) @ across  # (k, 3, 3)
@@ -199,7 +201,7 @@ def touch_equations(
     turning[:, :, 3:6] = bend @ skew(points) - skew(normals)
     turning[:, :, 6:-1] = -bend @ jacobians.transpose(0, 2, 1)
     turning[:, :, 6:-1] -= skew(felt) @ tips.angular.transpose(0, 2, 1)
-    turning[:, :, -1] = -(bend @ arm[:, :, None])[:, :, 0] / (1.0 + belief.size)
+    turning[:, :, -1] = -(bend @ arm[:, :, None])[:, :, 0] / (1.0 + estimate.size)
     of_normals = (across @ turning).reshape(2 * k, -1)
     off = (across @ (felt - normals)[:, :, None]).reshape(-1)
     return Equations(np.concatenate([radii - distance, off]), np.concatenate([rows, of_normals]), k)

@@ -50,15 +50,15 @@ class EstimateLog:
 
     def note(self, truth: Observation, told: Observation) -> None:
         """Note an estimate, unless the last one is too near in time."""
-        if told.belief is None:
+        if told.uncertainty is None:
             return
         if self._rows and truth.time < self._rows[-1][0] + self.every - 1e-9:
             return
         true, estimated = truth.T_world_object, told.T_world_object
         turned = pin.log3(true.rotation @ estimated.rotation.T)
         error = np.concatenate([true.translation - estimated.translation, turned])
-        deviation = np.sqrt(np.diagonal(told.belief.covariance))
-        self._rows.append((truth.time, truth.phase, error, deviation, told.belief.known))
+        deviation = np.sqrt(np.diagonal(told.uncertainty.covariance))
+        self._rows.append((truth.time, truth.phase, error, deviation, told.uncertainty.known))
 
     def __len__(self) -> int:
         """Number of samples."""

@@ -1,4 +1,4 @@
-"""``Belief``: what the filter knows at one time, and how a linear measurement changes it.
+"""``Estimate``: what the filter knows at one time, and how a linear measurement changes it.
 
 Pose of the object in the hand's base, offsets of the joints that move the fingertips, and the
 object's size. The error of the pose is right-invariant:
@@ -14,7 +14,7 @@ Transactions on Automatic Control 62 (4), 2017.) A point x of the object is off 
 An estimator is told what data sheets and calibrations say: how large errors are, never what was
 drawn of them.
 
-``Moment``: what the senses said at one time; and ``Look``: a pose that a camera saw then.
+``SensorSample``: what the senses said at one time; ``PoseMeasurement``: a pose that was measured.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class SensorErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class PoseMeasurement:
     """A measured pose of the object in the hand's base.
 
     Attributes:
@@ -107,7 +107,7 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moment:
+class SensorSample:
     """Senses at one time; n fingers that take part, in the frames of their pads' joints.
 
     Attributes:
@@ -132,12 +132,12 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Belief:
+class Estimate:
     """An estimate and the covariance of its error [xi (6); offsets (m); size (1)].
 
     Attributes:
         T_base_object: Pose of the object in the hand's base.
-        offsets: (m,), reading minus joint, rad or m, of the joints that the filter looks at.
+        offsets: (m,), reading minus joint, rad or m, of the joints that the filter estimates.
         size: Growth of all lengths of the object, relative to the believed size (-).
         covariance: (7 + m, 7 + m).
     """
@@ -149,7 +149,7 @@ class Belief:
 
     def moved(
         self, motion: FloatArray, by_offsets: FloatArray, noise: FloatArray, drift: FloatArray
-    ) -> Belief:
+    ) -> Estimate:
         """After a motion of the object.
 
         Args:
@@ -168,9 +168,9 @@ class Belief:
         moved[:6, :6] = of_pose[:, :6] @ turn.T + of_pose[:, 6:k] @ by_offsets.T + noise
         diagonal = np.einsum("ii->i", moved)
         diagonal[6:k] += drift
-        return Belief(M * self.T_base_object, self.offsets, self.size, moved)
+        return Estimate(M * self.T_base_object, self.offsets, self.size, moved)
 
-    def corrected(self, residual: FloatArray, jacobian: FloatArray, noise: FloatArray) -> Belief:
+    def corrected(self, residual: FloatArray, jacobian: FloatArray, noise: FloatArray) -> Estimate:
         """After a measurement: residual = jacobian error + noise.
 
         Args:
@@ -187,16 +187,16 @@ class Belief:
         after = 0.5 * (after + after.T)
         return self._shifted(error, after)
 
-    def _shifted(self, error: FloatArray, covariance: FloatArray) -> Belief:
+    def _shifted(self, error: FloatArray, covariance: FloatArray) -> Estimate:
         pose = pin.exp6(pin.Motion(error[:6])) * self.T_base_object
-        return Belief(pose, self.offsets + error[6:-1], self.size + float(error[-1]), covariance)
+        return Estimate(pose, self.offsets + error[6:-1], self.size + float(error[-1]), covariance)
 
-    def beyond(self, other: Belief) -> FloatArray:
+    def error_against(self, other: Estimate) -> FloatArray:
         """The error (7 + m,) of another estimate, if this one is true."""
-        pose = other.off(self.T_base_object)
+        pose = other.error_to(self.T_base_object)
         return np.concatenate([pose, self.offsets - other.offsets, [self.size - other.size]])
 
-    def off(self, measured: SE3) -> FloatArray:
+    def error_to(self, measured: SE3) -> FloatArray:
         """Logarithm (6,) of a measured pose relative to the estimate, base axes."""
         return np.array(pin.log6(measured * self.T_base_object.inverse()).vector)
 

@@ -114,8 +114,8 @@ class ObjectLag:
         self._axis = T_base_world.rotation @ motion.path.axis
         self._begin = None
 
-    def told(self, observation: Observation, place: float) -> FloatArray:
-        """What is told at a place of the path, 0 to 1: (2 nq,), degrees.
+    def vector(self, observation: Observation, place: float) -> FloatArray:
+        """The deviation at a place of the path, 0 to 1: (2 nq,), degrees.
 
         What the deviation was at first is kept about the axis and fades out in the other
         directions, as the reference of a turn has it (``sim.controllers.follow``).
@@ -415,7 +415,7 @@ class SenseHistory:
         forces[self._columns] = observation.normal_forces
         lag = _NOTHING
         if "object" in self._senses:
-            lag = playback.lag.told(observation, playback.place)
+            lag = playback.lag.vector(observation, playback.place)
         self._kept.appendleft((observation.q - playback.q, forces, lag))
         last = len(self._kept) - 1
         past = [self._kept[min(age, last)] for age in LAGS]

@@ -28,7 +28,7 @@ from sim.controllers import (
     Reference,
     Target,
 )
-from sim.controllers.impedance import felt_inertia
+from sim.controllers.impedance import effective_inertia
 from sim.estimation import NONE
 from sim.learning.controller import PolicyController
 from sim.learning.policy import Policy
@@ -117,7 +117,7 @@ class Demonstrator(PolicyController):
         self.history = SenseHistory(plan.task)
         self._columns = columns(plan.task.hand, SENSES if policy is None else policy.about.senses)
         self.simulation: Simulation | None = None
-        mass, inertia = felt_inertia(plan, plan.task.object.mass)
+        mass, inertia = effective_inertia(plan, plan.task.object.mass)
         gains = ImpedanceGains.of_body(
             mass=mass, inertia=inertia, bandwidth=BANDWIDTH, learning_rate=LEARNING_RATE
         )

@@ -50,9 +50,9 @@ from sim.learning.policy import (
     RATE_HZ,
     Policy,
     PolicyFor,
-    errors_told,
+    error_numbers,
     normalised,
-    physics_told,
+    physics_numbers,
 )
 from sim.learning.senses import checked_senses, columns
 from sim.learning.teacher import Demonstrator
@@ -316,11 +316,11 @@ LEARN_FORMAT, LEARN_VERSION = "opposable-learn", 2
 """What ``learn.json`` says it is."""
 
 
-TOLD = ("touch", "clock", "object")
+DEFAULT_SENSES = ("touch", "clock", "object")
 """Senses of a policy if none are given. In unseen episodes they explain 0.5 of the squares of the
 actions wanted, the clock alone 0.3, and joints and plan add nothing (33 episodes of round 0)."""
 
-LOOKED_AT = 2000
+ERROR_SAMPLES = 2000
 """Samples, about, of which the error of a fit is told."""
 
 
@@ -349,7 +349,7 @@ class Course:
     share: float = 0.0
     noise: float = 0.0
     epochs: int = 16
-    senses: tuple[str, ...] = TOLD
+    senses: tuple[str, ...] = DEFAULT_SENSES
     estimator: str = "touch"
 
     def __post_init__(self) -> None:
@@ -456,7 +456,7 @@ def learn(
         course: How much is trained.
         folder: Keeps everything; made if it is not there.
         command: What the policy's file says made it.
-        progress: Told after every episode and fit.
+        progress: SenseData after every episode and fit.
 
     Raises:
         FileFormatError: The folder was begun with another task or course, or is damaged.
@@ -470,8 +470,8 @@ def learn(
         objects=task.objects,
         angle_deg=float(np.rad2deg(task.angle)),
         reality=task.reality.name,
-        errors=errors_told(task.reality),
-        physics=physics_told(task.physics),
+        errors=error_numbers(task.reality),
+        physics=physics_numbers(task.physics),
         rate_hz=RATE_HZ,
         senses=checked_senses(course.senses),
         action_scale=ACTION_SCALE,
@@ -574,7 +574,7 @@ def _fitted(
     else:
         policy = fit(about, senses, wanted, epochs=course.epochs, seed=seed + number)
         policy.save(file)
-    some = slice(None, None, max(1, len(senses) // LOOKED_AT))
+    some = slice(None, None, max(1, len(senses) // ERROR_SAMPLES))
     return policy, float(((policy.act(senses[some]) - wanted[some]) ** 2).mean())
 
 

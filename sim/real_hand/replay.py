@@ -134,7 +134,7 @@ class ReplayedHand:
 
     # ---- its own clock
 
-    def need_same(self, rate_hz: float, plan: PlanMark | None) -> None:
+    def check_same_run(self, rate_hz: float, plan: PlanMark | None) -> None:
         """See ``RecordedClock``: readings are those of the log's ticks and answer to its plan.
 
         A log of version 1 does not say which plan it is of, and none is refused.

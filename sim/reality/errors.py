@@ -157,7 +157,7 @@ class Reality:
         )
 
     @property
-    def blurs_pose(self) -> bool:
+    def has_pose_errors(self) -> bool:
         """Whether the object's pose, as it is read, is not the one of now."""
         return any(self.numbers[name] for name in POSE_ERRORS)
 
@@ -165,7 +165,7 @@ class Reality:
         """The same with another seed."""
         return replace(self, seed=seed)
 
-    def alone(self, *names: str) -> Reality:
+    def only(self, *names: str) -> Reality:
         """The same with only some of its errors: to find which one does the harm.
 
         Args:
@@ -176,7 +176,7 @@ class Reality:
             TaskError: No name was given, or that of a field that is always kept.
         """
         if not names:
-            raise TaskError("alone() was given no name; give those of the errors that stay")
+            raise TaskError("only() was given no name; give those of the errors that stay")
         for name in names:
             if name in (*NO_ERROR, "drift_time"):
                 raise TaskError(

@@ -23,7 +23,7 @@ from planner.kinematics.state import MovingHand
 from planner.spatial import SE3, FloatArray, cross
 from planner.task import GraspTask
 from sim.controllers import Observation, Phase
-from sim.controllers.readings import PadReading, SeenPose
+from sim.controllers.readings import MeasuredPose, PadReading
 from sim.reality.drawn import Drawn, stream
 from sim.reality.errors import Reality
 from sim.tactile.layout import TIME_TOL, Delayed
@@ -102,7 +102,7 @@ class RealSenses:
         self._looked: float | None = None
         self._blind_until = -math.inf
         self._closed: tuple[float, SE3] | None = None  # when, and T_base_world then
-        self._sees_exactly = not reality.blurs_pose
+        self._sees_exactly = not reality.has_pose_errors
         off = drawn.encoder_offset.any() or drawn.encoder_scale.any()
         placed = not off and reality.backlash == 0.0 and reality.touch_place == 0.0
         self._as_it_is = placed and not self._late
@@ -132,7 +132,7 @@ class RealSenses:
             return changed
         pose, seen = self._pose(truth)
         return replace(
-            changed, T_world_object=pose, read_twist=lambda: self._twist(truth), seen=seen
+            changed, T_world_object=pose, read_twist=lambda: self._twist(truth), measured_pose=seen
         )
 
     # ---- pads
@@ -149,17 +149,17 @@ class RealSenses:
             aside = self._misplaced.step(since).reshape(fingers, 3)
             read = partial(self._pads, truth, error, slid, aside)
             if self._late:
-                read = partial(_given, read())
-            self._touch.add(now, (self._told(truth.normal_forces, error[:, 0]), read))
+                read = partial(_as_sent, read())
+            self._touch.add(now, (self._measured(truth.normal_forces, error[:, 0]), read))
         return self._touch.newest(now)[1]
 
-    def _told(self, normal_force: FloatArray, error: FloatArray) -> FloatArray:
+    def _measured(self, normal_force: FloatArray, error: FloatArray) -> FloatArray:
         """What pads say of normal forces (n,), with noise (n,), N."""
         r = self._reality
-        told = np.maximum(self._scale * normal_force + error, 0.0)
+        force = np.maximum(self._scale * normal_force + error, 0.0)
         if r.touch_step:
-            told = r.touch_step * np.round(told / r.touch_step)
-        return np.where((normal_force > 0) & (told >= r.touch_threshold), told, 0.0)
+            force = r.touch_step * np.round(force / r.touch_step)
+        return np.where((normal_force > 0) & (force >= r.touch_threshold), force, 0.0)
 
     def _pads(
         self, truth: Observation, error: FloatArray, slid: FloatArray, aside: FloatArray
@@ -168,7 +168,7 @@ class RealSenses:
         exact = truth.pads
         if not len(exact.normal_force):  # nothing reads pads here
             return exact
-        pressing = self._told(exact.normal_force, error[:, 0])
+        pressing = self._measured(exact.normal_force, error[:, 0])
         there = pressing > 0
         normal = np.where(there[:, None], np.nan_to_num(exact.normal), 0.0)
         across = np.column_stack([np.zeros(len(error)), error[:, 1:]])
@@ -206,13 +206,13 @@ class RealSenses:
 
     # ---- the object's pose
 
-    def _pose(self, truth: Observation) -> tuple[SE3, SeenPose]:
+    def _pose(self, truth: Observation) -> tuple[SE3, MeasuredPose]:
         """The newest pose that has arrived, now and as measured; at first the oldest there is."""
         now = truth.time
         if self._camera.due(now):
             self._sample(truth)
         time, (T_world_object, T_base_object) = self._camera.newest(now)
-        seen = SeenPose(time=time, T_world_object=T_world_object)
+        seen = MeasuredPose(time=time, T_world_object=T_world_object)
         if truth.phase in STANDING:
             return T_world_object, seen
         closed = self._closed = self._closed or (now, truth.T_world_base.inverse())
@@ -252,7 +252,7 @@ class RealSenses:
         return np.concatenate([moved, turned]) / (new - old)
 
 
-def _given(reading: PadReading) -> PadReading:
+def _as_sent(reading: PadReading) -> PadReading:
     return reading
 
 

@@ -48,7 +48,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation
-from sim.reality.drawn import Drawn, drawn_numbers, draws_in_words, hand_actuators
+from sim.reality.drawn import Drawn, drawn_numbers, drawn_text, hand_actuators
 from sim.reality.errors import Reality
 from sim.reality.senses import RealSenses, encoder_error
 from sim.scene import HAND_PREFIX, OBJECT, Scene
@@ -85,7 +85,7 @@ class RealityOfTrial:
         """Changes a scene's specification to what there really is; for ``build_scene``."""
         return change_world(self.reality, self.drawn, self.task)
 
-    def feel(self, scene: Scene, data: Any, plan: GraspPlan) -> None:
+    def attach_touch(self, scene: Scene, data: Any, plan: GraspPlan) -> None:
         """Feel touch in a scene from now on.
 
         Args:
@@ -141,7 +141,7 @@ class RealityOfTrial:
         data = {
             **self.reality.to_dict(),
             "drawn": self.drawn.to_dict(),
-            "drawn_in_words": draws_in_words([self.numbers]),
+            "drawn_in_words": drawn_text([self.numbers]),
         }
         if isinstance(self._touch, TaxelSense):
             data["felt"] = self._touch.felt()

@@ -1,4 +1,4 @@
-"""``TouchAgain``: closes until felt; if the contacts contradict the joints, opens and closes anew.
+"""``Reclosing``: closes until felt; if the contacts contradict the joints, opens and closes anew.
 
 Called by ``GraspController`` in the phase "close". The first closing finds out where the joints
 are (``sim.controllers.calibration``), with light touches that move nothing. If they are off, the
@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, minimum_jerk
-from sim.controllers.base import ClosesAgain, Observation
+from sim.controllers.base import Observation, Recloses
 from sim.controllers.calibration import Calibration
 from sim.controllers.closing import GuardedClosing
 from sim.controllers.readings import TOUCH_FORCE
@@ -28,14 +28,14 @@ OPEN_TIME, CLOSE_TIME = 0.3, 0.5
 LONGEST = 1.0
 """Longest time (s) for fingers that do not touch, once the way of a closing is over."""
 
-AGAIN_TIME = OPEN_TIME + CLOSE_TIME + LONGEST
+RECLOSING_TIME = OPEN_TIME + CLOSE_TIME + LONGEST
 """Longest time (s) that a second closing takes."""
 
 LEAST_LOOK = 2
 """Fewest fingers whose contacts are worth opening the hand for, if the others do not come."""
 
 
-class TouchAgain:
+class Reclosing:
     """Reference posture while the fingers close, once or twice.
 
     Attributes:
@@ -91,9 +91,9 @@ def closed(controller: object, wait: float, timestep: float) -> Callable[[Observ
     """Whether the phase "close" may end; asked after every step once its duration is over.
 
     Args:
-        controller: Who closes; one that is no ``ClosesAgain`` closes once.
+        controller: Who closes; one that is no ``Recloses`` closes once.
         wait: Longest time (s) for fingers that do not touch; a second closing may take
-            ``AGAIN_TIME`` more.
+            ``RECLOSING_TIME`` more.
         timestep: s.
     """
     most, asked = round(wait / timestep), 0
@@ -101,7 +101,7 @@ def closed(controller: object, wait: float, timestep: float) -> Callable[[Observ
     def over(seen: Observation) -> bool:
         nonlocal asked
         asked += 1
-        if isinstance(controller, ClosesAgain) and controller.closing:
+        if isinstance(controller, Recloses) and controller.closing:
             return False
         return seen.all_touch or asked > most
 
