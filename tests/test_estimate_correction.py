@@ -45,14 +45,14 @@ numbers = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array)
 @settings(max_examples=50)
 def test_a_motion_with_the_fingertips_is_all_seen(way: FloatArray, jump: FloatArray) -> None:
     """Whatever is in doubt, the loop answers to what the fingertips did."""
-    doubt, known = EstimateCorrection(), uncertainty(0.01, 0.1)
+    correction, known = EstimateCorrection(), uncertainty(0.01, 0.1)
     start, twist = pose(0.01 * jump), 0.02 * way
-    wanted = doubt.follow(start, start, np.zeros(6), DT, known)
+    wanted = correction.follow(start, start, np.zeros(6), DT, known)
     now = start
     for _ in range(50):
         turn = pin.exp3(DT * twist[3:])
         now = SE3(turn @ now.rotation, now.translation + DT * twist[:3])
-        wanted = doubt.follow(wanted, now, twist, DT, known)
+        wanted = correction.follow(wanted, now, twist, DT, known)
     np.testing.assert_allclose(error(wanted, now), -50 * DT * twist, atol=1e-9)
 
 
@@ -60,23 +60,23 @@ def test_a_motion_with_the_fingertips_is_all_seen(way: FloatArray, jump: FloatAr
 @settings(max_examples=50)
 def test_what_is_taken_back_within_the_doubt_is_no_error(jump: FloatArray) -> None:
     size = np.array([0.002] * 3 + [0.03] * 3)  # within 3 standard deviations, however it points
-    doubt, known, start = EstimateCorrection(), uncertainty(0.001, 0.015), SE3.Identity()
-    wanted = doubt.follow(start, start, np.zeros(6), DT, known)
+    correction, known, start = EstimateCorrection(), uncertainty(0.001, 0.015), SE3.Identity()
+    wanted = correction.follow(start, start, np.zeros(6), DT, known)
     after = pose(size * jump / np.sqrt(3.0))
-    wanted = doubt.follow(wanted, after, np.zeros(6), DT, known)
+    wanted = correction.follow(wanted, after, np.zeros(6), DT, known)
     np.testing.assert_allclose(error(wanted, after), 0.0, atol=1e-9)
 
 
 def test_beyond_the_doubt_the_object_moved() -> None:
-    doubt, known, start = EstimateCorrection(), uncertainty(0.001, 0.01), SE3.Identity()
-    wanted = doubt.follow(start, start, np.zeros(6), DT, known)
+    correction, known, start = EstimateCorrection(), uncertainty(0.001, 0.01), SE3.Identity()
+    wanted = correction.follow(start, start, np.zeros(6), DT, known)
     after = SE3(np.eye(3), np.array([0.02, 0.0, 0.0]))
     for _ in range(3):  # as often as one looks
-        wanted = doubt.follow(wanted, after, np.zeros(6), DT, known)
+        wanted = correction.follow(wanted, after, np.zeros(6), DT, known)
     may = DEVIATIONS * np.sqrt(3.0) * 0.001
     np.testing.assert_allclose(error(wanted, after)[:3], [may - 0.02, 0.0, 0.0], atol=1e-12)
-    doubt.forget()  # at another wanted pose nothing was taken back yet
-    assert doubt.follow(start, after, np.zeros(6), DT, known) is start
+    correction.forget()  # at another wanted pose nothing was taken back yet
+    assert correction.follow(start, after, np.zeros(6), DT, known) is start
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """``GraspController``: opens, closes until every finger touches, then presses as planned.
 
-Closing is guarded: ``sim.controllers.closing`` and ``retouch``.
+Closing is guarded: ``sim.controllers.closing`` and ``reclosing``.
 
 Pressing is force control with a spring around the posture in which all fingers touched:
 
@@ -40,9 +40,9 @@ LIMIT_TOL = 1e-6
 
 
 LIGHT_PERIOD = 0.005
-"""Longest time between steps (s) at which fingers push lightly before the squeeze. The limit turns
-servos into sources of torque with what was just read; at 100 Hz over a network with late packets
-that swings, and the object was dropped (examples/20_hand_over_udp.py)."""
+"""Longest time between steps (s) at which the contact force is limited before the squeeze. The
+limit turns servos into sources of torque with what was just read; at 100 Hz over a network with
+late packets that swings, and the object was dropped (examples/20_hand_over_udp.py)."""
 
 
 class GraspController:
