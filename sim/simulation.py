@@ -29,7 +29,7 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.carrier import Carrier, Timeline, carrier_of
 from sim.contacts import hand_contacts, normal_forces
-from sim.contacts.pads import read_pads
+from sim.contacts.reading import read_pads
 from sim.controllers import (
     PHASES,
     AnyController,

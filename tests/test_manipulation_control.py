@@ -17,7 +17,7 @@ from planner.errors import NotFoundError, TaskError
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.contacts.pads import read_pads
+from sim.contacts.reading import read_pads
 from sim.controllers import ImpedanceGains, ObjectImpedance, Observation
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.readings import PoseUncertainty

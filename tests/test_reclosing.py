@@ -14,7 +14,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers import Observation, PadReading
 from sim.controllers.calibration import Calibration
-from sim.controllers.reclosing import CLOSE_TIME, LONGEST, OPEN_TIME, Reclosing, closed
+from sim.controllers.grasp import CLOSE_TIME, LONGEST, OPEN_TIME, Reclosing, closing_ended
 
 DT = 0.002
 
@@ -123,11 +123,11 @@ class Busy:
 def test_a_phase_waits_as_long_as_it_did_and_longer_for_a_second_closing(plan: GraspPlan) -> None:
     felt = observe(plan, "close", force=0.5)
     none = observe(plan, "close")
-    once = closed(object(), 5 * DT, DT)
+    once = closing_ended(object(), 5 * DT, DT)
     assert [once(none) for _ in range(7)] == [False] * 5 + [True] * 2
-    assert closed(object(), 5 * DT, DT)(felt)
+    assert closing_ended(object(), 5 * DT, DT)(felt)
     busy = Busy()
-    again = closed(busy, 5 * DT, DT)
+    again = closing_ended(busy, 5 * DT, DT)
     assert not any(again(felt) for _ in range(20))
     busy.closing = False
     assert again(felt)

@@ -20,7 +20,6 @@ from sim.contacts.history import ContactHistory, contacts_from_mujoco, hand_cont
 from sim.contacts.reading import (
     NO_FORCE,
     Touch,
-    contact_loads,
     normal_forces,
     object_contacts,
     other_touches,
@@ -32,7 +31,6 @@ __all__ = [
     "ContactHistory",
     "ContactRows",
     "Touch",
-    "contact_loads",
     "contacts_from_mujoco",
     "hand_contacts",
     "merge_per_finger",

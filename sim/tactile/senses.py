@@ -28,7 +28,7 @@ from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, cross, skew
 from planner.system.plugins import plugin
-from sim.contacts.pads import body_twist
+from sim.contacts.reading import body_twist
 from sim.controllers import Observation, PadReading, TouchReading
 from sim.controllers.readings import EXACT
 from sim.scene import HAND_PREFIX, Scene
