@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import copy
 import inspect
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
-from typing import TypeAlias, cast
+from collections.abc import Callable
+from typing import TypeAlias
 
-from planner.errors import NotFoundError, TaskError, shown
+from planner.errors import TaskError, shown
 from planner.plan import GraspPlan
-from planner.system.plugins import plugin
+from planner.registry import Registry
 from sim.controllers.base import Controller
 from sim.controllers.grasp import GraspController
 from sim.controllers.object_impedance import ObjectImpedance
@@ -22,11 +21,12 @@ AnyController: TypeAlias = str | Controller | MakeController
 """What is accepted as a controller: a name out of ``CONTROLLERS``, a controller, or a class or
 function that makes one from the plan."""
 
-CONTROLLERS: Mapping[str, MakeController] = MappingProxyType(
-    {"feedforward": GraspController, "impedance": ObjectImpedance}
-)
+CONTROLLERS: Registry[MakeController] = Registry("controller", group="controllers")
 """feedforward: the planned forces, turned with the object, and servos that hold the posture, but
 nothing that steers the object; impedance: a closed loop that keeps the object's pose."""
+
+CONTROLLERS.add("feedforward", GraspController)
+CONTROLLERS.add("impedance", ObjectImpedance)
 
 DEFAULT_CONTROLLER = "feedforward"
 
@@ -43,11 +43,7 @@ def named_controller(name: str) -> MakeController:
     Raises:
         NotFoundError: No controller has that name.
     """
-    if name not in CONTROLLERS and (brought := plugin("controllers", name)) is not None:
-        return cast(MakeController, brought)
-    if name not in CONTROLLERS:
-        raise NotFoundError("controller", name, CONTROLLERS, OF_A_POLICY)
-    return CONTROLLERS[name]
+    return CONTROLLERS.named(name, OF_A_POLICY)
 
 
 def controller_for(plan: GraspPlan, controller: AnyController | None) -> Controller:

@@ -9,12 +9,13 @@ One of your own registers itself by a name::
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from planner.errors import NotFoundError, TaskError, shown
+from planner.registry import Registry
 from planner.task import GraspTask
 from sim.controllers import Event, Observation
 from sim.estimation.estimator import ObjectEstimator
@@ -59,9 +60,7 @@ class NamedEstimator:
     reads: str
 
 
-_ESTIMATORS: dict[str, NamedEstimator] = {}
-
-ESTIMATORS: Mapping[str, NamedEstimator] = _ESTIMATORS
+ESTIMATORS: Registry[NamedEstimator] = Registry("estimator")
 """Estimators by their names."""
 
 
@@ -77,9 +76,9 @@ def register_estimator(name: str, reads: str) -> Callable[[MakeEstimator], MakeE
     """
 
     def register(make: MakeEstimator) -> MakeEstimator:
-        if name == NONE or name in _ESTIMATORS:
-            raise TaskError(f"there is an estimator {name!r} already; give another name")
-        _ESTIMATORS[name] = NamedEstimator(make, reads)
+        if name == NONE:
+            raise TaskError(f"{NONE!r} is the name of no estimator; choose another name")
+        ESTIMATORS.add(name, NamedEstimator(make, reads))
         return make
 
     return register

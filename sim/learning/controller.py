@@ -21,7 +21,6 @@ from planner.errors import FileFormatError, NotFoundError
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.system.package import models_dir
-from planner.system.plugins import plugin_names
 from sim.controllers import (
     CONTROLLERS,
     Event,
@@ -266,7 +265,7 @@ def named_driver(name: str) -> str | PolicyMaker | None:
     """
     if name.startswith(POLICY):
         return policy_controller(name.removeprefix(POLICY))
-    if name and name not in (*CONTROLLERS, *plugin_names("controllers")):
+    if name and name not in CONTROLLERS:
         policies = [POLICY + policy for policy in shipped_policies()]
         raise NotFoundError("controller", name, (*CONTROLLERS, *policies, f"{POLICY}FILE"))
     return name or None
