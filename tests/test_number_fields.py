@@ -33,7 +33,7 @@ from sim.controllers.impedance import ImpedanceGains
 from sim.controllers.readings import PadReading
 from sim.crosscheck.parts import Tolerances
 from sim.episodes.episode import Asked
-from sim.estimation.filter import Trust
+from sim.estimation.filter import ContactNoise
 from sim.estimation.state import SensorErrors
 from sim.learning.policy import PolicyFor
 from sim.learning.training import Course
@@ -85,7 +85,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
     (Tolerances(), {"": NOT_NEGATIVE}),
     (Asked(fps=30), {"fps": POSITIVE}),
     (SensorErrors(), {"": NOT_NEGATIVE}),
-    (Trust(), {"": POSITIVE}),
+    (ContactNoise(), {"": POSITIVE}),
     (POLICY, {"angle_deg": SIGNED, "aim": NOT_NEGATIVE, "": POSITIVE}),
     (Course(), {"rounds": NOT_NEGATIVE, "share": SHARE, "noise": SHARE, "": POSITIVE}),
     (

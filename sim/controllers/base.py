@@ -71,7 +71,7 @@ COMMANDED: tuple[EventKind, ...] = ("finger leaves", "finger joins")
 
 
 def event_lines(events: Sequence[Event]) -> list[str]:
-    """One line for each kind and finger, in order of the first; what was told to do is left out."""
+    """One line for each kind and finger, in order of the first; what was commanded is left out."""
     alike: dict[tuple[str, str], list[Event]] = {}
     for event in events:
         if event.kind not in COMMANDED:

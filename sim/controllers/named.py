@@ -34,7 +34,7 @@ OF_A_POLICY = (
     "A learned policy is --controller policy:FILE on the command line, and "
     "sim.learning.policy_controller(FILE) in Python."
 )
-"""What else there is to drive a hand, for messages; the room that has it is above this one."""
+"""What else there is to drive a hand, for messages; the package that has it is above this one."""
 
 
 def named_controller(name: str) -> MakeController:

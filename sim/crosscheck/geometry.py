@@ -247,7 +247,7 @@ def compare_geometries(tally: Tally, here: MujocoSide, there: MujocoSide) -> Non
     mine, theirs = (_colliding(side) for side in (here, there))
     for body in {**mine, **theirs}:
         if body not in there.bodies:
-            continue  # the body is told as missing
+            continue  # the body is reported as missing
         for a, b in _paired(mine.get(body, []), theirs.get(body, [])):
             _compare_pair(tally, body, a, b)
 

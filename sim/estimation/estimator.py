@@ -29,7 +29,7 @@ PERIOD = 0.01
 """Time (s) between two samples of the filter; it goes on at once where a finger (un)touches."""
 
 NOMINAL_FORCE = 1.0
-"""Normal force (N) that is told of a contact of which only is known that it is one."""
+"""Normal force (N) that is given for a contact of which only is known that it is one."""
 
 STANDING: frozenset[Phase] = frozenset(
     {"approach", "close", "squeeze", "settle", "release", "open", "retreat"}

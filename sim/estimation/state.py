@@ -11,7 +11,7 @@ Transactions on Automatic Control 62 (4), 2017.) A point x of the object is off 
 
 ``SensorErrors``: how far an estimator trusts its senses. Each number is a standard deviation.
 
-An estimator is told what data sheets and calibrations say: how large errors are, never what was
+An estimator knows what data sheets and calibrations say: how large errors are, never what was
 drawn of them.
 
 ``SensorSample``: what the senses said at one time; ``PoseMeasurement``: a pose that was measured.

@@ -195,12 +195,12 @@ class TurnEnv(gymnasium.Env[SenseData, NDArray[Any]]):
         Raises:
             TaskError: No trial came to the first action, or another option than that.
         """
-        asked = _requested_plan(options or {})
+        requested = _requested_plan(options or {})
         super().reset(seed=seed)
         self.close()
         for redrawn in range(REDRAWS):
             drawn = int(self.np_random.integers(self._count))
-            number = drawn if asked is None else asked
+            number = drawn if requested is None else requested
             conditions = Conditions.draw(self.np_random)
             plan = self._plans(number)
             self._external = _External(plan.grasp, self._rate, self._meaning)

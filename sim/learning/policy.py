@@ -73,7 +73,7 @@ class PolicyFor:
         mass: Least and largest mass of the object, kg.
         friction: Least and largest sliding friction (-).
         rate_hz: Decisions per second.
-        senses: What it is told beside the plan.
+        senses: Its inputs beside the plan.
         action_scale: Change of a joint target by an action of 1, rad.
         aim: Turn beyond the asked one at which its playback ends, rad.
         estimator: What tells it where the object is, a name out of ``sim.estimation``.
@@ -170,15 +170,15 @@ class PolicyFor:
         larger = [] if reality is None else self._larger_errors(reality)
         if larger:
             more = len(larger) - MOST_NAMED
-            told = ", ".join(larger[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
-            beyond.append(f"errors are larger than in its training: {told}")
+            named = ", ".join(larger[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+            beyond.append(f"errors are larger than in its training: {named}")
         if not beyond:
             return ""
         *first, last = beyond
-        told = f"{', '.join(first)} and {last}" if first else last
+        listed = f"{', '.join(first)} and {last}" if first else last
         return (
             f"the policy was trained for {self.objects} turned by {self.angle_deg:g} degrees, and "
-            f"{told}: expect less of it"
+            f"{listed}: expect less of it"
         )
 
     def _larger_errors(self, reality: Reality) -> list[str]:

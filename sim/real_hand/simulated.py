@@ -125,7 +125,7 @@ class SimulatedHand:
         self.clock: Clock = self if clock is None else clock
         self._offset: float | None = None if clock is not None else 0.0
         self._phase: Phase = simulation.phase
-        self._carried = (0.0, 0.0, 0.0)  # progress, its rate, and when it was told
+        self._carried = (0.0, 0.0, 0.0)  # progress, its rate, and since when
         self._begin = time.perf_counter()
 
     # ---- the interface
@@ -219,10 +219,10 @@ class SimulatedHand:
     def _step(self) -> None:
         """One time step, and a sample where one is due."""
         simulation = self._simulation
-        progress, per_second, told = self._carried
+        progress, per_second, since = self._carried
         share = progress
-        if simulation.time > told:
-            share = min(1.0, progress + per_second * (simulation.time - told))
+        if simulation.time > since:
+            share = min(1.0, progress + per_second * (simulation.time - since))
         simulation.step(self._phase, share)
         if simulation.due(self.trial.recorder.every):
             self.trial.recorder.record()
