@@ -337,7 +337,7 @@ def test_gains_are_those_of_the_texture_whatever_force_and_place_are() -> None:
 
     def look(force: float, u: float) -> dict[int, float]:
         image = contact_image(layout, press(layout, (u, 0.0005), force), texture.gains)
-        patch = tracker.look(image, estimator.estimate(image))
+        patch = tracker.patch(image, estimator.estimate(image))
         assert patch is not None
         (change,) = fit_patches([patch])
         assert change is not None
@@ -362,7 +362,7 @@ def test_pads_fitted_together_are_fitted_as_each_alone() -> None:
         layout = layout_of(noise=0.0, rows=rows, columns=columns, spacing=spacing)
         texture = Texture(layout.shape, np.random.default_rng(rows), 0.1)
         image = contact_image(layout, press(layout, (0.0007, -0.001), force), texture.gains)
-        patch = GainTracker(layout).look(image, ContactEstimator(layout).estimate(image))
+        patch = GainTracker(layout).patch(image, ContactEstimator(layout).estimate(image))
         assert patch is not None
         patches.append(patch)
     patches.insert(1, replace(patches[0], place=patches[0].place + 0.004))
