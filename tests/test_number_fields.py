@@ -181,7 +181,7 @@ MADE = frozenset(
             "HandDescription",
             "HandReading",
             "Job",
-            "Look",
+            "ContactSample",
             "ManipulationLog",
         ),
         *(
