@@ -161,7 +161,7 @@ MADE = frozenset(
         ),
         *(
             "Barrier",
-            "Belief",
+            "Estimate",
             "Difference",
             "Drawn",
             "ExecutionOptions",
