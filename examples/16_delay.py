@@ -18,7 +18,7 @@ import numpy as np
 from planner import GraspTask, plan_grasp
 from planner.spatial import FloatArray
 from sim.controllers import ImpedanceGains, ObjectImpedance
-from sim.controllers.impedance import BANDWIDTH, LEARNING_RATE, felt_inertia
+from sim.controllers.impedance import BANDWIDTH, LEARNING_RATE, effective_inertia
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.reality import Reality
 
@@ -34,7 +34,7 @@ matplotlib.use("Agg")  # draws into files, without a display
 from matplotlib import pyplot as plt  # noqa: E402  the backend is chosen first
 
 plan = plan_grasp(GraspTask.create(HAND, OBJECT), seed=SEED)
-mass, inertia = felt_inertia(plan, plan.task.object.mass)
+mass, inertia = effective_inertia(plan, plan.task.object.mass)
 
 
 def pushed(delay_ms: float, share: float) -> tuple[FloatArray, tuple[str, ...]]:

@@ -25,7 +25,7 @@ from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, minimum_jerk
 from sim.controllers.base import PHASES, Phase
-from sim.controllers.motors import motor_servo
+from sim.controllers.hand_dynamics import motor_servo
 from sim.gantry import Gantry
 from sim.scene import Scene
 

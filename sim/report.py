@@ -21,7 +21,7 @@ from planner.quality import QualityReport, analyse
 from planner.showing import Shown, in_notebook
 from planner.spatial import FloatArray
 from planner.version import written_by
-from sim.controllers.events import Event
+from sim.controllers.base import Event
 from sim.recording import Recording, RecordingData, SampleData, Samples
 from sim.report_file import ComparisonData, EventData, ReportFile
 from sim.screen import OnScreen, reality_lines

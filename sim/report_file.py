@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from planner.files.json_csv import checked_file, read_json, whole_file
 from planner.pages.page import read_page_data
 from planner.schema import StrictData
-from sim.controllers.events import EventKind
+from sim.controllers.base import EventKind
 from sim.recording import RecordingData, SampleData
 from sim.verdict import Reason
 

@@ -29,7 +29,7 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.carrier import Carrier, Timeline, carrier_of
 from sim.contacts import hand_contacts, normal_forces
-from sim.contacts.pads import read_pads
+from sim.contacts.reading import read_pads
 from sim.controllers import (
     PHASES,
     AnyController,
@@ -48,7 +48,7 @@ from sim.reality import REALITIES, AnyReality, Reality
 from sim.scene import Scene, build_scene
 
 if TYPE_CHECKING:
-    from sim.controllers.touch import TouchReading
+    from sim.controllers.readings import TouchReading
     from sim.estimation import AnyEstimator, Estimator
     from sim.reality import RealityOfTrial
 
@@ -137,7 +137,7 @@ class Simulation:
             self.reality = RealityOfTrial(reality, plan.task)
         self.estimator: Estimator | None = None
         self._estimator_name = "none"
-        if estimator is not None or reality.blurs_pose:
+        if estimator is not None or reality.has_pose_errors:
             from sim.estimation import estimator_for, estimator_name
 
             self.estimator = estimator_for(plan.task, estimator, reality)
@@ -157,7 +157,7 @@ class Simulation:
         )
         if self.reality is not None:
             self.reality.place(self.scene, self.data)
-            self.reality.feel(self.scene, self.data, plan)
+            self.reality.attach_touch(self.scene, self.data, plan)
         self.carrier: Carrier = carrier or carrier_of(plan, self.scene, timeline or Timeline())
         self.phase: Phase = PHASES[0]
         self.steps = 0

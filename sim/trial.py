@@ -33,7 +33,7 @@ from planner.plan import GraspPlan
 from sim.carrier import Timeline
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
 from sim.controllers import PHASES, AnyController, Phase
-from sim.controllers.retouch import AGAIN_TIME, closed
+from sim.controllers.grasp import RECLOSING_TIME, closing_ended
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.looking.picture import check_video, draw_tape, moments_of
 from sim.physics import AnyPhysics
@@ -304,8 +304,8 @@ def run_grasp_phase(
     """
     wait, until = 0.0, None
     if phase == "close":
-        wait = timeline.close_wait + AGAIN_TIME
-        until = closed(simulation.controller, timeline.close_wait, simulation.timestep)
+        wait = timeline.close_wait + RECLOSING_TIME
+        until = closing_ended(simulation.controller, timeline.close_wait, simulation.timestep)
     if phase == "settle":
         recorder.mark_reference()
     if phase == "lift":

@@ -31,8 +31,8 @@ from planner.spatial import FloatArray
 from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.carrier import Timeline
+from sim.controllers.base import Target
 from sim.controllers.follow import MotionReference
-from sim.controllers.reference import Target
 from sim.real_hand import RealClock
 from sim.report import TrialReport
 from sim.trial import simulate

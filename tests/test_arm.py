@@ -35,7 +35,7 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.system.package import models_dir
 from planner.task import GraspTask
-from sim.reality import Drawn, Reality, drawn_numbers, draws_in_words
+from sim.reality import Drawn, Reality, drawn_numbers, drawn_text
 
 # Craig's Denavit-Hartenberg parameters of the Panda: a (m), alpha (rad), d (m) of joints 1 to 7
 DH = [
@@ -326,4 +326,4 @@ def test_the_offset_of_a_slide_is_a_length(gantry: Path) -> None:
     offset = np.zeros(hand.nq)
     offset[hand.joint_index("arm/z")] = 0.002
     drawn = dataclasses.replace(Drawn.of(Reality(), hand), encoder_offset=offset)
-    assert draws_in_words([drawn_numbers(drawn, hand)]) == "slides up to 2.0 mm off"
+    assert drawn_text([drawn_numbers(drawn, hand)]) == "slides up to 2.0 mm off"

@@ -37,7 +37,7 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.verification.grasp import with_grip
 from sim.contacts import hand_contacts
-from sim.contacts.pads import read_pads
+from sim.contacts.reading import read_pads
 from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading
 from sim.controllers.monitors import SLIP_SPEED
 from sim.protocols.dexgraspbench import dexgraspbench_cases

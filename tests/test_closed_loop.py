@@ -18,7 +18,7 @@ from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
-from sim.contacts.pads import read_pads
+from sim.contacts.reading import read_pads
 from sim.controllers import (
     Controller,
     GraspController,

@@ -25,11 +25,15 @@ from sim.controllers import (
     PadReading,
     named_controller,
 )
-from sim.controllers.holding_loops import grasp_matrix
-from sim.controllers.impedance import ImpedanceLaw, felt_inertia
-from sim.controllers.monitors import SlipDetector
-from sim.controllers.schedule import LOST_TIME, RAMP, TOUCH_TIME, ContactSchedule
-from sim.controllers.torques import HoldingTorques
+from sim.controllers.impedance import ImpedanceLaw, effective_inertia
+from sim.controllers.monitors import LOST_TIME, RAMP, TOUCH_TIME, ContactSchedule, SlipDetector
+from sim.controllers.torques import (
+    RETREAT,
+    RETREAT_STIFFNESS,
+    SEARCH_FORCE,
+    HoldingTorques,
+    grasp_matrix,
+)
 
 DT = 0.002
 
@@ -155,7 +159,7 @@ def mobility(plan: GraspPlan, mass: float) -> FloatArray:
 
 def test_felt_mass_is_force_by_acceleration(plan: GraspPlan) -> None:
     moved = np.diag(mobility(plan, 0.2))
-    mass, turning = felt_inertia(plan, 0.2)
+    mass, turning = effective_inertia(plan, 0.2)
     assert mass == pytest.approx(1 / moved[:3].mean(), rel=1e-3)
     assert turning == pytest.approx(1 / moved[3:].mean(), rel=1e-3)
     assert mass > 0.2
@@ -435,3 +439,22 @@ def test_the_springs_of_fingertips_and_posture_do_not_move_the_object(plan: Gras
     wrench = grasp_matrix(contacts.positions - contacts.center) @ forces.ravel()
     assert np.abs(wrench[:3]).max() < 1e-2 * np.abs(forces).max()
     assert np.abs(wrench[3:]).max() < 1e-2 * np.abs(forces).max() * 0.035
+
+
+def test_one_that_leaves_goes_off_the_object_and_one_that_searches_presses(plan: GraspPlan) -> None:
+    torques, contacts = gripped(plan)
+    hand, fingers = plan.task.hand, plan.task.fingers
+    torques.move(plan.q, np.zeros(hand.nq), np.zeros(3))
+    hold, searching = np.ones((2, len(fingers)), dtype=bool)
+    hold[[1, 2]], searching[:] = False, False
+    searching[2] = True
+    torques.touch(contacts.positions, contacts.center, hold)
+    a, none = hand.actuation, np.zeros((len(fingers), 3))
+    ctrl = torques.commands(none, contacts.normals, hold, searching)
+    made = (
+        a.gain * ctrl + a.bias[:, 0] + a.bias[:, 1] * (a.moment @ plan.q + a.length0)
+    ) @ a.moment
+    for i, push in enumerate((0.0, -RETREAT * RETREAT_STIFFNESS, SEARCH_FORCE)):
+        joints = fingers[i].q_index
+        expected = torques.jacobians[i].T @ (push * contacts.normals[i])
+        np.testing.assert_allclose(made[joints], expected[joints], atol=1e-9)

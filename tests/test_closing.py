@@ -24,8 +24,8 @@ from sim.controllers.closing import (
     SEARCH_REACH,
     SEARCH_SPEED,
     GuardedClosing,
-    SearchWay,
-    search_ways,
+    SearchDirection,
+    search_directions,
 )
 
 DT, STEPS = 0.002, 250
@@ -138,7 +138,7 @@ def test_a_search_moves_the_pad_along_its_normal_as_the_joints_can(name: str) ->
     either = planned(name)
     couplings, _ = either.task.hand.coupling_matrix
     far = 1e-5
-    for i, way in enumerate(search_ways(either)):
+    for i, way in enumerate(search_directions(either)):
         step = np.zeros(either.task.hand.nq)
         step[way.index] = way.straight
         # contacts are fixed in their links; their motion along the normal by differences
@@ -165,18 +165,18 @@ def inwards(plan: GraspPlan) -> FloatArray:
 def test_a_way_past_a_neighbour_goes_as_far_and_comes_no_nearer(
     name: str, slope: list[float]
 ) -> None:
-    for way in search_ways(planned(name)):
+    for way in search_directions(planned(name)):
         off = np.array((slope * 2)[: len(way.index)])
-        found = way.past(off)
+        found = way.around(off)
         if found is None:
             continue
         assert way.along @ found == pytest.approx(way.along @ way.straight)
         assert off @ found >= -1e-9
-        # of all such ways it costs least: none of the straight one's kind is cheaper
+        # of all such directions it costs least: none of the straight one's kind is cheaper
         assert cost(way, found) >= cost(way, way.straight) - 1e-9
 
 
-def cost(way: SearchWay, v: FloatArray) -> float:
+def cost(way: SearchDirection, v: FloatArray) -> float:
     inner = way.free.T @ v
     return float(inner @ way.cost @ inner)
 
@@ -185,14 +185,14 @@ def test_a_search_does_not_run_into_a_neighbour() -> None:
     """A finger leans on its neighbour's side; MuJoCo measures between the links."""
     plan = plan_grasp(GraspTask.create("shadow_hand", "cylinder"), seed=2)
     hand, fingers = plan.task.hand, plan.task.fingers
-    ways, ahead = search_ways(plan), EARLY
+    directions, ahead = search_directions(plan), EARLY
     tried = []
     for i, finger in enumerate(fingers):
         for turn in np.deg2rad(np.linspace(-15.0, 15.0, 61)):
             lean = plan.q.copy()
             lean[finger.q_index[0]] += turn
             further = lean.copy()
-            further[finger.q_index] += ahead * ways[i].straight
+            further[finger.q_index] += ahead * directions[i].straight
             now, then = gap(hand, finger.name, lean), gap(hand, finger.name, further)
             if 5e-4 < now < 1.5e-3 and then < now - 8e-4:
                 tried.append((i, lean, now))

@@ -125,14 +125,14 @@ def test_a_covariance_turns_with_the_base() -> None:
     doubt = np.zeros((6, 6))
     doubt[0, 0] = doubt[3, 3] = 4.0
     base = SE3(pin.exp3(np.array([0.0, 0.0, np.pi / 6])), np.zeros(3))
-    belief = SimpleNamespace(pose_covariance=lambda: doubt)
+    estimate = SimpleNamespace(pose_covariance=lambda: doubt)
     track = SimpleNamespace(
-        last=SimpleNamespace(T_world_base=base, time=0.0), known=SimpleNamespace(belief=belief)
+        last=SimpleNamespace(T_world_base=base, time=0.0), known=SimpleNamespace(estimate=estimate)
     )
     filters._note(track)
     wanted = np.array([[3.0, np.sqrt(3.0), 0.0], [np.sqrt(3.0), 1.0, 0.0], [0.0, 0.0, 0.0]])
-    np.testing.assert_allclose(filters._told.covariance[:3, :3], wanted, atol=1e-12)
-    np.testing.assert_allclose(filters._told.covariance[3:, 3:], wanted, atol=1e-12)
+    np.testing.assert_allclose(filters._uncertainty.covariance[:3, :3], wanted, atol=1e-12)
+    np.testing.assert_allclose(filters._uncertainty.covariance[3:, 3:], wanted, atol=1e-12)
 
 
 @pytest.mark.parametrize(("off_mm", "reached"), [(2.0, True), (4.0, False)])

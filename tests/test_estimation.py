@@ -17,16 +17,13 @@ from planner.shapes import Box, Cylinder, Ellipsoid, Shape, Sphere
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation, PadReading, Phase
-from sim.controllers.belief import SeenPose
-from sim.estimation import ObjectEstimator, SensorErrors, Trust
+from sim.controllers.readings import MeasuredPose
+from sim.estimation import ContactNoise, ObjectEstimator, SensorErrors
+from sim.estimation.contacts import Grip, TipKinematics, Tips, rolling, touch_equations
 from sim.estimation.estimator import PERIOD
 from sim.estimation.filter import TOO_MANY, PoseFilter
-from sim.estimation.knowing import FOUND, LOST, Knowing
-from sim.estimation.moments import Look, Moment
-from sim.estimation.rolling import Grip, rolling
-from sim.estimation.state import Belief
-from sim.estimation.surface import touch_equations
-from sim.estimation.tips import TipKinematics, Tips
+from sim.estimation.state import Estimate, PoseMeasurement, SensorSample
+from sim.estimation.track import FOUND, LOST, LossDetector
 from sim.reality import Reality
 from sim.reality.senses import Drift
 
@@ -136,11 +133,11 @@ def test_equations_of_touch(
     rng = np.random.default_rng(7)
     q, m = some_joints(task, rng), len(kinematics.index)
     n = len(task.fingers)
-    estimate = Belief(some_pose(rng), 0.03 * rng.normal(size=m), 0.02, np.eye(7 + m))
+    estimate = Estimate(some_pose(rng), 0.03 * rng.normal(size=m), 0.02, np.eye(7 + m))
 
-    def tips_of(belief: Belief) -> Tips:
+    def tips_of(estimate: Estimate) -> Tips:
         true = q.copy()
-        true[kinematics.index] -= belief.offsets
+        true[kinematics.index] -= estimate.offsets
         return kinematics.at(true)
 
     # contacts on the surface of the estimate, off the edges of a box
@@ -178,8 +175,8 @@ def test_an_error_goes_through_a_motion_whatever_the_pose(seed: int, size: float
     M = pin.exp6(pin.Motion(d))
     true = pin.exp6(pin.Motion(xi)) * estimate
     covariance = np.outer([*xi, 0.0], [*xi, 0.0])
-    belief = Belief(estimate, np.zeros(0), 0.0, covariance)
-    after = belief.moved(d, np.zeros((6, 0)), np.zeros((6, 6)), np.zeros(0))
+    estimate = Estimate(estimate, np.zeros(0), 0.0, covariance)
+    after = estimate.moved(d, np.zeros((6, 0)), np.zeros((6, 6)), np.zeros(0))
     off = M.action @ xi
     assert (pin.exp6(pin.Motion(off)) * after.T_base_object).isApprox(M * true, 1e-9)
     assert after.covariance[:6, :6] == pytest.approx(np.outer(off, off), abs=1e-9)
@@ -218,25 +215,27 @@ def test_a_sphere_between_two_plates(below: float) -> None:
 
 def test_looks_at_an_object_at_rest_average(task: GraspTask) -> None:
     errors = SensorErrors(camera=2e-3, camera_turn=0.03)
-    known = PoseFilter(task, errors, Trust(), feels=True)
+    known = PoseFilter(task, errors, ContactNoise(), feels=True)
     pose = SE3(np.eye(3), np.array([0.1, -0.2, 0.3]))
-    filtered = known.first(Look(pose, 0, np.inf))
+    filtered = known.first(PoseMeasurement(pose, 0, np.inf))
     for k in range(1, 16):
-        filtered = known.looked(filtered, Look(pose, k, 0.1))
-    deviation = np.sqrt(np.diagonal(filtered.belief.pose_covariance()))
+        filtered = known.corrected_by_pose(filtered, PoseMeasurement(pose, k, 0.1))
+    deviation = np.sqrt(np.diagonal(filtered.estimate.pose_covariance()))
     assert deviation == pytest.approx([2e-3 / 4.0] * 3 + [0.03 / 4.0] * 3, rel=1e-9)
 
 
 def test_felt_normals_count_as_much_as_draws_of_their_drift(task: GraspTask) -> None:
     """The mean of many equations is as uncertain as the mean of pads whose error drifts."""
-    place, moments, axes = 1e-3, 500, 4000
+    place, samples, axes = 1e-3, 500, 4000
     reality = Reality(touch_place=place, drift_time=0.2)
-    known = PoseFilter(task, SensorErrors.of(reality), Trust(normal=1e-9), feels=True)
+    known = PoseFilter(task, SensorErrors.of(reality), ContactNoise(normal=1e-9), feels=True)
     n, q = len(task.fingers), task.hand.neutral
-    belief = known.first(Look(SE3(np.eye(3), np.array([0.0, 0.0, 0.1])), 0, np.inf)).belief
+    estimate = known.first(
+        PoseMeasurement(SE3(np.eye(3), np.array([0.0, 0.0, 0.1])), 0, np.inf)
+    ).estimate
     axis = np.array([finger.pad.axis for finger in task.fingers])
     radii = np.array([finger.pad.radius for finger in task.fingers])
-    moment = Moment(
+    sample = SensorSample(
         time=0.0,
         q=q,
         T_world_base=SE3.Identity(),
@@ -247,10 +246,12 @@ def test_felt_normals_count_as_much_as_draws_of_their_drift(task: GraspTask) -> 
         sliding=np.zeros((n, 3)),
     )
     # a covariance so wide that no contact counts as far from where it is expected
-    wide = Belief(belief.T_base_object, belief.offsets, belief.size, 1e6 * np.eye(7 + len(q)))
-    noise = known._feel(wide, moment, PERIOD).noise[n:].reshape(n, 2) / moments
+    wide = Estimate(
+        estimate.T_base_object, estimate.offsets, estimate.size, 1e6 * np.eye(7 + len(q))
+    )
+    noise = known._contact_update(wide, sample, PERIOD).noise[n:].reshape(n, 2) / samples
     drift = Drift(np.full(axes, place), reality.drift_time, np.random.default_rng(0))
-    mean = np.mean([drift.step(PERIOD) for _ in range(moments)], axis=0)
+    mean = np.mean([drift.step(PERIOD) for _ in range(samples)], axis=0)
     assert np.sqrt(noise) == pytest.approx((mean.std() / radii)[:, None].repeat(2, 1), rel=0.05)
 
 
@@ -260,7 +261,7 @@ def test_an_object_may_have_been_pushed_before_a_late_pad_says_that_it_touches(
     """What is not known grows as if the hand had touched for as long as the pads are late."""
     pose = SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
     first, later = (
-        Moment(
+        SensorSample(
             time=time,
             q=task.hand.neutral,
             T_world_base=SE3.Identity(),
@@ -273,11 +274,11 @@ def test_an_object_may_have_been_pushed_before_a_late_pad_says_that_it_touches(
         for time, touching in ((0.0, False), (PERIOD, True))
     )
 
-    def moved(delay: float, begin: Moment, end: float) -> FloatArray:
+    def moved(delay: float, begin: SensorSample, end: float) -> FloatArray:
         reality = Reality(touch_delay=delay)
-        known = PoseFilter(task, SensorErrors.of(reality), Trust(), feels=False)
-        belief = known.first(Look(pose, 0, 0.1)).belief
-        prior, information = known._prior(belief, begin, replace(later, time=end))
+        known = PoseFilter(task, SensorErrors.of(reality), ContactNoise(), feels=False)
+        estimate = known.first(PoseMeasurement(pose, 0, 0.1)).estimate
+        prior, information = known._prior(estimate, begin, replace(later, time=end))
         assert not prior.any()
         return np.asarray(np.linalg.inv(information))
 
@@ -290,14 +291,14 @@ def test_an_object_may_have_been_pushed_before_a_late_pad_says_that_it_touches(
 
 def test_noise_of_a_look_against_draws(task: GraspTask) -> None:
     errors = SensorErrors(camera=1e-3, camera_turn=0.02)
-    known, rng = PoseFilter(task, errors, Trust(), feels=True), np.random.default_rng(0)
+    known, rng = PoseFilter(task, errors, ContactNoise(), feels=True), np.random.default_rng(0)
     pose = some_pose(rng)
-    belief = Belief(pose, np.zeros(0), 0.0, np.eye(7))
+    estimate = Estimate(pose, np.zeros(0), 0.0, np.eye(7))
     off = []
     for _ in range(4000):
         shift, turn = 1e-3 * rng.normal(size=3), 0.02 * rng.normal(size=3)
-        off.append(belief.off(SE3(pin.exp3(turn) @ pose.rotation, pose.translation + shift)))
-    told = known.look_noise(Look(pose, 0, 0.1))
+        off.append(estimate.error_to(SE3(pin.exp3(turn) @ pose.rotation, pose.translation + shift)))
+    told = known.pose_noise(PoseMeasurement(pose, 0, 0.1))
     deviation = np.sqrt(np.diagonal(told))
     assert np.cov(np.array(off).T) / np.outer(deviation, deviation) == pytest.approx(
         told / np.outer(deviation, deviation), abs=0.08
@@ -354,7 +355,7 @@ def seen(
         "read_twist": lambda: np.zeros(6),
         "read_contacts": lambda: None,
         "read_pads": lambda: PadReading.nothing(n),
-        "seen": None if stamp is None else SeenPose(time=stamp, T_world_object=pose),
+        "measured_pose": None if stamp is None else MeasuredPose(time=stamp, T_world_object=pose),
     }
     return Observation(time=time, phase=phase, progress=0.0, **(values | other))
 
@@ -363,7 +364,7 @@ DIRECTIONS = np.array([[1.0, 0.0, 0.0], [-0.6, 0.8, 0.0], [-0.6, -0.8, 0.0], [0.
 
 
 def looked_at(task: GraspTask, *, late: float, noise: float, touching: bool) -> ObjectEstimator:
-    """A sphere that is carried, turned and looked at every 20 ms; fingers at rest on it."""
+    """A sphere that is carried, turned and measured every 20 ms; fingers at rest on it."""
     rng, shape = np.random.default_rng(5), task.object.shape
     assert isinstance(shape, Sphere)
     T_base_object = SE3(np.eye(3), np.array([0.1, 0.0, 0.2]))
@@ -399,11 +400,11 @@ def test_a_late_look_counts_as_if_it_had_been_in_time(task: GraspTask, touching:
             looked_at(task, late=late, noise=noise, touching=touching).known for late in (0.0, 0.03)
         )
         assert soon is not None and later is not None
-        change = soon.belief.T_base_object.actInv(later.belief.T_base_object)
+        change = soon.estimate.T_base_object.actInv(later.estimate.T_base_object)
         off.append(float(np.abs(pin.log6(change).vector).max()))
-        scale = np.sqrt(np.diagonal(soon.belief.covariance))
+        scale = np.sqrt(np.diagonal(soon.estimate.covariance))
         scale = np.outer(scale, scale) + 1e-12
-        difference = (soon.belief.covariance - later.belief.covariance) / scale
+        difference = (soon.estimate.covariance - later.estimate.covariance) / scale
         assert np.abs(difference).max() < 1e-6 + 60.0 * noise
     # Jacobians are not computed anew: an error of second order
     assert off[0] < 1e-5
@@ -413,7 +414,7 @@ def test_a_late_look_counts_as_if_it_had_been_in_time(task: GraspTask, touching:
 def test_a_late_look_is_no_look_of_now(task: GraspTask) -> None:
     late = looked_at(task, late=0.03, noise=1e-4, touching=False).known
     assert late is not None
-    off = late.belief.T_base_object.translation - np.array([0.1, 0.0, 0.2])
+    off = late.estimate.T_base_object.translation - np.array([0.1, 0.0, 0.2])
     assert np.linalg.norm(off) < 5e-4  # in 30 ms the hand goes 30 mm
 
 
@@ -440,8 +441,8 @@ def test_it_says_when_it_no_longer_knows_and_when_again(task: GraspTask) -> None
             stamp = time if stamped else 0.49
             told = estimator.step(seen(time, pose, stamp=stamp, touching=touching))
             time += 0.01
-        assert told.belief is not None
-        known.append(told.belief.known)
+        assert told.uncertainty is not None
+        known.append(told.uncertainty.known)
     assert known == [True, False, True]
     assert [e.kind for e in estimator.events] == ["pose lost", "pose known again"]
     assert 0.5 < estimator.events[0].time < 0.6
@@ -449,7 +450,7 @@ def test_it_says_when_it_no_longer_knows_and_when_again(task: GraspTask) -> None
 
 @given(share=st.floats(0.0, 2.0))
 def test_knowing_has_hysteresis(share: float) -> None:
-    knowing = Knowing()
+    knowing = LossDetector()
     some = (share * LOST[0]) ** 2 / 3.0 * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     assert knowing.update(0.0, some) == (share < 1.0 - 1e-12) or share == pytest.approx(1.0)
     knowing.update(0.1, 100.0 * np.diag([LOST[0] ** 2] * 6))

@@ -13,8 +13,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.carrier import Timeline
 from sim.controllers import GraspController, Observation
-from sim.controllers.friction import FAST, LEAST_TIME, FoundFriction
-from sim.controllers.motors import joint_drag
+from sim.controllers.hand_dynamics import FAST, LEAST_TIME, FrictionEstimate, joint_drag
 from sim.controllers.torques import LEVER, HoldingTorques
 from sim.reality import Reality
 from sim.trial import simulate
@@ -37,14 +36,14 @@ def of_fingers(hand: Hand) -> FloatArray:
 
 def moved(hand: Hand, friction: float, rate: float, seconds: float) -> FloatArray:
     """What is found of joints that move evenly, to and fro, against a friction."""
-    found = FoundFriction(hand)
+    found = FrictionEstimate(hand)
     weight = HandState(hand, hand.neutral).gravity_torque(GRAVITY)
     drag, stiction = joint_drag(hand)
     for k in range(round(seconds / DT)):
         v = np.full(hand.nq, rate * (-1) ** k)
         torque = weight + drag * v + (stiction + friction) * np.sign(v)
         ctrl = hand.actuation.commands(hand.neutral, v, torque)
-        found.feel(DT, ctrl, hand.neutral, v, weight)
+        found.update(DT, ctrl, hand.neutral, v, weight)
     return found.extra
 
 
@@ -102,7 +101,7 @@ def test_what_is_found_is_made_up_for_along_the_motion(plan: GraspPlan) -> None:
 
     def torque(friction: float) -> FloatArray:
         torques = HoldingTorques(plan)
-        torques.make_up_for(np.full(len(plan.q), friction))
+        torques.compensate(np.full(len(plan.q), friction))
         torques.move(plan.q, np.zeros(len(plan.q)), GRAVITY)
         torques.aim(tips, plan.q, rate)
         return torques.own_torque
@@ -119,7 +118,7 @@ def test_a_finger_that_looks_for_the_object_overcomes_what_was_found(plan: Grasp
 
     def torque(friction: float) -> FloatArray:
         torques = HoldingTorques(plan)
-        torques.make_up_for(np.full(nq, friction))
+        torques.compensate(np.full(nq, friction))
         torques.move(plan.q, np.zeros(nq), GRAVITY)
         torques.touch(contacts.positions, contacts.center, ~searching)
         ctrl = torques.commands(np.zeros((n, 3)), contacts.normals, ~searching, searching)
@@ -152,7 +151,7 @@ def test_what_stuck_joints_may_keep_from_a_finger(plan: GraspPlan) -> None:
     torques.move(plan.q, np.zeros(nq), GRAVITY)
     torques.touch(contacts.positions, contacts.center, np.ones(n, dtype=bool))
     np.testing.assert_array_equal(torques.held_back(contacts.normals), 0.0)
-    torques.make_up_for(np.full(nq, 0.02))
+    torques.compensate(np.full(nq, 0.02))
     state = HandState(plan.task.hand, plan.q)
     for i, finger in enumerate(plan.task.fingers):
         at = state.point_jacobian(finger.pad.joint_id, contacts.positions[i])[:3]

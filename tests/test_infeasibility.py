@@ -36,7 +36,7 @@ def run(
     notes = []
     for _ in range(round(time / STEP)):
         holds = np.arange(4) < holding
-        notes += monitor.update(STEP, short=short, asked=asked, holding=holds)
+        notes += monitor.update(STEP, residual=short, wanted=asked, holding=holds)
     return [kind for kind, _ in notes]
 
 
@@ -50,13 +50,13 @@ def test_a_wrench_is_missed_from_a_share_of_it_on() -> None:
 def test_the_least_forces_give_way_and_come_back() -> None:
     monitor = watched()
     run(monitor, GIVING_TIME, short=0.99 * GIVING_TOL * 2.0)
-    assert monitor.given == 1.0
+    assert monitor.grip_share == 1.0
     run(monitor, GIVING_TIME / 2, short=1.01 * GIVING_TOL * 2.0)  # long before it is infeasible
-    assert monitor.given == pytest.approx(0.5, abs=0.05)
+    assert monitor.grip_share == pytest.approx(0.5, abs=0.05)
     run(monitor, GIVING_TIME, short=1.0)
-    assert monitor.given == LEAST_GIVEN
+    assert monitor.grip_share == LEAST_GIVEN
     run(monitor, 0.2 * TAKING_TIME)
-    assert monitor.given == pytest.approx(LEAST_GIVEN + 0.2, abs=0.01)
+    assert monitor.grip_share == pytest.approx(LEAST_GIVEN + 0.2, abs=0.01)
 
 
 def test_it_gives_up_once_and_goes_on_when_the_wrench_can_be_had() -> None:

@@ -46,7 +46,7 @@ from sim.learning import (
     trials,
 )
 from sim.learning.controller import policy_file, shipped_policies
-from sim.learning.policy import errors_told, normalised, physics_told
+from sim.learning.policy import error_numbers, normalised, physics_numbers
 from sim.learning.senses import (
     AIM,
     LAGS,
@@ -250,9 +250,9 @@ def test_the_lag_of_the_object_is_the_torque_that_moves_it_back(plan: Manipulati
     jacobian = np.array(columns_of_j).T
     lag = ObjectLag(plan.grasp)
     lag.follow(plan.motion)
-    assert np.allclose(lag.told(moved(plan, np.zeros(6)), 0.0), 0.0)
+    assert np.allclose(lag.vector(moved(plan, np.zeros(6)), 0.0), 0.0)
     deviation = np.concatenate([0.001 * rng.normal(size=3), 0.02 * rng.normal(size=3)])
-    told = lag.told(moved(plan, deviation), 0.0).reshape(2, -1).sum(axis=0)
+    told = lag.vector(moved(plan, deviation), 0.0).reshape(2, -1).sum(axis=0)
     for _ in range(3):
         twist = rng.normal(size=6)
         rigid = np.concatenate([twist[:3] + np.cross(twist[3:], p - center) for p in points])
@@ -271,8 +271,8 @@ def test_what_the_object_was_off_at_first_counts_less_and_less(plan: Manipulatio
     ):
         lag = ObjectLag(plan.grasp)
         lag.follow(plan.motion)
-        assert np.allclose(lag.told(moved(plan, first), 0.0), 0.0)
-        at_end = lag.told(moved(plan, first, at=-1), 1.0)
+        assert np.allclose(lag.vector(moved(plan, first), 0.0), 0.0)
+        at_end = lag.vector(moved(plan, first, at=-1), 1.0)
         assert np.allclose(at_end, 0.0, atol=0.02) == kept, at_end
 
 
@@ -549,14 +549,16 @@ def test_the_teacher_turns_it_under_lab_by_the_truth(folder: Path) -> None:
 def test_a_policy_says_in_a_line_what_it_was_not_trained_for(policy: Policy) -> None:
     about = replace(policy.about, objects="cylinder:0.025..0.035x0.08")
     inside = parse_object("cylinder:0.03x0.08")
-    assert about.beyond(inside, 90.0) == ""
-    assert "the object is cylinder" in about.beyond(parse_object("cylinder:0.04x0.08"), 90.0)
-    box = about.beyond(parse_object("box"), 45.0)
+    assert about.outside_training(inside, 90.0) == ""
+    assert "the object is cylinder" in about.outside_training(
+        parse_object("cylinder:0.04x0.08"), 90.0
+    )
+    box = about.outside_training(parse_object("box"), 45.0)
     assert box.startswith("the policy was trained for cylinder:0.025..0.035x0.08 turned by 90")
     assert "the object is box and the turn is 45 degrees" in box
     assert "\n" not in box
-    assert "the turn is -90 degrees" in about.beyond(inside, -90.0)
-    assert "no turn about the vertical" in about.beyond(inside, None)
+    assert "the turn is -90 degrees" in about.outside_training(inside, -90.0)
+    assert "no turn about the vertical" in about.outside_training(inside, None)
 
 
 def test_a_policy_says_what_mass_friction_physics_and_errors_it_was_not_trained_for(
@@ -567,15 +569,15 @@ def test_a_policy_says_what_mass_friction_physics_and_errors_it_was_not_trained_
         policy.about,
         objects="cylinder:0.025..0.035x0.08",
         reality="lab",
-        errors=errors_told(lab),
-        physics=physics_told(ours),
+        errors=error_numbers(lab),
+        physics=physics_numbers(ours),
     )
     replace(policy, about=about).save(tmp_path / "policy.npz")
     about = Policy.load(tmp_path / "policy.npz").about  # what is told comes back out of a file
 
     def told(mass: float = 0.1, physics: PhysicsOptions = ours, reality: Reality = lab) -> str:
         item = parse_object("cylinder:0.03x0.08", mass=mass)
-        return about.beyond(item, 90.0, physics, reality)
+        return about.outside_training(item, 90.0, physics, reality)
 
     within = replace(lab, name="mine", encoder_offset=0.5 * lab.encoder_offset, touch_rate=200.0)
     for reality in (lab, lab.seeded(7), Reality(), within, lab.sensed_exactly()):
@@ -595,8 +597,8 @@ def test_an_older_policy_says_only_what_it_knows(policy: Policy) -> None:
     old = replace(policy.about, objects=OBJECT, reality="lab", errors={}, physics={})
     item = parse_object(OBJECT)
     for reality in ("ideal", "lab"):
-        assert old.beyond(item, 90.0, PhysicsOptions(), named_reality(reality)) == ""
-    assert "rough" in old.beyond(item, 90.0, PhysicsOptions(), named_reality("rough"))
+        assert old.outside_training(item, 90.0, PhysicsOptions(), named_reality(reality)) == ""
+    assert "rough" in old.outside_training(item, 90.0, PhysicsOptions(), named_reality("rough"))
 
 
 @pytest.mark.parametrize(

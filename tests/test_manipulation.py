@@ -42,7 +42,7 @@ from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask
 from sim.controllers.follow import MAX_ADVANCE, RATE, MotionReference
 from sim.controllers.monitors import SLIP_SPEED, SlipDetector
-from sim.controllers.pads import CREEP, PadReading
+from sim.controllers.readings import CREEP, PadReading
 from sim.controllers.torques import HoldingTorques
 from sim.manipulation import (
     PHASES,

@@ -17,10 +17,10 @@ from planner.errors import NotFoundError, TaskError
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.contacts.pads import read_pads
+from sim.contacts.reading import read_pads
 from sim.controllers import ImpedanceGains, ObjectImpedance, Observation
-from sim.controllers.belief import PoseBelief
 from sim.controllers.impedance import ImpedanceLaw
+from sim.controllers.readings import PoseUncertainty
 from sim.manipulation import InHandController, ManipulationObservation, manipulate
 from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.in_hand import AnyTurningController
@@ -275,8 +275,8 @@ def test_the_deviation_that_is_read_is_that_about_the_axis(
         """Tells what the estimator does, and that it knows little."""
 
         def step(self, observation: Observation) -> Observation:
-            belief = PoseBelief(covariance=wide, known=True)
-            return replace(tell(observation), belief=belief)
+            uncertainty = PoseUncertainty(covariance=wide, known=True)
+            return replace(tell(observation), uncertainty=uncertainty)
 
     simulation.estimator = cast(Any, Unsure())
     palm = plan.grasp.T_world_palm.rotation  # the joints are read a degree off

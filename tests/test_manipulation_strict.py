@@ -38,7 +38,7 @@ from planner.shapes import Box, Sphere
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from sim.cli import app
-from sim.contacts import as_believed
+from sim.contacts import with_planned_friction
 from sim.controllers import ObjectImpedance
 from sim.controllers.torques import HoldingTorques
 from sim.manipulation import (
@@ -316,7 +316,7 @@ def test_a_lift_is_judged_by_what_is_believed(plan: ManipulationPlan) -> None:
     """Torsion of 5 mm that simulation has, and planning does not count on, let a finger go."""
     task = plan.motion.grasp.task
     assert force_closure(pinched()).normalised_min_weight > 0.02
-    believed = as_believed(pinched(), task)
+    believed = with_planned_friction(pinched(), task)
     assert set(believed.models) == {"point"} and (believed.mu == task.mu).all()
     assert margin_without(pinched(), task, "ring") <= 0.0
 

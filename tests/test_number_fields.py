@@ -30,11 +30,11 @@ from planner.spatial import contact_frames
 from planner.synthesis.options import SynthesisOptions
 from sim.carrier import Timeline
 from sim.controllers.impedance import ImpedanceGains
-from sim.controllers.pads import PadReading
+from sim.controllers.readings import PadReading
 from sim.crosscheck.parts import Tolerances
 from sim.episodes.episode import Asked
-from sim.estimation.errors import SensorErrors
-from sim.estimation.filter import Trust
+from sim.estimation.filter import ContactNoise
+from sim.estimation.state import SensorErrors
 from sim.learning.policy import PolicyFor
 from sim.learning.training import Course
 from sim.learning.trials import Conditions, TurnTask
@@ -85,7 +85,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
     (Tolerances(), {"": NOT_NEGATIVE}),
     (Asked(fps=30), {"fps": POSITIVE}),
     (SensorErrors(), {"": NOT_NEGATIVE}),
-    (Trust(), {"": POSITIVE}),
+    (ContactNoise(), {"": POSITIVE}),
     (POLICY, {"angle_deg": SIGNED, "aim": NOT_NEGATIVE, "": POSITIVE}),
     (Course(), {"rounds": NOT_NEGATIVE, "share": SHARE, "noise": SHARE, "": POSITIVE}),
     (
@@ -161,7 +161,7 @@ MADE = frozenset(
         ),
         *(
             "Barrier",
-            "Belief",
+            "Estimate",
             "Difference",
             "Drawn",
             "ExecutionOptions",
@@ -181,7 +181,7 @@ MADE = frozenset(
             "HandDescription",
             "HandReading",
             "Job",
-            "Look",
+            "ContactSample",
             "ManipulationLog",
         ),
         *(

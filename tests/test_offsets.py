@@ -11,7 +11,7 @@ from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.shapes import Sphere
 from planner.spatial import SE3, FloatArray
-from sim.controllers.offsets import DISTANCE, OFFSET, Look, estimate_offsets
+from sim.controllers.calibration import DISTANCE, OFFSET, ContactSample, estimate_offsets
 
 
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
@@ -21,7 +21,7 @@ def plan(request: pytest.FixtureRequest, plan_of: PlanOf) -> GraspPlan:
 
 def look_of(
     plan: GraspPlan, offset: FloatArray, *, pads: bool = True, pose_error: SE3 | None = None
-) -> Look:
+) -> ContactSample:
     """What a hand at the plan's true contacts reads with encoders that are off."""
     true, read = HandState(plan.task.hand, plan.q), HandState(plan.task.hand, plan.q + offset)
     inverse = plan.T_world_base.inverse()
@@ -34,7 +34,7 @@ def look_of(
         moved = read.joint_pose(joint) * true.joint_pose(joint).inverse()
         points.append(moved.act(inverse.act(p)))
         normals.append(moved.rotation @ inverse.rotation @ n)
-    return Look(
+    return ContactSample(
         q=plan.q + offset,
         T_base_object=(pose_error or SE3.Identity()) * T_base_object,
         touching=np.ones(len(points), dtype=bool),
@@ -43,9 +43,9 @@ def look_of(
     )
 
 
-def estimated(plan: GraspPlan, *looks: Look, prior: float = OFFSET) -> FloatArray:
+def estimated(plan: GraspPlan, *samples: ContactSample, prior: float = OFFSET) -> FloatArray:
     task = plan.task
-    found = estimate_offsets(task.hand, task.fingers, task.object.shape, looks, prior=prior)
+    found = estimate_offsets(task.hand, task.fingers, task.object.shape, samples, prior=prior)
     return found.offset
 
 
@@ -68,8 +68,8 @@ def test_one_contact_moves_the_joints_in_proportion_to_their_levers(plan: GraspP
     T = SE3(np.eye(3), center + (0.03 + finger.pad.radius + r) * side)
     touching = np.zeros(len(task.fingers), dtype=bool)
     touching[0] = True
-    look = Look(q=plan.q, T_base_object=T, touching=touching)
-    found = estimate_offsets(hand, task.fingers, ball, [look], position=1e-9, rotation=1e-9)
+    sample = ContactSample(q=plan.q, T_base_object=T, touching=touching)
+    found = estimate_offsets(hand, task.fingers, ball, [sample], position=1e-9, rotation=1e-9)
     lever = state.point_jacobian(finger.pad.joint_id, center)[2]  # towards the ball
     # true = read - offset: the offset is against the way
     expected = -lever * r / (lever @ lever + (DISTANCE / OFFSET) ** 2)
@@ -85,8 +85,8 @@ def test_contacts_bring_the_pads_to_where_they_are(plan: GraspPlan, seed: int) -
     rng = np.random.default_rng(seed)
     hand = plan.task.hand
     offset = np.deg2rad(2.0) * rng.standard_normal(hand.nq)
-    look = look_of(plan, offset)
-    found = estimated(plan, look)
+    sample = look_of(plan, offset)
+    found = estimated(plan, sample)
     moving = hand.moved_by[[f.pad.joint_id for f in plan.task.fingers]].any(axis=0)
     assert not found[~moving].any()
     true = HandState(hand, plan.q)
@@ -104,4 +104,4 @@ def test_contacts_bring_the_pads_to_where_they_are(plan: GraspPlan, seed: int) -
     def rms(values: FloatArray) -> float:
         return float(np.sqrt(np.mean(values**2)))
 
-    assert rms(turned(look.q - found)) < 0.9 * rms(turned(look.q))
+    assert rms(turned(sample.q - found)) < 0.9 * rms(turned(sample.q))

@@ -9,15 +9,15 @@ from conftest import PlanOf
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.carrier import Timeline
-from sim.controllers.believed import BelievedJoints
 from sim.controllers.calibration import Calibration
-from sim.controllers.lightly import LightTouch
+from sim.controllers.hand_dynamics import ContactForceLimit
+from sim.controllers.joint_stops import StopCorrection
 from sim.reality import REALITIES
 from sim.report import TrialReport
 from sim.trial import simulate
 
 QUICK = Timeline(hold=0.5)
-OFFSETS = REALITIES["rough"].alone("encoder_offset")  # 3 degrees
+OFFSETS = REALITIES["rough"].only("encoder_offset")  # 3 degrees
 SEED = 201
 """A draw in which closed stops of the Shadow-type hand are read as open."""
 
@@ -40,12 +40,12 @@ def test_three_degrees_are_borne_by_tendons_and_stops(plan: GraspPlan, controlle
 def test_a_controller_that_trusts_its_encoders_loses_it(
     plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same trial, stops judged by the reading alone and no look at the contacts."""
+    """The same trial, stops judged by the reading alone and no sample at the contacts."""
 
-    def as_read(_: BelievedJoints, q: FloatArray) -> FloatArray:
+    def as_read(_: StopCorrection, q: FloatArray) -> FloatArray:
         return q
 
-    monkeypatch.setattr(BelievedJoints, "believe", as_read)
+    monkeypatch.setattr(StopCorrection, "corrected", as_read)
     monkeypatch.setattr(Calibration, "learn", lambda *_: False)
     assert not held(plan, "impedance").success
 
@@ -54,7 +54,7 @@ def test_a_free_hand_does_not_notice_the_light_touch(
     plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with_it = simulate(plan, timeline=QUICK)
-    monkeypatch.setattr(LightTouch, "commands", lambda _self, ctrl, *_: ctrl)
+    monkeypatch.setattr(ContactForceLimit, "commands", lambda _self, ctrl, *_: ctrl)
     without = simulate(plan, timeline=QUICK)
     assert with_it.success
     np.testing.assert_array_equal(with_it.samples.normal_force, without.samples.normal_force)

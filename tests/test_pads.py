@@ -9,7 +9,7 @@ import pytest
 from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.contacts import object_contacts
-from sim.contacts.pads import read_pads
+from sim.contacts.reading import read_pads
 from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 

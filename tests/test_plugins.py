@@ -25,7 +25,6 @@ from sim.controllers import GraspController, controller_maker
 from sim.protocols import run_protocol
 from sim.protocols.disturbance import Settings
 from sim.protocols.run import cases_of
-from sim.tactile import senses
 from sim.tactile.senses import check_touch
 
 PACKAGE = '''"""What a laboratory brings for Opposable."""
@@ -115,7 +114,6 @@ def laboratory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
     plugins.forget_plugins()
     sys.modules.pop("lab_of_ours", None)
     FORMATS.pop("lab", None)
-    senses._SENSES.pop("lab_skin", None)
 
 
 @pytest.fixture(scope="module")

@@ -169,13 +169,13 @@ def test_other_bad_values_are_refused() -> None:
     with pytest.raises(NotFoundError, match="lab"):
         named_reality("labs")
     with pytest.raises(NotFoundError, match="encoder_offset"):
-        REALITIES["lab"].alone("encoder_offsets")
+        REALITIES["lab"].only("encoder_offsets")
     with pytest.raises(TaskError, match="already"):
         register_reality(Reality(name="lab"))
 
 
 def test_alone_keeps_one_error() -> None:
-    only = REALITIES["rough"].seeded(7).alone("object_mass")
+    only = REALITIES["rough"].seeded(7).only("object_mass")
     assert [name for name in ERRORS if only.numbers[name]] == ["object_mass"]
     assert only.seed == 7
     no_error = {"name", "touch", "seed", "drift_time"}

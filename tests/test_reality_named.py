@@ -21,7 +21,7 @@ from sim.reality import (
     Drawn,
     Reality,
     drawn_numbers,
-    draws_in_words,
+    drawn_text,
     named_reality,
     register_reality,
 )
@@ -108,11 +108,11 @@ def test_a_reality_is_taken_by_its_name(plan: GraspPlan) -> None:
 
 def test_alone_asks_for_errors() -> None:
     lab = REALITIES["lab"]
-    with pytest.raises(TaskError, match=r"alone\(\) was given no name"):
-        lab.alone()
+    with pytest.raises(TaskError, match=r"only\(\) was given no name"):
+        lab.only()
     for kept in ("touch", "seed", "drift_time", "name"):
         with pytest.raises(TaskError, match=f"{kept} is always kept"):
-            lab.alone(kept)
+            lab.only(kept)
 
 
 def test_what_is_registered_is_a_reality() -> None:
@@ -151,15 +151,15 @@ def test_draws_are_told_in_the_units_of_people(plan: GraspPlan) -> None:
         pose_bias=np.array([0.0, 0.003, 0.004]),
         center=np.array([0.02, -0.08, 0.0]),
     )
-    assert draws_in_words([drawn_numbers(drawn, hand)]) == (
+    assert drawn_text([drawn_numbers(drawn, hand)]) == (
         "joints up to 2.1 degrees off, poses 5.0 mm aside, mass x 1.18, "
         "centre of mass up to 8 % of half the extents aside, friction x 0.72"
     )
     lighter = replace(drawn, mass=0.9, encoder_offset=0.5 * offset)
-    both = draws_in_words([drawn_numbers(d, hand) for d in (drawn, lighter)])
+    both = drawn_text([drawn_numbers(d, hand) for d in (drawn, lighter)])
     assert "joints up to 2.1 degrees off" in both  # the worst
     assert "mass x 0.90 to 1.18" in both
-    assert draws_in_words([drawn_numbers(Drawn.of(Reality(), hand), hand)]) == ""
+    assert drawn_text([drawn_numbers(Drawn.of(Reality(), hand), hand)]) == ""
 
 
 def test_a_report_says_what_was_drawn(plan: GraspPlan) -> None:
@@ -167,7 +167,7 @@ def test_a_report_says_what_was_drawn(plan: GraspPlan) -> None:
     short = Timeline.quick(hold=0.1)
     report = simulate(plan, timeline=short, reality=asked, estimator="none")
     drawn = Drawn.of(asked, plan.task.hand)
-    line = f"drawn: {draws_in_words([drawn_numbers(drawn, plan.task.hand)])}"
+    line = f"drawn: {drawn_text([drawn_numbers(drawn, plan.task.hand)])}"
     assert reality_lines(report.reality) == ["reality: lab, seed 3, estimator: none", line]
     assert f"mass x {drawn.mass:.2f}, friction x {drawn.friction:.2f}" in line
     assert line in " ".join(str(text) for text in report.details())
@@ -181,10 +181,10 @@ def test_a_protocol_says_what_it_drew_and_what_a_failure_had(plan: GraspPlan) ->
     told = " ".join(str(report).split())
     hand = plan.task.hand
     draws = [drawn_numbers(Drawn.of(reality.seeded(2 + k), hand), hand) for k in range(2)]
-    assert f"reality: heavy, seed 2, estimator: none drawn: {draws_in_words(draws)}" in told
+    assert f"reality: heavy, seed 2, estimator: none drawn: {drawn_text(draws)}" in told
     assert report.failed  # with joints 29 degrees off
     for outcome in report.failed:
-        assert f"(drawn: {draws_in_words([draws[outcome.index]])})" in told
+        assert f"(drawn: {drawn_text([draws[outcome.index]])})" in told
 
 
 @pytest.mark.slow
@@ -193,6 +193,6 @@ def test_other_protocols_draw_once(plan: GraspPlan) -> None:
         plan, "shake", reality=named_reality("lab", 3), only=["shake x"], estimator="none"
     )
     drawn = drawn_numbers(Drawn.of(named_reality("lab", 3), plan.task.hand), plan.task.hand)
-    assert f"drawn: {draws_in_words([drawn])}" in " ".join(str(report).split())
+    assert f"drawn: {drawn_text([drawn])}" in " ".join(str(report).split())
     exact = run_protocol(plan, "shake", only=["shake x"])
     assert "reality" not in str(exact)

@@ -26,7 +26,7 @@ from planner.motion.manipulation import (
 )
 from planner.spatial import SE3, FloatArray
 from sim.controllers import Event, ObjectImpedance, Observation
-from sim.controllers.events import told_events
+from sim.controllers.base import event_lines
 from sim.controllers.follow import MotionReference
 from sim.manipulation import (
     ManipulationReport,
@@ -324,7 +324,7 @@ def test_repeated_events_are_one_line() -> None:
     ]
     events.insert(1, Event(time=0.2, kind="finger leaves", finger="ring", detail="as told"))
     events.append(Event(time=0.5, kind="slip", finger="ring", detail="6 mm/s"))
-    assert told_events(events) == [
+    assert event_lines(events) == [
         "0.10 s contact lost ring 2 times up to 0.30 s, first: 1",
         "0.50 s slip ring: 6 mm/s",
     ]

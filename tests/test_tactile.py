@@ -28,11 +28,11 @@ from sim.simulation import Simulation
 from sim.tactile import (
     TOUCH_SENSES,
     ContactEstimator,
-    FrictionWatch,
     PadContact,
-    SlipWatch,
     TaxelArray,
+    TaxelFrictionEstimator,
     TaxelLayout,
+    TaxelSlipDetector,
     Texture,
     TouchContext,
     contact_image,
@@ -292,7 +292,7 @@ def watched(
     rng = np.random.default_rng(seed)
     layout = layout_of(noise=noise, rows=13, columns=13)
     array, estimator = TaxelArray(layout, rng), ContactEstimator(layout)
-    texture, slips = Texture(layout.shape, rng, share), SlipWatch([layout])
+    texture, slips = Texture(layout.shape, rng, share), TaxelSlipDetector([layout])
     first, steps = math.inf, round(seconds / 0.002)
     for k in range(steps):
         now = 0.002 * k
@@ -338,7 +338,7 @@ def test_gains_are_those_of_the_texture_whatever_force_and_place_are() -> None:
 
     def look(force: float, u: float) -> dict[int, float]:
         image = contact_image(layout, press(layout, (u, 0.0005), force), texture.gains)
-        patch = tracker.look(image, estimator.estimate(image))
+        patch = tracker.patch(image, estimator.estimate(image))
         assert patch is not None
         (change,) = fit_patches([patch])
         assert change is not None
@@ -363,7 +363,7 @@ def test_pads_fitted_together_are_fitted_as_each_alone() -> None:
         layout = layout_of(noise=0.0, rows=rows, columns=columns, spacing=spacing)
         texture = Texture(layout.shape, np.random.default_rng(rows), 0.1)
         image = contact_image(layout, press(layout, (0.0007, -0.001), force), texture.gains)
-        patch = GainTracker(layout).look(image, ContactEstimator(layout).estimate(image))
+        patch = GainTracker(layout).patch(image, ContactEstimator(layout).estimate(image))
         assert patch is not None
         patches.append(patch)
     patches.insert(1, replace(patches[0], place=patches[0].place + 0.004))
@@ -386,7 +386,7 @@ def test_friction_is_found_from_the_spread_of_shear_before_anything_slips(mu: fl
     layout = layout_of(noise=0.05, rows=13, columns=13)
     rng = np.random.default_rng(1)
     array, estimator = TaxelArray(layout, rng), ContactEstimator(layout)
-    watch = FrictionWatch([0.002])
+    watch = TaxelFrictionEstimator([0.002])
     for _ in range(500):
         contact = press(layout, (0.0, 0.0), 3.0, (0.7 * mu * 3.0, 0.0), used=0.7)
         seen = estimator.estimate(array.measured(contact_image(layout, contact)))
@@ -397,7 +397,7 @@ def test_friction_is_found_from_the_spread_of_shear_before_anything_slips(mu: fl
 
 def test_what_slips_has_all_of_its_friction_in_use() -> None:
     layout = layout_of()
-    watch, estimator = FrictionWatch([0.002]), ContactEstimator(layout)
+    watch, estimator = TaxelFrictionEstimator([0.002]), ContactEstimator(layout)
     contact = press(layout, (0.0, 0.0), 2.0, (0.8, 0.0), used=1.0)
     seen = estimator.estimate(contact_image(layout, contact))
     for _ in range(50):

@@ -24,7 +24,7 @@ from sim.controllers import CONTROLLERS, Controller, Observation, SlipDetector
 from sim.controllers.monitors import LOADED, SLIP_SPEED
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.reality import Reality, RealityOfTrial
-from sim.reality.senses import TIME_TOL
+from sim.tactile.layout import TIME_TOL
 from sim.verdict import Fault
 
 NOISE = Reality(name="pads", touch_noise=0.02, sliding_noise=0.002)

@@ -156,7 +156,7 @@ class ExecutionOptions:
         about.check(load_hand(hand) if isinstance(hand, str) else hand)
         physics = physics_of(self.physics, self.sim_mu)
         reality = reality_of(self.reality, pads=self.pads)
-        if beyond := about.beyond(item(), degrees, physics, reality):
+        if beyond := about.outside_training(item(), degrees, physics, reality):
             say(err, escape(beyond))
 
     def reckoned(self, request: Any) -> Any:

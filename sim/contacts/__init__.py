@@ -20,24 +20,22 @@ from sim.contacts.history import ContactHistory, contacts_from_mujoco, hand_cont
 from sim.contacts.reading import (
     NO_FORCE,
     Touch,
-    contact_loads,
     normal_forces,
     object_contacts,
     other_touches,
 )
-from sim.contacts.rows import ContactRows, as_believed, merge_per_finger
+from sim.contacts.rows import ContactRows, merge_per_finger, with_planned_friction
 
 __all__ = [
     "NO_FORCE",
     "ContactHistory",
     "ContactRows",
     "Touch",
-    "as_believed",
-    "contact_loads",
     "contacts_from_mujoco",
     "hand_contacts",
     "merge_per_finger",
     "normal_forces",
     "object_contacts",
     "other_touches",
+    "with_planned_friction",
 ]

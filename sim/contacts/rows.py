@@ -210,7 +210,7 @@ def merge_per_finger(contacts: ContactSet) -> ContactSet:
     return rows.merged.at(0)
 
 
-def as_believed(contacts: ContactSet, task: GraspTask) -> ContactSet:
+def with_planned_friction(contacts: ContactSet, task: GraspTask) -> ContactSet:
     """Measured contacts under the friction and the contact model that planning relies on.
 
     What simulation has beside that, more friction and torsion, is no part of it.

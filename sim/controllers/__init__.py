@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from sim.controllers.base import (
     PHASES,
-    ClosesAgain,
     Controller,
+    Event,
+    EventKind,
     HasOwnAim,
     NeedsSenses,
     Observation,
     Phase,
+    Recloses,
+    Reference,
     ReportsEvents,
     ReportsLimits,
     Sense,
+    Target,
     UsesSenses,
 )
-from sim.controllers.events import Event, EventKind
 from sim.controllers.follow import MotionReference
 from sim.controllers.grasp import GraspController
 from sim.controllers.impedance import ImpedanceGains
@@ -30,15 +33,12 @@ from sim.controllers.named import (
     named_controller,
 )
 from sim.controllers.object_impedance import ObjectImpedance
-from sim.controllers.pads import PadReading
-from sim.controllers.reference import Reference, Target
-from sim.controllers.touch import TouchReading
+from sim.controllers.readings import PadReading, TouchReading
 
 __all__ = [
     "CONTROLLERS",
     "PHASES",
     "AnyController",
-    "ClosesAgain",
     "Controller",
     "Event",
     "EventKind",
@@ -52,6 +52,7 @@ __all__ = [
     "Observation",
     "PadReading",
     "Phase",
+    "Recloses",
     "Reference",
     "ReportsEvents",
     "ReportsLimits",

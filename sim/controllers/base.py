@@ -7,22 +7,120 @@ Write your own to take part in a trial::
             return np.zeros(16)
 
     simulate(plan, controller=Limp())
+
+``Event``: what a controller noticed or did, and when; and many of them in words.
+
+``Reference``: where object and fingers should be while a motion is executed, at every step.
+
+``ObjectImpedance.reference`` may hold anything with ``advance``; it is asked in the phase "turn".
+``sim.controllers.follow`` has the one that follows a planned motion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 from planner.contacts import ContactSet
 from planner.spatial import SE3, FloatArray
-from sim.controllers.belief import PoseBelief, SeenPose
-from sim.controllers.events import Event
-from sim.controllers.pads import PadReading
-from sim.controllers.schedule import TOUCH_FORCE
-from sim.controllers.touch import TouchReading
+from sim.controllers.readings import (
+    TOUCH_FORCE,
+    MeasuredPose,
+    PadReading,
+    PoseUncertainty,
+    TouchReading,
+)
+
+EventKind: TypeAlias = Literal[
+    "contact lost",
+    "contact found",
+    "slip",
+    "infeasible",
+    "feasible again",
+    "finger leaves",
+    "finger joins",
+    "gave up",
+    "pose lost",
+    "pose known again",
+]
+"""What there is to notice. "infeasible" means that no contact forces give the wanted wrench; "pose
+lost" that an estimator no longer knows where the object is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """One thing that a controller noticed, and what it did.
+
+    Attributes:
+        time: When, s since the start of the trial.
+        kind: What.
+        finger: Whose, "" if it concerns the whole grasp.
+        detail: The numbers, and the reaction, in words.
+    """
+
+    time: float
+    kind: EventKind
+    finger: str = ""
+    detail: str = ""
+
+
+COMMANDED: tuple[EventKind, ...] = ("finger leaves", "finger joins")
+"""Events that a caller brings about: it knows of them anyway."""
+
+
+def event_lines(events: Sequence[Event]) -> list[str]:
+    """One line for each kind and finger, in order of the first; what was commanded is left out."""
+    alike: dict[tuple[str, str], list[Event]] = {}
+    for event in events:
+        if event.kind not in COMMANDED:
+            alike.setdefault((event.kind, event.finger), []).append(event)
+    lines = []
+    for (kind, finger), same in alike.items():
+        times = f" {len(same)} times up to {same[-1].time:.2f} s, first" if len(same) > 1 else ""
+        first = f"{same[0].time:.2f} s {kind} {finger}".rstrip()
+        lines.append(f"{first}{times}: {same[0].detail}")
+    return lines
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """Where object and fingers should be now, in the palm.
+
+    Attributes:
+        T_palm_object: Pose of the object.
+        twist: (6,), its velocity, of the centre of mass and angular, m/s and rad/s, palm axes.
+        tips: (n, 3), pad centres of the fingers that take part, m. Only how they lie to each other
+            is pursued for those that hold; one that leaves stays off its own.
+        q: (nq,), posture that redundant fingers keep to.
+        v: (nq,), its rates.
+    """
+
+    T_palm_object: SE3
+    twist: FloatArray
+    tips: FloatArray
+    q: FloatArray
+    v: FloatArray
+
+
+class Reference(Protocol):
+    """What gives a target at every step."""
+
+    def advance(
+        self, elapsed: float, T_palm_object: SE3, tips: FloatArray, q: FloatArray, *, missed: float
+    ) -> Target:
+        """Go on by one step.
+
+        Args:
+            elapsed: Time since the last call, s; in the first call it does not matter.
+            T_palm_object: Measured pose of the object.
+            tips: Pad centres (n, 3) where they are, palm, m.
+            q: Joints (nq,) where they are.
+            missed: Share (-) of the last step's wrench that could not be had, at least of 1 N.
+        """
+        ...
+
 
 Phase: TypeAlias = Literal[
     "approach",
@@ -70,9 +168,9 @@ class Observation:
         read_twist: Reads ``object_twist``.
         read_contacts: Reads ``contacts``.
         read_pads: Reads ``pads``.
-        seen: The newest measured pose that has arrived, with its time stamp; None where
+        measured_pose: The newest measured pose that has arrived, with its time stamp; None where
             ``T_world_object`` is one of now.
-        belief: How well an estimator knows ``T_world_object``; None of a pose that was read.
+        uncertainty: How well an estimator knows ``T_world_object``; None of a pose that was read.
         read_touch: Reads ``touch``: raw images of taxels, where there are any.
     """
 
@@ -87,8 +185,8 @@ class Observation:
     read_twist: Callable[[], FloatArray]
     read_contacts: Callable[[], ContactSet]
     read_pads: Callable[[], PadReading] = PadReading.nothing
-    seen: SeenPose | None = None
-    belief: PoseBelief | None = None
+    measured_pose: MeasuredPose | None = None
+    uncertainty: PoseUncertainty | None = None
     read_touch: Callable[[], TouchReading] = TouchReading.nothing
 
     @property
@@ -161,7 +259,7 @@ class ReportsEvents(Protocol):
 
 
 @runtime_checkable
-class ClosesAgain(Protocol):
+class Recloses(Protocol):
     """A controller that may open the fingers after the first touch, to close them better."""
 
     @property

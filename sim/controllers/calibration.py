@@ -1,24 +1,207 @@
 """``Calibration``: the encoder offsets that a controller has found, and its readings without them.
 
-Called by ``TouchAgain`` when all fingers touch and by ``ObjectImpedance`` when the squeeze is over,
+Called by ``Reclosing`` when all fingers touch and by ``ObjectImpedance`` when the squeeze is over,
 with what the pads feel, and from then on at every step. Offsets are taken over only where the
 contacts contradict the joints as read by more than ``CONTRADICTION``, so exact joints stay exactly
 as they are. Contacts beside the pads' balls tell nothing.
+
+``estimate_offsets``: how far a hand's encoders are off, from contacts on a known object.
+
+Where a finger touches, its surface is on the object's, and their normals are opposite. Joints that
+are off by delta put the contact elsewhere: the known surface closes the loop. Called by
+``ObjectImpedance`` when the fingers have closed, and by whoever calibrates a hand.
+
+    minimise   sum_samples sum_contacts  (distance / s_d)^2 + |n + outward|^2 / s_n^2
+                  + |delta / s_q|^2 + sum_samples |pose error / s_pose|^2
+
+over the offsets delta (reading minus joint) of the joints that move a touching pad, the same in all
+samples, and over the pose error of each. Distance and outward normal are those of the object's
+surface at the contact (from the pads' reading, or a pad's ball where only touch is known). Gauss
+and Newton, with the surface's curvature by differences. Contacts see few combinations of joints:
+what they do not see stays at its prior, 0, and ``deviation`` says so.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kinematics.state import MovingHand
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState, MovingHand
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray
+from planner.shapes.base import Shape
+from planner.spatial import SE3, FloatArray, skew
 from sim.controllers.base import Observation
-from sim.controllers.offsets import Look, OffsetEstimate, estimate_offsets
-from sim.controllers.pads import PadReading
+from sim.controllers.readings import PadReading
+
+OFFSET = np.deg2rad(2.0)
+"""Prior standard deviation (rad) of a joint's offset: between a good calibration and a bad one."""
+
+POSITION, ROTATION = 0.001, np.deg2rad(1.0)
+"""Standard deviations of the object's pose in a sample, m and rad."""
+
+DISTANCE, NORMAL = 0.0005, np.deg2rad(4.0)
+"""Standard deviations of a contact's distance to the surface, m (pads give way by tenths of a
+millimetre), and of a felt normal, rad."""
+
+ROUNDS = 4
+"""Steps of Gauss and Newton: kinematics bends by 0.1 % within 3 degrees, so two do nearly all."""
+
+STEP = 2e-4
+"""Step (m) of the differences that give the surface's curvature."""
+
+SHARPEST = 200.0
+"""Curvature (1/m) above which a normal is not used: an edge, which can have any."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContactSample:
+    """What is read of one moment, base frame; n fingers.
+
+    Attributes:
+        q: Joints as read (nq,), rad.
+        T_base_object: The object's pose.
+        touching: (n,), which fingers touch.
+        points: (n, 3), contacts as they follow from q, m; or None where only touch is known.
+        normals: (n, 3), unit, into the object; or None.
+    """
+
+    q: FloatArray
+    T_base_object: SE3
+    touching: NDArray[np.bool_]
+    points: FloatArray | None = None
+    normals: FloatArray | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OffsetEstimate:
+    """Offsets of a hand's encoders.
+
+    Attributes:
+        offset: (nq,), reading minus joint, rad; 0 for joints that move no touching pad.
+        deviation: (nq,), its standard deviation, rad; the prior's where nothing was seen.
+        before, after: Root mean square of the contacts' distances to the surface without and with
+            the offsets, m.
+        misfit: Root mean square of all errors without the offsets, in standard deviations (-).
+    """
+
+    offset: FloatArray
+    deviation: FloatArray
+    before: float
+    after: float
+    misfit: float
+
+
+def estimate_offsets(
+    hand: Hand,
+    fingers: Sequence[Finger],
+    shape: Shape,
+    samples: Sequence[ContactSample],
+    *,
+    prior: float = OFFSET,
+    position: float = POSITION,
+    rotation: float = ROTATION,
+) -> OffsetEstimate:
+    """The offsets that explain some samples best.
+
+    Args:
+        hand: The hand.
+        fingers: The n fingers of the samples.
+        shape: The object's, as it is believed.
+        samples: One or more; those in which the object lies differently in the hand tell more.
+        prior: Standard deviation of an offset, rad.
+        position: Of the object's position in a sample, m.
+        rotation: Of its rotation, rad.
+    """
+    nq, poses = hand.nq, 6 * len(samples)
+    seen = np.zeros(nq, dtype=bool)
+    for sample in samples:
+        for i in np.flatnonzero(sample.touching).tolist():
+            seen |= hand.moved_by[fingers[i].pad.joint_id]
+    precision = np.concatenate(
+        [
+            np.full(nq, prior**-2),
+            np.tile(np.repeat([position**-2, rotation**-2], 3), len(samples)),
+        ]
+    )
+    x = np.zeros(nq + poses)
+    before = after = misfit = 0.0
+    gram = np.diag(precision)
+    for round_ in range(ROUNDS):
+        gram, right, squares, count = np.diag(precision), -precision * x, 0.0, 0
+        whole, errors_n = 0.0, 0
+        for k, sample in enumerate(samples):
+            mine = slice(nq + 6 * k, nq + 6 * k + 6)
+            state = HandState(hand, sample.q - x[:nq])
+            read = HandState(hand, sample.q)
+            for i in np.flatnonzero(sample.touching).tolist():
+                error, rows = _residual(fingers[i], i, sample, state, read, shape, x[mine])
+                full = np.zeros((len(error), nq + poses))
+                full[:, :nq], full[:, mine] = rows[:, :nq], rows[:, nq:]
+                gram += full.T @ full
+                right -= full.T @ error
+                squares, count = squares + (error[0] * DISTANCE) ** 2, count + 1
+                whole, errors_n = whole + float(error @ error), errors_n + len(error)
+        after = float(np.sqrt(squares / max(count, 1)))
+        if round_ == 0:
+            before, misfit = after, float(np.sqrt(whole / max(errors_n, 1)))
+        x += np.linalg.solve(gram, right)
+    deviation = np.sqrt(np.diag(np.linalg.inv(gram)))[:nq]
+    return OffsetEstimate(
+        offset=np.where(seen, x[:nq], 0.0),
+        deviation=deviation,
+        before=before,
+        after=after,
+        misfit=misfit,
+    )
+
+
+def _residual(
+    finger: Finger,
+    i: int,
+    sample: ContactSample,
+    state: HandState,
+    read: HandState,
+    shape: Shape,
+    pose_error: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Weighted errors (1 or 4,) of a contact, and their derivatives (., nq + 6).
+
+    The object is where it was measured, moved by the pose error: x + t + r x (x - its origin).
+    """
+    joint = finger.pad.joint_id
+    moved = state.joint_pose(joint) * read.joint_pose(joint).inverse()
+    if sample.points is None:
+        point, clear = state.pad_center(finger), finger.pad.radius
+    else:
+        point, clear = moved.act(sample.points[i]), 0.0
+    T = sample.T_base_object
+    arm = point - T.translation
+    jac = state.point_jacobian(joint, point)
+    turn = np.asarray(T.rotation.T)
+    # in the object's axes, and how it changes with (delta, t, r)
+    place = turn @ (arm - pose_error[:3] - np.cross(pose_error[3:], arm))
+    d_place = turn @ np.hstack([-jac[:3], -np.eye(3), skew(arm)])
+    around = place + STEP * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    nearest, outward = shape.closest_point(around)
+    nu = outward[0]
+    distance = float((place - nearest[0]) @ nu) - clear
+    rows = [nu @ d_place / DISTANCE]
+    errors = [distance / DISTANCE]
+    bend = (outward[1:4] - outward[4:7]).T / (2.0 * STEP)
+    if sample.normals is not None and np.linalg.norm(bend, 2) < SHARPEST:
+        normal = moved.rotation @ sample.normals[i]
+        felt = turn @ (normal - np.cross(pose_error[3:], normal))
+        # normal turns by -J_ang delta; so does what the object sees of it, against r
+        d_felt = turn @ np.hstack([skew(normal) @ jac[3:], np.zeros((3, 3)), skew(normal)])
+        errors += list((felt + nu) / NORMAL)
+        rows += list((d_felt + bend @ d_place) / NORMAL)
+    return np.array(errors), np.array(rows)
+
 
 CONTRADICTION = 1.0
 """Root mean square of the contacts' errors in standard deviations (-) from which on joints count as
@@ -45,12 +228,12 @@ class Calibration:
         task = plan.task
         self._hand, self._fingers, self._shape = task.hand, task.fingers, task.object.shape
         self._read, self._true = (MovingHand(task.hand, plan.q) for _ in range(2))
-        self._looks: list[Look] = []
+        self._samples: list[ContactSample] = []
         self.offset = np.zeros(task.hand.nq)
         self.estimate: OffsetEstimate | None = None
 
     def learn(self, observation: Observation) -> bool:
-        """Look at the contacts of now, as read; whether the offsets have changed.
+        """Compare the contacts of now, as read; whether the offsets have changed.
 
         Nothing is learned of a hand without pads.
         """
@@ -59,17 +242,17 @@ class Calibration:
         T_base_world = observation.T_world_base.inverse()
         pads = observation.pads
         points = pads.position @ T_base_world.rotation.T + T_base_world.translation
-        look = Look(
+        sample = ContactSample(
             q=observation.q,
             T_base_object=T_base_world * observation.T_world_object,
             touching=self._by_pads(observation.q, points),
             points=points,
             normals=pads.normal @ T_base_world.rotation.T,
         )
-        if not look.touching.any():
+        if not sample.touching.any():
             return False
-        self._looks.append(look)
-        self.estimate = estimate_offsets(self._hand, self._fingers, self._shape, self._looks)
+        self._samples.append(sample)
+        self.estimate = estimate_offsets(self._hand, self._fingers, self._shape, self._samples)
         if self.estimate.misfit < CONTRADICTION:
             return False
         self.offset = self.estimate.offset
@@ -96,15 +279,4 @@ class Calibration:
         read, true = self._read.move(observation.q), self._true.move(q)
         joints = [finger.pad.joint_id for finger in self._fingers]
         moves = [base * true.joint_pose(j) * (base * read.joint_pose(j)).inverse() for j in joints]
-        turns = np.array([move.rotation for move in moves])
-
-        def turned(rows: FloatArray) -> FloatArray:
-            return np.asarray((turns @ rows[:, :, None])[:, :, 0])
-
-        return replace(
-            pads,
-            force=turned(pads.force),
-            position=turned(pads.position) + np.array([move.translation for move in moves]),
-            normal=turned(pads.normal),
-            sliding=turned(pads.sliding),
-        )
+        return pads.moved(moves)

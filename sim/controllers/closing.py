@@ -9,22 +9,67 @@ closing is careful: a finger that touched holds still where it is, a wall rather
 follows the object slowly along its normal if that moves off; the others come at
 ``CAREFUL_SPEED``, and search at it. So does a finger that is ``EARLY`` beyond its planned contact.
 None searches on where that leads it into its neighbour.
+
+``Neighbours``: how near the links of a finger are to those of the other fingers, by the joints.
+
+Called by ``GuardedClosing`` while a finger looks for the object beyond its planned contact: nothing
+was planned there, and on a hand with narrow fingers it would run into its neighbour.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
-from planner.kinematics.state import HandState
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState, MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, IntArray, minimum_jerk
+from planner.synthesis.link_capsules import closest_on_segments, collision_pairs, finger_capsules
 from sim.controllers.base import Observation
-from sim.controllers.neighbours import Neighbours
-from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.readings import TOUCH_FORCE
+
+
+class Neighbours:
+    """Distances between fingers, their links taken as capsules."""
+
+    def __init__(self, hand: Hand, fingers: Sequence[Finger]) -> None:
+        """Find the pairs of links that can meet.
+
+        Args:
+            hand: The hand.
+            fingers: The n fingers that are asked for.
+        """
+        capsules = finger_capsules(hand)
+        self._pairs = np.array(collision_pairs(hand), dtype=np.int64).reshape(-1, 2)
+        self._joints = [c.joint_id for c in capsules]
+        self._ends = np.array([[c.inner, c.outer] for c in capsules]).reshape(-1, 2, 3)
+        self._radii = np.array([c.radius for c in capsules])[self._pairs].sum(axis=1)
+        names = np.array([c.finger for c in capsules])[self._pairs]
+        self._of = [np.flatnonzero((names == finger.name).any(axis=1)) for finger in fingers]
+        self._moving = MovingHand(hand, (hand.q_lower + hand.q_upper) / 2.0)
+
+    def gap(self, finger: int, q: FloatArray) -> float:
+        """Distance (m) of a finger, by its number, from the nearest other one at joints q (nq,).
+
+        Below 0 where capsules overlap; infinite if it meets no other.
+        """
+        mine = self._of[finger]
+        if not len(mine):
+            return np.inf
+        poses = self._moving.move(q).pin_data.oMi
+        turns = np.array([poses[j].rotation for j in self._joints])
+        at = np.array([poses[j].translation for j in self._joints])
+        ends = np.einsum("cij,ckj->cki", turns, self._ends) + at[:, None]
+        first, second = ends[self._pairs[mine, 0]], ends[self._pairs[mine, 1]]
+        one, other = closest_on_segments(first[:, 0], first[:, 1], second[:, 0], second[:, 1])
+        return float((np.linalg.norm(other - one, axis=1) - self._radii[mine]).min())
+
 
 CLOSE_RATE = 4.0
 """Fastest change (1/s) of a finger's share of the closing motion, for one that lost touch."""
@@ -77,9 +122,9 @@ class GuardedClosing:
         """Prepare search directions for a plan."""
         self._plan, self._fingers = plan, plan.task.fingers
         n = len(self._fingers)
-        self._ways = search_ways(plan)
+        self._directions = search_directions(plan)
         self._search, self._along = np.zeros((2, n, plan.task.hand.nq))
-        for i, one in enumerate(self._ways):
+        for i, one in enumerate(self._directions):
             self._search[i, one.index], self._along[i, one.index] = one.straight, one.along
         self._share, self._reach, self._follows = np.zeros((3, n))
         self._moved = np.zeros_like(self._search)  # by searching, rad
@@ -121,15 +166,15 @@ class GuardedClosing:
         Near a neighbour it goes past it, or stays where there is no way past.
         """
         step = min(step, SEARCH_REACH - self._reach[i])
-        way: FloatArray | None = self._ways[i].straight
-        gap, k = self._neighbours.gap(i, q), self._ways[i].index
+        way: FloatArray | None = self._directions[i].straight
+        gap, k = self._neighbours.gap(i, q), self._directions[i].index
         if gap < LEAST_GAP:
             slope = np.zeros(len(k))
             for at, joint in enumerate(k.tolist()):
                 ahead = q.copy()
                 ahead[joint] += LOOK
                 slope[at] = (self._neighbours.gap(i, ahead) - gap) / LOOK
-            way = self._ways[i].past(slope)
+            way = self._directions[i].around(slope)
         if way is not None:
             self._reach[i] += step
             self._moved[i, k] += step * way
@@ -147,7 +192,7 @@ class GuardedClosing:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SearchWay:
+class SearchDirection:
     """How a finger of k joints moves its pad along the contact normal.
 
     With a = J^T n, the pad's motion along the normal per joint, and T its motion across it, the
@@ -171,7 +216,7 @@ class SearchWay:
     free: FloatArray
     cost: FloatArray
 
-    def past(self, slope: FloatArray) -> FloatArray | None:
+    def around(self, slope: FloatArray) -> FloatArray | None:
         """The way (k,), rad/m, that does not lessen a distance that changes by ``slope`` (k,).
 
         None where there is none, or it is too long.
@@ -189,12 +234,12 @@ class SearchWay:
         return np.asarray(way)
 
 
-def search_ways(plan: GraspPlan) -> list[SearchWay]:
-    """The ways of a plan's fingers, in their order."""
+def search_directions(plan: GraspPlan) -> list[SearchDirection]:
+    """The directions of a plan's fingers, in their order."""
     state = HandState(plan.task.hand, plan.q)
     inverse = plan.T_world_base.inverse()
     couplings, _ = plan.task.hand.coupling_matrix
-    ways = []
+    directions = []
     for finger, point, normal in zip(
         plan.task.fingers, plan.contacts.positions, plan.contacts.normals, strict=True
     ):
@@ -207,5 +252,7 @@ def search_ways(plan: GraspPlan) -> list[SearchWay]:
         cost = across.T @ across + SEARCH_DAMPING**2 * np.eye(free.shape[1])
         way = np.linalg.solve(cost, free.T @ along)
         straight = free @ way / max(float(along @ free @ way), STUCK)
-        ways.append(SearchWay(index=k, along=along, straight=straight, free=free, cost=cost))
-    return ways
+        directions.append(
+            SearchDirection(index=k, along=along, straight=straight, free=free, cost=cost)
+        )
+    return directions

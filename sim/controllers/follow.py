@@ -32,7 +32,7 @@ from scipy.interpolate import CubicSpline
 from planner.errors import TaskError
 from planner.kinematics.state import HandState
 from planner.spatial import SE3, FloatArray, signed_twist
-from sim.controllers.reference import Target
+from sim.controllers.base import Target
 
 if TYPE_CHECKING:
     from planner.motion import Knot, MotionPlan

@@ -17,6 +17,16 @@ fingers that hold it (Khatib 1987, operational space inertia):
 
 with H the joint-space inertia and J_i the Jacobian of contact i. K = M w^2 and D = 2 z M w give the
 natural frequency w and the damping ratio z.
+
+``EstimateCorrection``: what an estimate takes back is no motion of the object.
+
+Called by ``ObjectImpedance`` at every step while it only holds. A carried object moves with the
+fingertips, which the joints tell to hundredths of a millimetre, and against them as the pads feel
+it slide; one that still stands does not move. An estimate changes by more than that: it learns from
+a camera of millimetres and degrees where the object has been all the time. A loop that brought the
+object back by as much would move it in the hand, against contacts that stick, with forces that grow
+until they slip. So the wanted pose goes along with the estimate, as far as the estimate was in
+doubt. A larger change counts as a motion of the object.
 """
 
 from __future__ import annotations
@@ -30,6 +40,61 @@ from planner.arrays import check_fields
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
+from sim.controllers.readings import PoseUncertainty
+
+DEVIATIONS = 3.0
+"""How many standard deviations of the estimate, the largest so far, it may take back (-)."""
+
+
+class EstimateCorrection:
+    """What an estimate has taken back since the wanted pose was set."""
+
+    def __init__(self) -> None:
+        """Nothing yet."""
+        self._last: SE3 | None
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, at another wanted pose."""
+        self._last = None
+        self._taken, self._most = np.zeros((2, 3)), np.zeros(2)
+
+    def follow(
+        self,
+        wanted: SE3,
+        estimate: SE3,
+        twist: FloatArray,
+        elapsed: float,
+        uncertainty: PoseUncertainty,
+    ) -> SE3:
+        """The wanted pose, moved as the estimate has moved without the object.
+
+        Args:
+            wanted: Where the object is to be kept, in the palm.
+            estimate: Where it is taken to be, in the palm.
+            twist: (6,), of the object as its contacts tell it, about its centre, palm axes, m/s and
+                rad/s.
+            elapsed: Since the last step, s.
+            uncertainty: How well the estimate is known.
+        """
+        last, self._last = self._last, estimate
+        if last is None:
+            return wanted
+        deviations = np.array([uncertainty.position_deviation, uncertainty.rotation_deviation])
+        self._most = np.maximum(self._most, deviations)
+        shift = estimate.translation - last.translation - elapsed * twist[:3]
+        turn = pin.log3(estimate.rotation @ last.rotation.T @ pin.exp3(-elapsed * twist[3:]))
+        taken = self._taken + np.array([shift, turn])
+        size = np.linalg.norm(taken, axis=1)
+        most = DEVIATIONS * self._most
+        taken *= np.minimum(1.0, most / np.maximum(size, np.maximum(most, TINY)))[:, None]
+        (shift, turn), self._taken = taken - self._taken, taken
+        return SE3(pin.exp3(turn) @ wanted.rotation, wanted.translation + shift)
+
+
+TINY = 1e-12
+"""Length (m) or angle (rad) that is nothing."""
+
 
 BANDWIDTH = 60.0
 """Natural frequency (rad/s) of the held object. Contacts give way at 200 rad/s in simulation, and
@@ -138,7 +203,7 @@ class ImpedanceLaw:
         self.load += elapsed * self.gains.learning_rate * (self._spring + missed)
 
 
-def felt_inertia(plan: GraspPlan, mass: float) -> tuple[float, float]:
+def effective_inertia(plan: GraspPlan, mass: float) -> tuple[float, float]:
     """Mass (kg) and moment of inertia (kg m^2) of a held object with the links that move with it.
 
     From the mean of the mobility M^-1 over all directions. A mean of M would be dominated by

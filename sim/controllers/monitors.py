@@ -3,10 +3,17 @@
 A slip is a tangential speed above ``SLIP_SPEED`` for 10 ms at a loaded contact. The detector sees a
 pad's sliding velocity with noise and averages it over some readings; a slip that it reports
 ends when the average has fallen to half of the speed of the alarm. A pad that spins creeps far
-inside its friction cone (``sim.controllers.pads.CREEP``): such sliding is a slip if it is fast
+inside its friction cone (``sim.controllers.readings.CREEP``): such sliding is a slip if it is fast
 enough, but no sign of too little friction, and is reported separately.
 
 A wrench is infeasible while no contact forces within friction, normal forces and actuators give it.
+
+``ContactSchedule``: which fingers hold the object now, and how much of their force each has.
+
+A finger holds if it is wanted and its pad has felt the object for some steps. What it may press is
+its share, in [0, 1]: it falls along a ramp when a finger is to leave, at once when the contact is
+lost, and rises along a ramp when a finger comes (back). A finger that is wanted but does not touch
+is searching; one that is not wanted and has given its force away is free.
 """
 
 from __future__ import annotations
@@ -16,10 +23,75 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.numerics.kernels import kernel
 from planner.spatial import FloatArray
-from sim.controllers.events import EventKind
-from sim.controllers.pads import CREEP, PadReading
+from sim.controllers.base import EventKind
+from sim.controllers.readings import LOST_FORCE, TOUCH_FORCE, PadReading
+
+RAMP = 0.1
+"""Time (s) in which a finger takes or gives away its whole force: slow beside the bandwidth."""
+
+TOUCH_TIME, LOST_TIME = 0.006, 0.006
+"""How long (s) that must last: three steps of 2 ms."""
+
+
+class ContactSchedule:
+    """States of n fingers.
+
+    Attributes:
+        share: (n,), share of its force that each finger has, in [0, 1].
+        wanted: (n,), which fingers are to hold the object.
+        touching: (n,), which pads feel it.
+    """
+
+    def __init__(self, touching: NDArray[np.bool_]) -> None:
+        """All fingers are wanted; those that touch (n,) hold at once."""
+        self.touching = np.array(touching, dtype=bool)
+        self.wanted = np.ones(len(touching), dtype=bool)
+        self.share = self.touching.astype(np.float64)
+        self._lasting = np.zeros(len(touching))
+        self._none: NDArray[np.bool_] = np.zeros(len(touching), dtype=bool)
+        self._none.flags.writeable = False
+        self._settled = False  # all touch, with their whole share, and none is about to be lost
+
+    @property
+    def holding(self) -> NDArray[np.bool_]:
+        """Which fingers may press, (n,)."""
+        return np.asarray(self.touching & (self.share > 0))
+
+    @property
+    def searching(self) -> NDArray[np.bool_]:
+        """Which fingers are wanted but do not touch, (n,)."""
+        return np.asarray(self.wanted & ~self.touching)
+
+    def step(
+        self, elapsed: float, normal_force: FloatArray
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Go on by one step.
+
+        Args:
+            elapsed: Time since the last call, s.
+            normal_force: What the pads feel (n,), N.
+
+        Returns:
+            Which wanted fingers have just lost the object, and which have just found it, (n,) each.
+        """
+        if self._settled and normal_force.min() >= LOST_FORCE and self.wanted.all():
+            return self._none, self._none
+        changes = np.where(self.touching, normal_force < LOST_FORCE, normal_force > TOUCH_FORCE)
+        self._lasting = np.where(changes, self._lasting + elapsed, 0.0)
+        due = self._lasting >= np.where(self.touching, LOST_TIME, TOUCH_TIME) - elapsed / 2
+        lost, found = due & self.touching, due & ~self.touching
+        self.touching = self.touching ^ due
+        self._lasting[due] = 0.0
+        rate = elapsed / RAMP
+        toward = self.wanted & self.touching
+        self.share = np.clip(self.share + np.where(toward, rate, -rate), 0.0, 1.0)
+        self.share[~self.touching] = 0.0
+        self._settled = bool(
+            self.touching.all() and (self.share == 1.0).all() and not self._lasting.any()
+        )
+        return lost & self.wanted, found & self.wanted
+
 
 SLIP_SPEED = 0.005
 """Tangential speed (m/s) of an object over a pad that counts as a slip."""
@@ -55,79 +127,6 @@ the wrench itself. The larger grip after a slip gives way too: it needs actuator
 
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
-
-
-def _follow_plain(
-    elapsed: float,
-    normal_force: FloatArray,
-    sliding: FloatArray,
-    spin: FloatArray,
-    average: FloatArray,
-    creep: FloatArray,
-    speeds: FloatArray,
-    above: FloatArray,
-    slipping: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
-    """``follow_sliding`` in NumPy."""
-    share = elapsed / (AVERAGE_TIME + elapsed)
-    loaded = normal_force > LOADED
-    seen = np.where(loaded[:, None], sliding, 0.0)
-    average[:] = loaded[:, None] * (average + share * (seen - average))
-    creep += share * (loaded * CREEP * np.abs(spin) - creep)
-    speeds[0] = np.sqrt((average * average).sum(axis=1))
-    speeds[1] = speeds[0] - creep
-    above[:] = (above + elapsed) * (speeds > ALARM_SPEED)
-    begins = (above >= ALARM_TIME - elapsed / 2) & ~slipping
-    slipping[:] = (slipping | begins) & (speeds > ALARM_SPEED / 2)
-    return begins
-
-
-@kernel(_follow_plain)
-def follow_sliding(
-    elapsed: float,
-    normal_force: FloatArray,
-    sliding: FloatArray,
-    spin: FloatArray,
-    average: FloatArray,
-    creep: FloatArray,
-    speeds: FloatArray,
-    above: FloatArray,
-    slipping: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
-    """Which pads have just begun to slip, (2, n): by their speed, and beyond what spin explains.
-
-    Args:
-        elapsed: Time since the last call, s.
-        normal_force: (n,), N.
-        sliding: (n, 3), m/s; anything where nothing touches.
-        spin: (n,) or (1,), rad/s.
-        average: (n, 3), averaged sliding of loaded pads, m/s: moved on.
-        creep: (n,), averaged speed that spin explains, m/s: moved on.
-        speeds: (2, n), m/s, of ``average``, and of what creep leaves of it: written.
-        above: (2, n), for how long they have been above the alarm, s: moved on.
-        slipping: (2, n): moved on.
-    """
-    n = len(normal_force)
-    share = elapsed / (AVERAGE_TIME + elapsed)
-    begins = np.zeros((2, n), dtype=np.bool_)
-    for i in range(n):
-        turning = 0.0
-        if normal_force[i] > LOADED:
-            for k in range(3):
-                average[i, k] += share * (sliding[i, k] - average[i, k])
-            turning = CREEP * abs(spin[i if len(spin) > 1 else 0])
-        else:
-            average[i, 0], average[i, 1], average[i, 2] = 0.0, 0.0, 0.0
-        creep[i] += share * (turning - creep[i])
-        a, b, c = average[i, 0], average[i, 1], average[i, 2]
-        speeds[0, i] = np.sqrt(a * a + b * b + c * c)
-        speeds[1, i] = speeds[0, i] - creep[i]
-        for s in range(2):
-            above[s, i] = above[s, i] + elapsed if speeds[s, i] > ALARM_SPEED else 0.0
-            begins[s, i] = above[s, i] >= ALARM_TIME - elapsed / 2 and not slipping[s, i]
-            on = slipping[s, i] or begins[s, i]
-            slipping[s, i] = on and speeds[s, i] > ALARM_SPEED / 2
-    return begins
 
 
 class SlipDetector:
@@ -167,22 +166,21 @@ class SlipDetector:
                 return self.begun_beyond_spin.copy()
             since = elapsed if self._felt is None else pads.time - self._felt
             self._felt, elapsed = pads.time, min(READING_TIME, since)
-        told = pads.slipping
-        begins = follow_sliding(
-            elapsed,
-            pads.normal_force,
-            pads.sliding,
-            pads.spin,
-            self._average,
-            self._creep,
-            self._speeds,
-            self._above,
-            self._slipping if told is None else self._slipping.copy(),
-        )
+        share = elapsed / (AVERAGE_TIME + elapsed)
+        loaded = pads.normal_force > LOADED
+        sliding = np.where(loaded[:, None], pads.sliding, 0.0)
+        self._average = loaded[:, None] * (self._average + share * (sliding - self._average))
+        self._creep += share * (loaded * pads.creep_speed - self._creep)
+        self._speeds[0] = np.sqrt((self._average * self._average).sum(axis=1))
+        self._speeds[1] = self._speeds[0] - self._creep
+        self._above = (self._above + elapsed) * (self._speeds > ALARM_SPEED)
+        begins = (self._above >= ALARM_TIME - elapsed / 2) & ~self._slipping
         self.speed = self._speeds[0]
-        if told is not None:  # pads that notice slips by themselves
-            begins = told & ~self._slipping
-            self._slipping[:] = told
+        if pads.slipping is None:
+            self._slipping = (self._slipping | begins) & (self._speeds > ALARM_SPEED / 2)
+        else:  # pads that notice slips by themselves
+            begins = pads.slipping & ~self._slipping
+            self._slipping[:] = pads.slipping
         self.begun_beyond_spin = np.asarray(begins[1])
         return np.asarray(begins[0])
 
@@ -192,7 +190,7 @@ class InfeasibilityMonitor:
 
     Attributes:
         missed: Missed share of the last wrench (-).
-        given: Share of the least normal forces that is asked for (-).
+        grip_share: Share of the least normal forces that is asked for (-).
         gave_up: Why it gave up, "" while it has not; "" again when it is over.
     """
 
@@ -204,27 +202,27 @@ class InfeasibilityMonitor:
             fingers: Names of those that take part, n.
             what: Name of the object.
         """
-        self.missed, self.given, self.gave_up = 0.0, 1.0, ""
+        self.missed, self.grip_share, self.gave_up = 0.0, 1.0, ""
         self._needed, self._fingers, self._what = needed, tuple(fingers), what
         self._missed_for = self._few_for = 0.0
 
     def update(
-        self, elapsed: float, *, short: float, asked: float, holding: NDArray[np.bool_]
+        self, elapsed: float, *, residual: float, wanted: float, holding: NDArray[np.bool_]
     ) -> list[tuple[EventKind, str]]:
         """Take over a step; returns the events to note.
 
         Args:
             elapsed: Since the last step, s.
-            short: Size of the unbalanced wrench, N.
-            asked: Size of the wrench, N.
+            residual: Size of the unbalanced wrench, N.
+            wanted: Size of the wanted wrench, N.
             holding: Which fingers (n,) hold.
         """
-        self.missed = short / max(1.0, asked)
-        wanting = self.missed > MISSED_TOL
+        self.missed = residual / max(1.0, wanted)
+        missing = self.missed > MISSED_TOL
         rate = -1.0 / GIVING_TIME if self.missed > GIVING_TOL else 1.0 / TAKING_TIME
-        self.given = min(1.0, max(LEAST_GIVEN, self.given + elapsed * rate))
+        self.grip_share = min(1.0, max(LEAST_GIVEN, self.grip_share + elapsed * rate))
         before = self._missed_for
-        self._missed_for = before + elapsed if wanting else 0.0
+        self._missed_for = before + elapsed if missing else 0.0
         count = int(holding.sum())
         few = count < self._needed
         self._few_for = self._few_for + elapsed if few else 0.0
@@ -233,13 +231,13 @@ class InfeasibilityMonitor:
         def detail() -> str:
             names = [name for name, holds in zip(self._fingers, holding, strict=True) if holds]
             who = ", ".join(names) or "no finger"
-            return f"{who} on {self._what}: {short:.2f} N of {asked:.2f} N cannot be exerted"
+            return f"{who} on {self._what}: {residual:.2f} N of {wanted:.2f} N cannot be exerted"
 
         if before < INFEASIBLE_TIME <= self._missed_for:
             notes.append(("infeasible", f"{detail()}; the nearest forces are given"))
         if before >= INFEASIBLE_TIME and self._missed_for == 0.0:
             notes.append(("feasible again", f"after {before:.3f} s"))
-        if self.gave_up and (wanting or few):
+        if self.gave_up and (missing or few):
             return notes
         self.gave_up = ""
         if self._few_for > PATIENCE:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import copy
 import inspect
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
-from typing import TypeAlias, cast
+from collections.abc import Callable
+from typing import TypeAlias
 
-from planner.errors import NotFoundError, TaskError, shown
+from planner.errors import TaskError, shown
 from planner.plan import GraspPlan
-from planner.system.plugins import plugin
+from planner.registry import Registry
 from sim.controllers.base import Controller
 from sim.controllers.grasp import GraspController
 from sim.controllers.object_impedance import ObjectImpedance
@@ -22,11 +21,12 @@ AnyController: TypeAlias = str | Controller | MakeController
 """What is accepted as a controller: a name out of ``CONTROLLERS``, a controller, or a class or
 function that makes one from the plan."""
 
-CONTROLLERS: Mapping[str, MakeController] = MappingProxyType(
-    {"feedforward": GraspController, "impedance": ObjectImpedance}
-)
+CONTROLLERS: Registry[MakeController] = Registry("controller", group="controllers")
 """feedforward: the planned forces, turned with the object, and servos that hold the posture, but
 nothing that steers the object; impedance: a closed loop that keeps the object's pose."""
+
+CONTROLLERS.add("feedforward", GraspController)
+CONTROLLERS.add("impedance", ObjectImpedance)
 
 DEFAULT_CONTROLLER = "feedforward"
 
@@ -34,7 +34,7 @@ OF_A_POLICY = (
     "A learned policy is --controller policy:FILE on the command line, and "
     "sim.learning.policy_controller(FILE) in Python."
 )
-"""What else there is to drive a hand, for messages; the room that has it is above this one."""
+"""What else there is to drive a hand, for messages; the package that has it is above this one."""
 
 
 def named_controller(name: str) -> MakeController:
@@ -43,57 +43,53 @@ def named_controller(name: str) -> MakeController:
     Raises:
         NotFoundError: No controller has that name.
     """
-    if name not in CONTROLLERS and (brought := plugin("controllers", name)) is not None:
-        return cast(MakeController, brought)
-    if name not in CONTROLLERS:
-        raise NotFoundError("controller", name, CONTROLLERS, OF_A_POLICY)
-    return CONTROLLERS[name]
+    return CONTROLLERS.named(name, OF_A_POLICY)
 
 
-def controller_for(plan: GraspPlan, given: AnyController | None) -> Controller:
-    """The controller that was given, made for a plan where it is a name, a class or a function.
+def controller_for(plan: GraspPlan, controller: AnyController | None) -> Controller:
+    """The controller that is given, made for a plan where it is a name, a class or a function.
 
     Args:
         plan: What it is to execute.
-        given: Name, controller, class or function of the plan; "feedforward" if None.
+        controller: Name, controller, class or function of the plan; "feedforward" if None.
 
     Raises:
         NotFoundError: No controller has that name.
-        TaskError: What was given is none of these.
+        TaskError: It is none of these.
     """
-    if given is not None and not isinstance(given, str | type) and _is_controller(given):
-        return given  # type: ignore[return-value]
-    return controller_maker(given)(plan)
+    if not isinstance(controller, str | type) and _is_controller(controller):
+        return controller  # type: ignore[return-value]
+    return controller_maker(controller)(plan)
 
 
-def controller_maker(given: AnyController | None) -> MakeController:
+def controller_maker(controller: AnyController | None) -> MakeController:
     """What makes a fresh controller for every plan; a controller itself is copied as it is now.
 
     Args:
-        given: Name, controller, class or function of the plan; "feedforward" if None.
+        controller: Name, controller, class or function of the plan; "feedforward" if None.
 
     Raises:
         NotFoundError: No controller has that name.
-        TaskError: What was given is none of these.
+        TaskError: It is none of these.
     """
-    if given is None:
+    if controller is None:
         return CONTROLLERS[DEFAULT_CONTROLLER]
-    if isinstance(given, str):
-        return named_controller(given)
-    if not isinstance(given, type) and _is_controller(given):
-        return _CopyOf(given)  # type: ignore[arg-type]
-    if not callable(given) or not _takes_a_plan(given):
-        raise _refused(given)
-    return _Checked(given)
+    if isinstance(controller, str):
+        return named_controller(controller)
+    if not isinstance(controller, type) and _is_controller(controller):
+        return _CopyOf(controller)  # type: ignore[arg-type]
+    if not callable(controller) or not _takes_a_plan(controller):
+        raise _refused(controller)
+    return _Checked(controller)
 
 
-def controller_name(given: AnyController | None) -> str:
+def controller_name(controller: AnyController | None) -> str:
     """What a report calls a controller: its name, or that of its class or function."""
-    if given is None:
+    if controller is None:
         return DEFAULT_CONTROLLER
-    if isinstance(given, str):
-        return given
-    return str(getattr(given, "__name__", type(given).__name__))
+    if isinstance(controller, str):
+        return controller
+    return str(getattr(controller, "__name__", type(controller).__name__))
 
 
 class _CopyOf:
@@ -134,13 +130,13 @@ def _takes_a_plan(make: Callable[..., object]) -> bool:
     return True
 
 
-def _refused(given: object) -> TaskError:
-    if isinstance(given, type) and _is_controller(given):
+def _refused(thing: object) -> TaskError:
+    if isinstance(thing, type) and _is_controller(thing):
         return TaskError(
-            f"controller {given.__name__} is a class that does not take the plan alone; give "
+            f"controller {thing.__name__} is a class that does not take the plan alone; give "
             f"an instance, or a function that makes one from the plan"
         )
     return TaskError(
-        f"controller is {given!r}; give one of {', '.join(CONTROLLERS)}, an object with a method "
+        f"controller is {thing!r}; give one of {', '.join(CONTROLLERS)}, an object with a method "
         "step(observation), or a class or function that makes one from the plan"
     )

@@ -8,7 +8,7 @@ phases ``REFERENCE_PHASES`` a ``Reference`` may move the targets of object and f
     forces   the least contact forces that give that wrench within friction, normal forces and
              actuators (``planner.forces.ForceLoop``), at the contacts that the pads feel
     ctrl     joint torques for these forces (``sim.controllers.torques``), through motors, servos
-             or tendons, and for the joints' dry friction (``sim.controllers.friction``)
+             or tendons, and for the joints' dry friction (``sim.controllers.hand_dynamics``)
 
 What it notices and what it does then:
     contact lost    the forces are planned over the others at once; the finger searches along its
@@ -34,18 +34,18 @@ from planner.errors import NotFoundError, TaskError
 from planner.forces import ForceLoop, turned_frames
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
-from sim.controllers.base import Observation, Phase, Sense
-from sim.controllers.believed import BelievedJoints
-from sim.controllers.doubt import Doubt
-from sim.controllers.events import Event, EventKind
+from sim.controllers.base import Event, EventKind, Observation, Phase, Reference, Sense
 from sim.controllers.grasp import FIRST_SHARE, GraspController
-from sim.controllers.holding_loops import twist_of
-from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw, felt_inertia
-from sim.controllers.monitors import InfeasibilityMonitor, SlipDetector
-from sim.controllers.pads import PadReading
-from sim.controllers.reference import Reference
-from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
-from sim.controllers.torques import HoldingTorques
+from sim.controllers.impedance import (
+    EstimateCorrection,
+    ImpedanceGains,
+    ImpedanceLaw,
+    effective_inertia,
+)
+from sim.controllers.joint_stops import StopCorrection
+from sim.controllers.monitors import ContactSchedule, InfeasibilityMonitor, SlipDetector
+from sim.controllers.readings import TOUCH_FORCE, PadReading
+from sim.controllers.torques import HoldingTorques, twist_of
 
 MAX_NORMAL = 40.0
 """Largest normal force (N) that a pad is asked for; the actuators usually end far below."""
@@ -76,7 +76,7 @@ FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
 was felt, and never less than this (-)."""
 
 CONFIRMED = 0.95
-"""A slip at this share of the believed friction or more confirms the belief (-)."""
+"""A slip at this share of the believed friction or more confirms it (-)."""
 
 CARRYING: frozenset[Phase] = frozenset({"lift", "hold", "turn", "carry"})
 """Phases in which nothing but the hand holds the object: then loads and friction are learned."""
@@ -139,7 +139,7 @@ class ObjectImpedance:
         self._max_normal = max_normal
         n = len(task.fingers)
         if gains is None:
-            felt_mass, inertia = felt_inertia(plan, self._mass)
+            felt_mass, inertia = effective_inertia(plan, self._mass)
             gains = ImpedanceGains.of_body(mass=felt_mass, inertia=inertia)
         self.law = ImpedanceLaw(gains)
         self.schedule = ContactSchedule(np.zeros(n, dtype=bool))
@@ -152,8 +152,8 @@ class ObjectImpedance:
         self.calibration = self._opening.calibration
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
-        self._believed = BelievedJoints(task.hand.actuation, plan.q)
-        self._doubt = Doubt()
+        self._stops = StopCorrection(task.hand.actuation, plan.q)
+        self._correction = EstimateCorrection()
         self._calibrated = self._moved = False
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
@@ -189,20 +189,20 @@ class ObjectImpedance:
         return self._torques.saturated_actuators()
 
     def leave(self, finger: str) -> None:
-        """Tell a finger to give its force to the others and to go off the object.
+        """Command a finger to give its force to the others and to go off the object.
 
         Raises:
             NotFoundError: No finger of that name takes part.
         """
-        self._tell(finger, False)
+        self._set_wanted(finger, False)
 
     def join(self, finger: str) -> None:
-        """Tell a finger to come back.
+        """Command a finger to come back.
 
         Raises:
             NotFoundError: No finger of that name takes part.
         """
-        self._tell(finger, True)
+        self._set_wanted(finger, True)
 
     def keep(self) -> None:
         """Keep fingertips and posture where they are now; at rest they then press on nothing.
@@ -235,18 +235,18 @@ class ObjectImpedance:
         if self._moved:
             self._moved, self.T_palm_wanted = False, in_palm
             self._torques.latch()
-            self._doubt.forget()
+            self._correction.forget()
         if self.T_palm_wanted is None:
             self.T_palm_wanted = in_palm
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
             self._torques.latch()
-            self._torques.make_up_for(self._opening.friction.extra)
+            self._torques.compensate(self._opening.friction.extra)
         wanted_twist = np.zeros(6)
         follows = observation.phase in REFERENCE_PHASES and self.reference is not None
         if self.reference is not None and follows:
             wanted_twist = self._follow(self.reference, elapsed, in_palm, observation.q)
         self._feel(elapsed, pads, T_base_world)
-        believed = self._believed.believe(observation.q)
+        corrected = self._stops.corrected(observation.q)
         carries = observation.phase in CARRYING
         if carries and not self.gave_up:
             self._tighten(elapsed, pads)
@@ -260,24 +260,24 @@ class ObjectImpedance:
         moving = self._torques.touch(self._points, pose.translation, holding)
         held_back = self._torques.held_back(self._frames[:, :, 0])
         if follows:
-            self._doubt.forget()
-        elif observation.belief is not None:
-            self.T_palm_wanted = self._doubt.gone_along(
+            self._correction.forget()
+        elif observation.uncertainty is not None:
+            self.T_palm_wanted = self._correction.follow(
                 self.T_palm_wanted,
                 in_palm,
                 self._carried(moving, pads, pose.translation, T_base_world, carries=carries),
                 elapsed,
-                observation.belief,
+                observation.uncertainty,
             )
         twist = moving - wanted_twist
-        if self._believed.acts:
+        if self._stops.acts:
             self._feel_stops(elapsed, observation, pads.force @ T_base_world.rotation.T)
         wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
         # where it only holds, a wrench that is in doubt is no reason to press less
-        eases = follows or observation.belief is None
+        eases = follows or observation.uncertainty is None
         missed = self._distribute(
-            scale * wrench, pose.translation, believed, scale, held_back=held_back, eases=eases
+            scale * wrench, pose.translation, corrected, scale, held_back=held_back, eases=eases
         )
         if carries:
             self._judge(elapsed, wrench, missed)
@@ -286,7 +286,7 @@ class ObjectImpedance:
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
         return self._torques.commands(
-            forces, normals, holding, self.schedule.searching, believed, read
+            forces, normals, holding, self.schedule.searching, corrected, read
         )
 
     def _carried(
@@ -319,7 +319,7 @@ class ObjectImpedance:
         )
         self.T_palm_wanted = target.T_palm_object
         self._torques.aim(target.tips, target.q, target.v)
-        self._believed.lean_on(target.q)
+        self._stops.set_posture(target.q)
         turn = self._torques.T_base_palm.rotation
         return np.concatenate([turn @ target.twist[:3], turn @ target.twist[3:]])
 
@@ -343,16 +343,17 @@ class ObjectImpedance:
         self._calibrated = True
         before = self.calibration.offset
         if self.calibration.learn(observation):
-            self._believed.corrected(self.calibration.offset - before)
+            self._stops.remove_offset(self.calibration.offset - before)
             self._moved = True  # hand and object are elsewhere than was believed: keep them there
 
     def _feel_stops(self, elapsed: float, observation: Observation, felt: FloatArray) -> None:
-        """Tell the believed joints how the forces felt (n, 3), base axes, press on the stops."""
+        """Tell the stops how the forces felt (n, 3), base axes, press on them."""
         q = observation.q
         torque = felt.ravel() @ self._torques.jacobians.reshape(-1, len(q))
         torque += self._torques.own_torque
-        _, pressing = self.plan.task.hand.actuation.split_torque(self._believed.believe(q), torque)
-        self._believed.feel(elapsed, q, observation.v, pressing)
+        actuation = self.plan.task.hand.actuation
+        _, pressing = actuation.split_torque(self._stops.corrected(q), torque)
+        self._stops.update(elapsed, q, observation.v, pressing)
 
     def _tighten(self, elapsed: float, pads: PadReading) -> None:
         """Answer to slips: press harder, and believe less friction."""
@@ -385,14 +386,14 @@ class ObjectImpedance:
         Args:
             wrench: (6,), about the object's centre, base axes.
             center: (3,), that centre, m.
-            q: Joints as they are believed (nq,).
+            q: Joints, corrected by the stops (nq,).
             scale: How much of the grip is asked for (-).
             held_back: (n,), what joint friction may take from each finger's force, N.
             eases: Whether fingers press less while a wrench is missed.
         """
         share = np.where(self.schedule.holding, self.schedule.share, 0.0)
-        given = self._infeasibility.given if eases else 1.0
-        grip = self.grip * max(LEAST_GRIP, self._grip * given)
+        eased = self._infeasibility.grip_share if eases else 1.0
+        grip = self.grip * max(LEAST_GRIP, self._grip * eased)
         # actuators of a finger without force do not limit the others
         loaded = np.where((share > 0.0)[:, None, None], self._torques.jacobians, 0.0)
         step = self._loop.step(
@@ -426,9 +427,9 @@ class ObjectImpedance:
     def _judge(self, elapsed: float, wrench: FloatArray, missed: FloatArray) -> None:
         """Note when a wrench is infeasible, and give up when that lasts."""
         weight = self._loop.problem.row_scale[:6]
-        short, asked = (math.sqrt(w @ w) for w in (weight * missed, weight * wrench))
+        residual, wanted = (math.sqrt(w @ w) for w in (weight * missed, weight * wrench))
         for kind, detail in self._infeasibility.update(
-            elapsed, short=short, asked=asked, holding=self.schedule.holding
+            elapsed, residual=residual, wanted=wanted, holding=self.schedule.holding
         ):
             self._note(kind, None, detail)
 
@@ -442,7 +443,7 @@ class ObjectImpedance:
             actuation=self.plan.task.hand.actuation,
         )
 
-    def _tell(self, finger: str, wanted: bool) -> None:
+    def _set_wanted(self, finger: str, wanted: bool) -> None:
         names = self.plan.task.finger_names
         if finger not in names:
             raise NotFoundError("finger that takes part", finger, names)

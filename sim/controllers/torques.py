@@ -19,12 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray
-from sim.controllers.believed import servo_commands
+from planner.spatial import SE3, FloatArray, skew
 from sim.controllers.grasp import saturated
-from sim.controllers.holding_loops import tips_moved, torques_for
-from sim.controllers.loads import HandLoads
-from sim.controllers.motors import FULL_FRICTION_RATE, joint_drag, motor_servo
+from sim.controllers.hand_dynamics import FULL_FRICTION_RATE, HandLoads, joint_drag, motor_servo
+from sim.controllers.joint_stops import servo_commands
 
 TIP_STIFFNESS = 150.0
 """Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
@@ -36,6 +34,39 @@ JOINT_DAMPING = 0.02
 LEVER = 0.02
 """Motion of a pad along its normal per joint (m/rad) from which on all of the joint's dry friction
 is made up for in a search: half a newton at the tip alone moves no joint of 0.02 N m."""
+
+POSTURE_STIFFNESS = 0.3
+"""Spring (N m/rad) on what a redundant finger can do by itself, a tenth of a servo's."""
+
+SEARCH_FORCE, SEARCH_DAMPING = 0.5, 15.0
+"""A finger that lost the object presses on along its last normal with this force (N), against this
+damper (N s/m): it moves at some 3 cm/s."""
+
+RETREAT, RETREAT_STIFFNESS = 0.01, 100.0
+"""Distance (m) that a leaving finger keeps from where it held, and the spring (N/m) for that."""
+
+RANK_TOL = 1e-6
+"""Added to G G^T (-, m^2) where too few fingers hold to fix every motion."""
+
+FLAT = 1e-8
+"""Added to J J^T (m^2): a stretched finger has a direction in which it cannot push, 0.1 mm/rad."""
+
+_RANK, _FLAT = RANK_TOL * np.eye(6), FLAT * np.eye(3)
+
+
+def grasp_matrix(arms: FloatArray) -> FloatArray:
+    """G (6, 3 n): forces in the axes at arms (n, 3) from the centre -> wrench about it."""
+    n = len(arms)
+    out = np.empty((6, n, 3))
+    out[:3] = np.eye(3)[:, None]
+    out[3:] = skew(arms).transpose(1, 0, 2)
+    return out.reshape(6, 3 * n)
+
+
+def twist_of(velocities: FloatArray, arms: FloatArray) -> FloatArray:
+    """Twist (6,) of the body that points at arms (n, 3) from its centre move like, (n, 3) m/s."""
+    grasp = grasp_matrix(arms)
+    return np.asarray(np.linalg.solve(grasp @ grasp.T + _RANK, grasp @ velocities.ravel()))
 
 
 class HoldingTorques:
@@ -79,7 +110,7 @@ class HoldingTorques:
         self._tip_velocity = np.zeros((n, 3))
         self._law_q, self._torque = plan.q.copy(), np.zeros(nq)
 
-    def make_up_for(self, friction: FloatArray) -> None:
+    def compensate(self, friction: FloatArray) -> None:
         """Take joints to have dry friction (nq,) beyond the model's, N m, from now on."""
         self._stiction = self._stiction + friction
         self._found = self._found + friction
@@ -130,19 +161,17 @@ class HoldingTorques:
             about ``center``.
         """
         self._apart = self._latched() - self.centers
-        return tips_moved(
-            self._loads.jacobian,
-            self._loads.moved_by,
-            points,
-            center,
-            holding,
-            self._v_moving,
-            self._apart,
-            TIP_STIFFNESS,
-            self.jacobians,
-            self._tip_velocity,
-            self._tip_forces,
-        )
+        full = np.where(self._loads.moved_by[:, None], self._loads.jacobian, 0.0)
+        self.jacobians[:] = full[:, :3] - skew(points) @ full[:, 3:]
+        self._tip_velocity[:] = self.jacobians @ self._v_moving
+        mask = holding[:, None]
+        grasp = grasp_matrix(points - center) * np.repeat(holding, 3)
+        held = np.where(mask, self._apart, 0.0)
+        moved = np.column_stack([self._tip_velocity.ravel(), held.ravel()])
+        rigid = np.linalg.solve(grasp @ grasp.T + _RANK, grasp @ moved)
+        rest = held - (rigid[:, 1] @ grasp).reshape(-1, 3)
+        self._tip_forces[:] = np.where(mask, TIP_STIFFNESS * rest, 0.0)
+        return np.asarray(rigid[:, 0])
 
     def commands(
         self,
@@ -150,7 +179,7 @@ class HoldingTorques:
         normals: FloatArray,
         holding: NDArray[np.bool_],
         searching: NDArray[np.bool_],
-        believed: FloatArray | None = None,
+        corrected: FloatArray | None = None,
         read: FloatArray | None = None,
     ) -> FloatArray:
         """Commands (nu,) that press.
@@ -160,26 +189,13 @@ class HoldingTorques:
             normals: (n, 3), into the object.
             holding: (n,), which fingers hold.
             searching: (n,), which look for the object; the rest stay off it.
-            believed: (nq,), joints as the stops have them, see ``sim.controllers.believed``; those
+            corrected: (nq,), joints as the stops have them (``sim.controllers.joint_stops``); those
                 of ``move`` if None.
             read: (nq,), joints as the servos' encoders have them; those of ``move`` if None.
         """
-        torque = torques_for(
-            forces,
-            normals,
-            holding,
-            searching,
-            self._tip_forces,
-            self._apart,
-            self._tip_velocity,
-            self.jacobians,
-            self._own,
-            self._q_ref - self._q,
-            self._v - self._v_ref,
-            self._stiffness,
-            self._damping,
-            self.own_torque,
-        )
+        torque = self._tip_torque(forces, normals, holding, searching) + self._posture_torque()
+        torque = torque + self._stiffness * (self._q_ref - self._q)
+        torque = np.asarray(torque - self._damping * (self._v - self._v_ref))
         if searching.any() and self._found.any():
             torque += self._to_search(normals, searching)
         self._torque = torque
@@ -187,9 +203,32 @@ class HoldingTorques:
         encoders = self._law_q
         if read is not None and read is not self._q:
             encoders = self._law_q + (read - self._q)
-        if believed is not None and believed is not self._q:
-            self._law_q = np.where(self._moving, believed, self._q_ref)
+        if corrected is not None and corrected is not self._q:
+            self._law_q = np.where(self._moving, corrected, self._q_ref)
         return servo_commands(self._hand.actuation, encoders, self._law_q, self._v_moving, torque)
+
+    def _tip_torque(
+        self,
+        forces: FloatArray,
+        normals: FloatArray,
+        holding: NDArray[np.bool_],
+        searching: NDArray[np.bool_],
+    ) -> FloatArray:
+        """Joint torques (nq,) of the fingertips' forces, and of the hand itself."""
+        seek = SEARCH_FORCE * normals
+        away = RETREAT_STIFFNESS * (self._apart - RETREAT * normals)
+        alone = np.where(searching[:, None], seek, away) - SEARCH_DAMPING * self._tip_velocity
+        total = np.where(holding[:, None], forces + self._tip_forces, alone)
+        return total.ravel() @ self.jacobians.reshape(-1, len(self._q)) + self.own_torque
+
+    def _posture_torque(self) -> FloatArray:
+        """Joint torques (nq,) of a spring on the posture that does not move the fingertips."""
+        posture = np.where(self._own, POSTURE_STIFFNESS * (self._q_ref - self._q), 0.0)  # (n, nq)
+        jac = np.where(self._own[:, None], self.jacobians, 0.0)
+        gram = jac @ jac.transpose(0, 2, 1) + _FLAT
+        force = np.linalg.solve(gram, jac @ posture[..., None])
+        idle = posture - (jac.transpose(0, 2, 1) @ force)[..., 0]
+        return np.asarray(idle.sum(axis=0))
 
     def held_back(self, normals: FloatArray) -> FloatArray:
         """What the friction found may take from each finger's normal force at rest, (n,), N.

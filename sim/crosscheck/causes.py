@@ -172,6 +172,18 @@ Reasons: TypeAlias = dict[str, dict[str, Any]]
 
 Evidence: TypeAlias = Callable[[Difference, Context], Reasons]
 
+_EVIDENCE: dict[str, Evidence] = {}
+
+EVIDENCE: Mapping[str, Evidence] = MappingProxyType(_EVIDENCE)
+"""By the names that ``causes.toml`` gives them."""
+
+
+def evidence(function: Evidence) -> Evidence:
+    """Register a function by its name, without the underscore."""
+    _EVIDENCE[function.__name__.removeprefix("_")] = function
+    return function
+
+
 _EXTRA = " (not in the reference)"
 
 _DEFAULT_GRAVITY = (0.0, 0.0, -9.81)
@@ -203,17 +215,20 @@ def _written(d: Difference, c: Context) -> Mapping[str, str]:
 # parts that are not there
 
 
+@evidence
 def _outside_first_body(d: Difference, c: Context) -> Reasons:
     body = c.body_of(d)
     return when(d.error and body != "world" and c.top(body) != c.first, first=c.first)
 
 
+@evidence
 def _in_included_file(d: Difference, c: Context) -> Reasons:
     body = c.body_of(d)
     included = c.text and c.text.includes and body != "world"
     return when(included and c.text and c.text.element("body", body) is None)
 
 
+@evidence
 def _in_frame(d: Difference, c: Context) -> Reasons:
     if c.text is None:
         return {}
@@ -224,15 +239,18 @@ def _in_frame(d: Difference, c: Context) -> Reasons:
     return when(element is not None and any(a.tag == "frame" for a in c.text.ancestors(element)))
 
 
+@evidence
 def _on_world(d: Difference, c: Context) -> Reasons:
     return when(c.layout.sites.get(d.part) == "world")
 
 
+@evidence
 def _on_fixed_root(d: Difference, c: Context) -> Reasons:
     moved = any(slot.body == c.first for slot in c.layout.joints)
     return when(c.body_of(d) == c.first and not moved)
 
 
+@evidence
 def _nameless(d: Difference, c: Context) -> Reasons:
     """A part without a name gets another one there."""
     part = d.part.removesuffix(_EXTRA)
@@ -246,6 +264,7 @@ def _nameless(d: Difference, c: Context) -> Reasons:
     return when(part not in {accessor(i).name for i in range(count)}, "lost")
 
 
+@evidence
 def _nameless_siblings(d: Difference, c: Context) -> Reasons:
     """Of several bodies without a name below one parent, the first is read once for each."""
     body = c.body_of(d)
@@ -257,6 +276,7 @@ def _nameless_siblings(d: Difference, c: Context) -> Reasons:
     return when(sum(not _has_name(c, b) for b in siblings) > 1)
 
 
+@evidence
 def _below_nameless(d: Difference, c: Context) -> Reasons:
     """Below any body but the root, a body without a name is lost; its children hang elsewhere."""
     parents, body = c.layout.parents, c.body_of(d)
@@ -269,6 +289,7 @@ def _below_nameless(d: Difference, c: Context) -> Reasons:
     return {}
 
 
+@evidence
 def _body_missing(d: Difference, c: Context) -> Reasons:
     body = next((b for b in c.layout.parents if d.part.startswith(f"{b}_geom")), "")
     names = {c.model.geom(g).name: int(c.model.geom_bodyid[g]) for g in range(c.model.ngeom)}
@@ -280,6 +301,7 @@ def _body_missing(d: Difference, c: Context) -> Reasons:
 # poses
 
 
+@evidence
 def _root_at_origin(d: Difference, c: Context) -> Reasons:
     """The first body, fixed to the world, stands at the origin there."""
     moved = any(slot.body == d.part for slot in c.layout.joints)
@@ -287,6 +309,7 @@ def _root_at_origin(d: Difference, c: Context) -> Reasons:
     return when(fixed_root and _close(c.local(d.part).homogeneous, np.eye(4)))
 
 
+@evidence
 def _free_body_shifted(d: Difference, c: Context) -> Reasons:
     slot = next((s for s in c.layout.joints if s.body == d.part and s.kind == "free"), None)
     if slot is None:
@@ -298,12 +321,14 @@ def _free_body_shifted(d: Difference, c: Context) -> Reasons:
     return when(turned and _close(local.translation, shifted))
 
 
+@evidence
 def _axis_not_of_unit_length(d: Difference, c: Context) -> Reasons:
     axis = np.array(_written(d, c).get("axisangle", "1 0 0").split(), dtype=float)[:3]
     long = abs(np.linalg.norm(axis) - 1) > EQUAL
     return when(long and not c.turned(d.part, site=d.quantity.startswith("site")))
 
 
+@evidence
 def _fixed_axes_taken_for_turned(d: Difference, c: Context) -> Reasons:
     sequence = c.text.option("compiler", "eulerseq") if c.text else None
     written = _written(d, c).get("euler")
@@ -316,6 +341,7 @@ def _fixed_axes_taken_for_turned(d: Difference, c: Context) -> Reasons:
     return when(_close(local.rotation, predicted), sequence=sequence)
 
 
+@evidence
 def _site_pose_from_class(d: Difference, c: Context) -> Reasons:
     """A site without a pose of its own has one from its class."""
     element = c.text.element("site", d.part) if c.text else None
@@ -329,6 +355,7 @@ def _site_pose_from_class(d: Difference, c: Context) -> Reasons:
     return when(ignored and not own and names & c.text.inherited(element).keys())
 
 
+@evidence
 def _on_body_fixed_to_fixed_body(d: Difference, c: Context) -> Reasons:
     body = c.layout.sites[d.part]
     if body == "world" or c.layout.roots[body] == body:
@@ -340,6 +367,7 @@ def _on_body_fixed_to_fixed_body(d: Difference, c: Context) -> Reasons:
 # parameters
 
 
+@evidence
 def _range(d: Difference, c: Context) -> Reasons:
     """One of the known mistakes with limits, or several at once."""
     j = list(c.slots).index(d.part)
@@ -362,11 +390,13 @@ def _range(d: Difference, c: Context) -> Reasons:
     return {}
 
 
+@evidence
 def _no_actuators(d: Difference, c: Context) -> Reasons:
     here, there = c.here.joints[d.part].effort, c.there.joints[d.part].effort
     return when(np.isfinite(here).any() and (np.abs(there) > _HUGE).all() and c.model.nu)
 
 
+@evidence
 def _zero_limits_of_urdf(d: Difference, c: Context) -> Reasons:
     """Limits of a URDF that MuJoCo takes for none."""
     here, there = c.here.joints[d.part], c.there.joints[d.part]
@@ -379,20 +409,24 @@ def _zero_limits_of_urdf(d: Difference, c: Context) -> Reasons:
     return when(not there.effort.any() and np.isinf(here.effort).all(), "effort")
 
 
+@evidence
 def _damping_polynomial(d: Difference, c: Context) -> Reasons:
     written = c.model.dof_dampingpoly[c.slots[d.part].v].any()
     return when(written and not c.there.joints[d.part].damping.any())
 
 
+@evidence
 def _ball_damping(d: Difference, c: Context) -> Reasons:
     return when(c.slots[d.part].kind == "ball" and not c.there.joints[d.part].damping.any())
 
 
+@evidence
 def _default_gravity(d: Difference, c: Context) -> Reasons:
     stated = c.text and (c.text.option("option", "gravity") is not None or c.text.includes)
     return when(stated and _close(c.there.gravity, np.array(_DEFAULT_GRAVITY)))
 
 
+@evidence
 def _equality(d: Difference, c: Context) -> Reasons:
     if c.text is None:
         return when(True, "mimic")
@@ -461,6 +495,7 @@ _MISTAKES: Mapping[str, _Mistake] = {
 }
 
 
+@evidence
 def _mass(d: Difference, c: Context) -> Reasons:
     """The mistakes that explain the mass of a link, one alone or all of the file together."""
     if c.source.spec is None or d.part not in c.there.links:
@@ -486,6 +521,7 @@ def _twin(c: Context, mistakes: tuple[str, ...]) -> tuple[frozenset[str], dict[s
     return c.twins[mistakes]
 
 
+@evidence
 def _not_balanced(d: Difference, c: Context) -> Reasons:
     """The inertia as it is written, impossible as it may be, is the reader's."""
     spec = c.source.spec
@@ -513,6 +549,7 @@ def _not_balanced(d: Difference, c: Context) -> Reasons:
     return when(np.allclose(total, theirs.inertia, rtol=0, atol=EQUAL * np.abs(total).max()))
 
 
+@evidence
 def _geometry(d: Difference, c: Context) -> Reasons:
     """Wrong size or place of a geometry."""
     g = next(g for g in range(c.model.ngeom) if geom_name(c.model, g) == d.part)
@@ -557,41 +594,6 @@ def _element(c: Context, g: int) -> Any:
     written = [] if owner is None else owner.findall("geom")
     order = g - int(c.model.body_geomadr[body])
     return written[order] if order < len(written) else None
-
-
-EVIDENCE: Mapping[str, Evidence] = MappingProxyType(
-    {
-        function.__name__.removeprefix("_"): function
-        for function in (
-            _outside_first_body,
-            _in_included_file,
-            _in_frame,
-            _on_world,
-            _on_fixed_root,
-            _nameless_siblings,
-            _below_nameless,
-            _nameless,
-            _body_missing,
-            _root_at_origin,
-            _free_body_shifted,
-            _axis_not_of_unit_length,
-            _fixed_axes_taken_for_turned,
-            _on_body_fixed_to_fixed_body,
-            _site_pose_from_class,
-            _range,
-            _zero_limits_of_urdf,
-            _no_actuators,
-            _damping_polynomial,
-            _ball_damping,
-            _default_gravity,
-            _equality,
-            _mass,
-            _not_balanced,
-            _geometry,
-        )
-    }
-)
-"""By the names that ``causes.toml`` gives them."""
 
 
 _MAIN = "main"

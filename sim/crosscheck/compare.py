@@ -33,6 +33,17 @@ _GRAVITY = 10.0
 """Size of gravity, m/s2, in what forces are at hand."""
 
 
+_PARAMETERS = {
+    "joint range": "range",
+    "armature": "armature",
+    "damping": "damping",
+    "dry friction": "friction",
+    "effort limit": "effort",
+    "velocity limit": "velocity",
+}
+"""Quantity -> attribute of ``JointFacts``; None where a side does not tell it."""
+
+
 def compare_parts(tally: Tally, layout: Layout, here: Parts, there: Parts) -> None:
     """Names, kinds, limits of all sorts, armature, damping, friction, masses and inertias."""
     for slot in layout.joints:
@@ -51,20 +62,11 @@ def compare_parts(tally: Tally, layout: Layout, here: Parts, there: Parts) -> No
         tally.add("joint kind", name, float(kinds[0] != kinds[1]), values=kinds)
         if kinds[0] != kinds[1]:
             continue
-        if mine.range is not None and theirs.range is not None:
-            _relative(tally, "joint range", name, mine.range, theirs.range)
-        _relative(tally, "armature", name, mine.armature, theirs.armature)
-        _relative(tally, "damping", name, mine.damping, theirs.damping)
-        _relative(tally, "dry friction", name, mine.friction, theirs.friction)
-        _relative(tally, "effort limit", name, mine.effort, theirs.effort)
-        if mine.velocity is not None and theirs.velocity is not None:
-            _relative(tally, "velocity limit", name, mine.velocity, theirs.velocity)
-    tally.add(
-        "gravity",
-        "the model",
-        float(np.abs(here.gravity - there.gravity).max()),
-        values=(here.gravity, there.gravity),
-    )
+        for title, which in _PARAMETERS.items():
+            values = getattr(mine, which), getattr(theirs, which)
+            if values[0] is not None and values[1] is not None:
+                _relative(tally, title, name, *values)
+    _apart(tally, "gravity", "the model", here.gravity, there.gravity)
     alone = bool(here.inertias and there.inertias)
     mine_all, theirs_all = (here.inertias, there.inertias) if alone else (here.links, there.links)
     for body in layout.parents:
@@ -77,22 +79,24 @@ def _inertia(tally: Tally, body: str, mine: LinkInertia | None, theirs: LinkIner
     _relative(tally, "mass", body, np.array(masses[:1]), np.array(masses[1:]))
     if mine is None or theirs is None:
         return
-    apart = float(np.abs(mine.center - theirs.center).max())
     if min(masses) > 0:
-        tally.add("link centre", body, apart, values=(mine.center, theirs.center))
+        _apart(tally, "link centre", body, mine.center, theirs.center)
     scale = float(np.abs(mine.inertia).max()) or 1.0
     error = float(np.abs(mine.inertia - theirs.inertia).max()) / scale
-    tally.add(
-        "inertia",
-        body,
-        error,
-        values=(_six(mine.inertia), _six(theirs.inertia)),
-    )
+    tally.add("inertia", body, error, values=(_six(mine.inertia), _six(theirs.inertia)))
 
 
 def _six(inertia: FloatArray) -> FloatArray:
     """Moments xx, yy, zz, then products xy, xz, yz, of an inertia (3, 3), kg m2."""
     return np.concatenate([np.diag(inertia), inertia[np.triu_indices(3, 1)]])
+
+
+def _apart(
+    tally: Tally, title: str, part: str, mine: FloatArray, theirs: FloatArray, state: int = -1
+) -> None:
+    """Largest difference of two vectors."""
+    error = float(np.abs(mine - theirs).max())
+    tally.add(title, part, error, state=state, values=(mine, theirs))
 
 
 def _relative(tally: Tally, title: str, part: str, mine: FloatArray, theirs: FloatArray) -> None:
@@ -131,13 +135,8 @@ def compare_local(tally: Tally, layout: Layout, here: Observation, there: Observ
         if slot.kind == HINGE:
             # the point of each axis that is nearest to the body's origin: w x v
             points = [np.cross(s[3:], s[:3]) for s in screws]
-            error = float(np.linalg.norm(points[0] - points[1]))
-            tally.add(
-                "joint anchor",
-                slot.name,
-                error if angle < _PARALLEL else 0.0,
-                values=(points[0], points[1]),
-            )
+            error = float(np.linalg.norm(points[0] - points[1])) if angle < _PARALLEL else 0.0
+            tally.add("joint anchor", slot.name, error, values=(points[0], points[1]))
 
 
 _PARALLEL = 1e-6
@@ -206,25 +205,13 @@ def compare_observations(
 def _pose(
     tally: Tally, titles: tuple[str, str], part: str, mine: SE3, theirs: SE3, state: int
 ) -> None:
-    shift = float(np.abs(mine.translation - theirs.translation).max())
-    tally.add(
-        titles[0],
-        part,
-        shift,
-        state=state,
-        values=(mine.translation, theirs.translation),
-    )
+    _apart(tally, titles[0], part, mine.translation, theirs.translation, state)
     turn = mine.rotation.T @ theirs.rotation
     # exact for small angles too, unlike the arc cosine of the trace
     sine = np.linalg.norm(turn - turn.T) / np.sqrt(8)
     angle = float(np.arctan2(sine, (np.trace(turn) - 1) / 2))
-    tally.add(
-        titles[1],
-        part,
-        angle,
-        state=state,
-        values=(pin.log3(mine.rotation), pin.log3(theirs.rotation)),
-    )
+    values = pin.log3(mine.rotation), pin.log3(theirs.rotation)
+    tally.add(titles[1], part, angle, state=state, values=values)
 
 
 def local_pose(

@@ -15,7 +15,7 @@ pose; a mesh, whose frame MuJoCo chooses, by the vertices of its hull.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations, permutations
 from typing import Any
 
@@ -29,17 +29,11 @@ from planner.bridge.pinocchio_model import body_name
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from sim.crosscheck.mujoco_side import MujocoSide
 from sim.crosscheck.parts import Observation, State, Tally
-from sim.crosscheck.reader import ReaderResult, bounding_box
+from sim.crosscheck.reader import ReaderResult, bounding_box, vertices
 
-_KINDS = {
-    int(mujoco.mjtGeom.mjGEOM_PLANE): "plane",
-    int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): "cylinder",
-    int(mujoco.mjtGeom.mjGEOM_BOX): "box",
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): "ellipsoid",
-    int(mujoco.mjtGeom.mjGEOM_MESH): "mesh",
-}
+KINDS = ("plane", "sphere", "capsule", "cylinder", "box", "ellipsoid", "mesh")
+"""Kinds of geoms that coal has too; not height fields and signed-distance geoms."""
+
 _CCD_TOLERANCE, _CCD_ITERATIONS = 1e-12, 300
 """m; and how many steps MuJoCo may take to get there."""
 
@@ -56,14 +50,94 @@ _COAL_TOLERANCE = 1e-10
 """Of coal's iterations, m."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Geom:
-    number: int
-    name: str
-    kind: str
-    body: str
-    T_body_geom: SE3
-    geometry: Any
+def geom_name(model: Any, geom: int) -> str:
+    """Name of a geom, or the body's with its number among the body's geoms."""
+    body = int(model.geom_bodyid[geom])
+    order = geom - int(model.body_geomadr[body])
+    return model.geom(geom).name or f"{body_name(model, body)}_geom{order}"
+
+
+class Solid:
+    """A geom that collides, in its body's frame.
+
+    Attributes:
+        number: Of the geom.
+        name: Its own, or the body's with its number among the body's geoms.
+        own_name: "" where it has none.
+        kind: MuJoCo's word for it.
+        body: Number of the body that carries it.
+        pose: In that body's frame.
+    """
+
+    def __init__(self, model: Any, g: int) -> None:
+        """The geom g of a ``mujoco.MjModel``."""
+        self.number, self._model = g, model
+        self.name, self.own_name = geom_name(model, g), model.geom(g).name
+        self.kind = mujoco.mjtGeom(int(model.geom_type[g])).name.removeprefix("mjGEOM_").lower()
+        self.body = int(model.geom_bodyid[g])
+        self.pose: SE3 = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
+
+    @cached_property
+    def geometry(self) -> Any:
+        """Coal's geometry of it."""
+        if self.kind == "plane":  # a plane of MuJoCo has no end and no underside
+            return coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+        return coal_geometry(self._model, self.number)
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """Vertices (n, 3) of the hull of a mesh, m, in the body's frame."""
+        found = vertices(self.geometry) if self.kind == "mesh" else None
+        none = np.zeros((0, 3))
+        return none if found is None else found @ self.pose.rotation.T + self.pose.translation
+
+    @cached_property
+    def size(self) -> FloatArray:
+        """MuJoCo's size (3,); of a mesh its half extents, of a plane, which has no end, zero."""
+        if self.kind == "mesh":
+            return np.asarray(np.ptp(self.points, axis=0) / 2)
+        return np.zeros(3) if self.kind == "plane" else np.array(self._model.geom_size[self.number])
+
+    def __str__(self) -> str:
+        """Kind, half extents or radius and half length (mm), and place (mm)."""
+        size, place = (
+            " ".join(f"{1e3 * v:.6g}" for v in values)
+            for values in (self.size[self.size > 0], self.pose.translation)
+        )
+        return f"{self.kind} {size} mm".replace("  ", " ") + f" at ({place})"
+
+    def errors(self, other: Solid) -> dict[str, float]:
+        """Quantity -> error against another one of the same kind."""
+        if self.kind == "mesh":
+            ways = ((self.points, other.points), (other.points, self.points))
+            return {"geometry": max(float(cKDTree(a).query(b)[0].max()) for a, b in ways)}
+        apart = self.pose.translation - other.pose.translation
+        size, turn = self._size_and_turn(other)
+        out = {"geometry size": size, "geometry offset": float(np.abs(apart).max())}
+        return out if self.kind == "sphere" else {**out, "geometry turn": turn}
+
+    def _size_and_turn(self, other: Solid) -> tuple[float, float]:
+        """Size and turn, with axes exchanged as they fit best, without the kind's symmetries."""
+        orders: list[tuple[int, ...]] = [(0, 1, 2)]
+        if self.kind in ("box", "ellipsoid"):
+            orders = list(permutations(range(3)))
+        axes = [2] if self.kind in ("capsule", "cylinder", "plane") else [0, 1, 2]
+        best = []
+        for order in orders:
+            size = float(np.abs(self.size - other.size[list(order)]).max())
+            angles = []
+            for k in axes:
+                u, v = self.pose.rotation[:, k], other.pose.rotation[:, order[k]]
+                along = u @ v if self.kind == "plane" else abs(u @ v)
+                angles.append(float(np.arctan2(np.linalg.norm(np.cross(u, v)), along)))
+            best.append((round(size, 12), max(angles)))
+        return min(best)
+
+
+def solids(model: Any) -> list[Solid]:
+    """All geoms of a ``mujoco.MjModel`` that collide, in order."""
+    colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return [Solid(model, g) for g in np.flatnonzero(colliding).tolist()]
 
 
 class GeometryCheck:
@@ -82,20 +156,17 @@ class GeometryCheck:
         self._model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
         self._data = mujoco.MjData(self._model)
         self._budget = budget
-        colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-        numbers = np.flatnonzero(colliding)
-        known = [g for g in numbers if int(model.geom_type[g]) in _KINDS]
+        colliding = solids(model)
         self.left_out = tuple(
-            f"geom {geom_name(model, int(g))} (a height field or a signed-distance geom)"
-            for g in numbers
-            if int(model.geom_type[g]) not in _KINDS
+            f"geom {solid.name} (a height field or a signed-distance geom)"
+            for solid in colliding
+            if solid.kind not in KINDS
         )
-        geoms = [_geom(model, int(g)) for g in known]
-        weld = model.body_weldid[model.geom_bodyid]
+        weld = model.body_weldid
         self._pairs = [
             (a, b)
-            for a, b in combinations(geoms, 2)
-            if weld[a.number] != weld[b.number] and (a.kind, b.kind) != ("plane", "plane")
+            for a, b in combinations([s for s in colliding if s.kind in KINDS], 2)
+            if weld[a.body] != weld[b.body] and (a.kind, b.kind) != ("plane", "plane")
         ]
         self._next = 0
 
@@ -114,12 +185,12 @@ class GeometryCheck:
             self._pair(tally, state, there, *self._pairs[(self._next + k) % len(self._pairs)])
         self._next += count
 
-    def _pair(self, tally: Tally, state: State, there: Observation, a: _Geom, b: _Geom) -> None:
+    def _pair(self, tally: Tally, state: State, there: Observation, a: Solid, b: Solid) -> None:
         segment = np.zeros(6)
         theirs = mujoco.mj_geomDistance(self._model, self._data, a.number, b.number, _FAR, segment)
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         request.enable_signed_distance, request.gjk_tolerance = True, _COAL_TOLERANCE
-        poses = [_transform(_world(there, s) * s.T_body_geom) for s in (a, b)]
+        poses = [self._placed(there, solid) for solid in (a, b)]
         ours = coal.distance(a.geometry, poses[0], b.geometry, poses[1], request, result)
         pair = f"{a.name} ({a.kind}) and {b.name} ({b.kind})"
         apart = min(ours, theirs) > _TOUCHING
@@ -133,54 +204,11 @@ class GeometryCheck:
             directions = way / np.linalg.norm(way), normal
             tally.add("normal", pair, angle, state=state.index, values=directions)
 
-
-def geom_name(model: Any, geom: int) -> str:
-    """Name of a geom, or the body's with its number among the body's geoms."""
-    body = int(model.geom_bodyid[geom])
-    order = geom - int(model.body_geomadr[body])
-    return model.geom(geom).name or f"{body_name(model, body)}_geom{order}"
-
-
-def _geom(model: Any, g: int) -> _Geom:
-    kind = _KINDS[int(model.geom_type[g])]
-    # a plane of MuJoCo has no end and no underside
-    half_space = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
-    return _Geom(
-        number=g,
-        name=geom_name(model, g),
-        kind=kind,
-        body=body_name(model, int(model.geom_bodyid[g])),
-        T_body_geom=pose_from_wxyz(model.geom_pos[g], model.geom_quat[g]),
-        geometry=half_space if kind == "plane" else coal_geometry(model, g),
-    )
-
-
-def _world(there: Observation, geom: _Geom) -> SE3:
-    return there.bodies.get(geom.body, SE3.Identity())  # the world itself has no frame
-
-
-def _transform(pose: SE3) -> Any:
-    return coal.Transform3s(pose.rotation, pose.translation)
-
-
-_BOUNDED = {
-    int(mujoco.mjtGeom.mjGEOM_SPHERE),
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE),
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER),
-    int(mujoco.mjtGeom.mjGEOM_BOX),
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID),
-    int(mujoco.mjtGeom.mjGEOM_MESH),
-}
-
-
-def geoms_of_bodies(model: Any) -> dict[str, list[int]]:
-    """Body -> numbers of its colliding geoms that have an end, in order."""
-    out: dict[str, list[int]] = {}
-    for g in range(model.ngeom):
-        colliding = model.geom_contype[g] or model.geom_conaffinity[g]
-        if colliding and int(model.geom_type[g]) in _BOUNDED:
-            out.setdefault(body_name(model, int(model.geom_bodyid[g])), []).append(g)
-    return out
+    def _placed(self, there: Observation, solid: Solid) -> Any:
+        """Coal's pose of a solid in the world, by the poses of the bridge."""
+        body = body_name(self._model, solid.body)
+        pose = there.bodies.get(body, SE3.Identity()) * solid.pose  # the world has no frame
+        return coal.Transform3s(pose.rotation, pose.translation)
 
 
 def compare_boxes(tally: Tally, model: Any, result: ReaderResult) -> None:
@@ -188,25 +216,25 @@ def compare_boxes(tally: Tally, model: Any, result: ReaderResult) -> None:
     carried: dict[str, dict[str, FloatArray | None]] = {}
     for name, box in result.boxes.items():
         carried.setdefault(result.carriers[name], {})[name] = box
-    for body, geoms in geoms_of_bodies(model).items():
-        boxes = dict(carried.get(body, {}))
-        rest = [n for n in boxes if n not in {model.geom(g).name for g in geoms}]
-        for g in geoms:
-            name = geom_name(model, g)
-            key = model.geom(g).name if model.geom(g).name in boxes else None
-            if key is None and rest:
-                key = rest.pop(0)
-            tally.add("geometries present", name, float(key is None))
+    bounded: dict[str, list[Solid]] = {}
+    for solid in solids(model):
+        if solid.kind in KINDS and solid.kind != "plane":
+            bounded.setdefault(body_name(model, solid.body), []).append(solid)
+    for body, mine in bounded.items():
+        boxes = carried.get(body, {})
+        rest = [n for n in boxes if n not in {solid.own_name for solid in mine}]
+        for solid in mine:
+            key = solid.own_name if solid.own_name in boxes else rest.pop(0) if rest else None
+            tally.add("geometries present", solid.name, float(key is None))
             if key is None:
                 continue
-            box = boxes[key]
-            pose = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
-            mine = bounding_box(coal_geometry(model, g), pose)
-            if mine is None or box is None:
-                tally.add("geometry", name, np.inf)
+            here, there = bounding_box(solid.geometry, solid.pose), boxes[key]
+            if here is None or there is None:
+                tally.add("geometry", solid.name, np.inf)
                 continue
-            error = float(np.abs(mine - box).max())
-            tally.add("geometry", name, error, values=(mine[1] - mine[0], box[1] - box[0]))
+            error = float(np.abs(here - there).max())
+            values = here[1] - here[0], there[1] - there[0]
+            tally.add("geometry", solid.name, error, values=values)
 
 
 def compare_geometries(tally: Tally, here: MujocoSide, there: MujocoSide) -> None:
@@ -219,80 +247,24 @@ def compare_geometries(tally: Tally, here: MujocoSide, there: MujocoSide) -> Non
     mine, theirs = (_colliding(side) for side in (here, there))
     for body in {**mine, **theirs}:
         if body not in there.bodies:
-            continue  # the body is told as missing
+            continue  # the body is reported as missing
         for a, b in _paired(mine.get(body, []), theirs.get(body, [])):
             _compare_pair(tally, body, a, b)
 
 
-class _Solid:
-    """A geom that collides, in its body's frame."""
-
-    def __init__(self, model: Any, g: int) -> None:
-        self.own_name = model.geom(g).name
-        self.name = geom_name(model, g)
-        self.kind = mujoco.mjtGeom(int(model.geom_type[g])).name.removeprefix("mjGEOM_").lower()
-        self.pose: SE3 = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
-        self.size = np.array(model.geom_size[g])
-        self.points = np.zeros((0, 3))
-        if self.kind == "mesh":
-            hull = coal_geometry(model, g)
-            vertices = np.array([hull.point(i) for i in range(hull.num_points)])
-            self.points = vertices @ self.pose.rotation.T + self.pose.translation
-            self.size = np.ptp(self.points, axis=0) / 2
-        elif self.kind == "plane":
-            self.size = np.zeros(3)  # MuJoCo's planes have no end, whatever size they are drawn in
-
-    def __str__(self) -> str:
-        """Kind, half extents or radius and half length (mm), and place (mm)."""
-        size, place = (
-            " ".join(f"{1e3 * v:.6g}" for v in values)
-            for values in (self.size[self.size > 0], self.pose.translation)
-        )
-        return f"{self.kind} {size} mm".replace("  ", " ") + f" at ({place})"
-
-    def errors(self, other: _Solid) -> dict[str, float]:
-        """Quantity -> error against another one of the same kind."""
-        if self.kind == "mesh":
-            ways = ((self.points, other.points), (other.points, self.points))
-            return {"geometry": max(float(cKDTree(a).query(b)[0].max()) for a, b in ways)}
-        apart = self.pose.translation - other.pose.translation
-        size, turn = self._size_and_turn(other)
-        out = {"geometry size": size, "geometry offset": float(np.abs(apart).max())}
-        return out if self.kind == "sphere" else {**out, "geometry turn": turn}
-
-    def _size_and_turn(self, other: _Solid) -> tuple[float, float]:
-        """Size and turn, with axes exchanged as they fit best, without the kind's symmetries."""
-        orders: list[tuple[int, ...]] = [(0, 1, 2)]
-        if self.kind in ("box", "ellipsoid"):
-            orders = list(permutations(range(3)))
-        axes = [2] if self.kind in ("capsule", "cylinder", "plane") else [0, 1, 2]
-        best = []
-        for order in orders:
-            size = float(np.abs(self.size - other.size[list(order)]).max())
-            angles = []
-            for k in axes:
-                u, v = self.pose.rotation[:, k], other.pose.rotation[:, order[k]]
-                along = u @ v if self.kind == "plane" else abs(u @ v)
-                angles.append(float(np.arctan2(np.linalg.norm(np.cross(u, v)), along)))
-            best.append((round(size, 12), max(angles)))
-        return min(best)
-
-
-def _colliding(side: MujocoSide) -> dict[str, list[_Solid]]:
+def _colliding(side: MujocoSide) -> dict[str, list[Solid]]:
     """Body of the reference -> the solids of a model."""
     names = {number: name for name, number in side.bodies.items()}
-    model = side.compiled
-    out: dict[str, list[_Solid]] = {}
-    for g in range(model.ngeom):
-        body = names.get(int(model.geom_bodyid[g]))
-        if body is not None and (model.geom_contype[g] or model.geom_conaffinity[g]):
-            out.setdefault(body, []).append(_Solid(model, g))
+    out: dict[str, list[Solid]] = {}
+    for solid in solids(side.compiled):
+        if solid.body in names:
+            out.setdefault(names[solid.body], []).append(solid)
     return out
 
 
-def _paired(mine: list[_Solid], theirs: list[_Solid]) -> list[tuple[_Solid | None, _Solid | None]]:
+def _paired(mine: list[Solid], theirs: list[Solid]) -> list[tuple[Solid | None, Solid | None]]:
     """Which solid is which; None where one side has no more."""
-    pairs: list[tuple[_Solid | None, _Solid | None]] = []
+    pairs: list[tuple[Solid | None, Solid | None]] = []
     named = {b.own_name: b for b in theirs if b.own_name}
     left, rest = [], list(theirs)
     for a in mine:
@@ -311,7 +283,7 @@ def _paired(mine: list[_Solid], theirs: list[_Solid]) -> list[tuple[_Solid | Non
     return [*pairs, *((a, None) for a in left), *((None, b) for b in rest)]
 
 
-def _alike(a: _Solid, b: _Solid) -> bool:
+def _alike(a: Solid, b: Solid) -> bool:
     return a.kind == b.kind and max(a.errors(b).values()) < ALIKE
 
 
@@ -319,7 +291,7 @@ ALIKE = 1e-6
 """Error (m, rad) below which two solids of a body are taken for the same one."""
 
 
-def _compare_pair(tally: Tally, body: str, a: _Solid | None, b: _Solid | None) -> None:
+def _compare_pair(tally: Tally, body: str, a: Solid | None, b: Solid | None) -> None:
     name = a.name if a else f"{b.name} (not in the reference)" if b else ""
     values = tuple(f"{solid} on {body}" if solid else "none" for solid in (a, b))
     missing = a is None or b is None

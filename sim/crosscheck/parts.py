@@ -422,35 +422,31 @@ def random_states(
         generator: Source of randomness.
         count: How many.
     """
-    return tuple(_random(layout, joints, moving, generator, i) for i in range(count))
 
+    def state(index: int) -> State:
+        qpos = as_drawn(layout).qpos.copy()
+        for slot in layout.joints:
+            if not moving[slot.v].all():
+                continue
+            if slot.kind in (FREE, BALL):
+                quaternion = generator.normal(size=4)
+                qpos[slot.q.stop - 4 : slot.q.stop] = quaternion / np.linalg.norm(quaternion)
+                if slot.kind == FREE:
+                    qpos[slot.q.start : slot.q.start + 3] += generator.uniform(
+                        -FLIGHT, FLIGHT, size=3
+                    )
+                continue
+            bounds = joints[slot.name].range
+            low, high = (-np.inf, np.inf) if bounds is None else bounds
+            reach = UNLIMITED[slot.kind]
+            low = low if np.isfinite(low) else min(-reach, high - 2 * reach)
+            high = high if np.isfinite(high) else max(reach, low + 2 * reach)
+            qpos[slot.q] = generator.uniform(low, high)
+        qvel = np.where(moving, generator.normal(size=layout.nv), 0.0)
+        torque = np.where(moving, generator.normal(size=layout.nv), 0.0)
+        return State(index=index, qpos=qpos, qvel=qvel, torque=torque, moving=moving)
 
-def _random(
-    layout: Layout,
-    joints: dict[str, JointFacts],
-    moving: BoolArray,
-    generator: np.random.Generator,
-    index: int,
-) -> State:
-    qpos = as_drawn(layout).qpos.copy()
-    for slot in layout.joints:
-        if not moving[slot.v].all():
-            continue
-        if slot.kind in (FREE, BALL):
-            quaternion = generator.normal(size=4)
-            qpos[slot.q.stop - 4 : slot.q.stop] = quaternion / np.linalg.norm(quaternion)
-            if slot.kind == FREE:
-                qpos[slot.q.start : slot.q.start + 3] += generator.uniform(-FLIGHT, FLIGHT, size=3)
-            continue
-        bounds = joints[slot.name].range
-        low, high = (-np.inf, np.inf) if bounds is None else bounds
-        reach = UNLIMITED[slot.kind]
-        low = low if np.isfinite(low) else min(-reach, high - 2 * reach)
-        high = high if np.isfinite(high) else max(reach, low + 2 * reach)
-        qpos[slot.q] = generator.uniform(low, high)
-    qvel = np.where(moving, generator.normal(size=layout.nv), 0.0)
-    torque = np.where(moving, generator.normal(size=layout.nv), 0.0)
-    return State(index=index, qpos=qpos, qvel=qvel, torque=torque, moving=moving)
+    return tuple(state(index) for index in range(count))
 
 
 def as_drawn(layout: Layout) -> State:

@@ -289,7 +289,7 @@ def bounding_box(geometry: Any, pose: SE3) -> FloatArray | None:
     Returns:
         The corners; None for what has no end (planes) and for kinds that no model file has.
     """
-    points = _vertices(geometry)
+    points = vertices(geometry)
     if points is not None:
         placed = points @ pose.rotation.T + pose.translation
         return np.stack([placed.min(axis=0), placed.max(axis=0)])
@@ -297,7 +297,8 @@ def bounding_box(geometry: Any, pose: SE3) -> FloatArray | None:
     return None if half is None else np.stack([pose.translation - half, pose.translation + half])
 
 
-def _vertices(geometry: Any) -> FloatArray | None:
+def vertices(geometry: Any) -> FloatArray | None:
+    """Vertices (n, 3), m, of a coal geometry; None for one that has none."""
     if isinstance(geometry, coal.Convex):
         return np.array([geometry.point(i) for i in range(geometry.num_points)])
     if isinstance(geometry, coal.BVHModelBase):

@@ -89,12 +89,12 @@ class Column:
         wrong = [cell.quantity for cell in self.cells if cell.verdict == "differs"]
         if not wrong:
             return [f"{name}: {len(self.cells)} quantities agree", *_indented(self.notes)]
-        told = [str(fault) for fault in self.faults if not fault.cause]
+        faults = [str(fault) for fault in self.faults if not fault.cause]
         known = [f"{key}: {reason}" for key, reason in self.causes.items()]
         head = f"{name}: {len(wrong)} of {len(self.cells)} quantities differ: {', '.join(wrong)}"
         return [
             head,
-            *_first(told, "faults"),
+            *_first(faults, "faults"),
             *_first(known, "causes"),
             *_indented(self.notes),
         ]

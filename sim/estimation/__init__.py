@@ -1,9 +1,7 @@
 """Where the object is, from joints, touch and camera, and how well that is known."""
 
-from sim.estimation.errors import SensorErrors
 from sim.estimation.estimator import ObjectEstimator
-from sim.estimation.filter import Trust
-from sim.estimation.kinds import all, contact, touch
+from sim.estimation.filter import ContactNoise
 from sim.estimation.log import EstimateLog
 from sim.estimation.named import (
     ESTIMATORS,
@@ -17,23 +15,21 @@ from sim.estimation.named import (
     estimator_name,
     register_estimator,
 )
+from sim.estimation.state import SensorErrors
 
 __all__ = [
     "ESTIMATORS",
     "NONE",
     "AnyEstimator",
+    "ContactNoise",
     "EstimateLog",
     "Estimator",
     "NamedEstimator",
     "ObjectEstimator",
     "SensorErrors",
-    "Trust",
-    "all",
     "check_estimator",
-    "contact",
     "default_estimator",
     "estimator_for",
     "estimator_name",
     "register_estimator",
-    "touch",
 ]

@@ -1,8 +1,9 @@
 """``ObjectEstimator``: stands between sensors and controller and tells where the object is.
 
-It takes an ``Observation`` and gives one: pose and twist are its own, ``belief`` says how well it
-knows the pose. At every time step the last estimate is carried on with the joints; every ``PERIOD``
-the filter goes on by a moment, and where a look arrives it is counted at its time stamp.
+It takes an ``Observation`` and gives one: pose and twist are its own, ``uncertainty`` says how well
+the pose is known. At every time step the last estimate is carried on with the joints; every
+``PERIOD`` the filter goes on by a sample of the senses, and a measured pose counts at its time
+stamp.
 """
 
 from __future__ import annotations
@@ -18,21 +19,17 @@ from numpy.typing import NDArray
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Event, Observation, Phase, Sense
-from sim.controllers.belief import PoseBelief
 from sim.controllers.monitors import LOADED
-from sim.controllers.pads import PadReading
-from sim.controllers.schedule import TOUCH_FORCE
-from sim.estimation.errors import SensorErrors
-from sim.estimation.filter import Filtered, PoseFilter, Trust
-from sim.estimation.knowing import Knowing
-from sim.estimation.moments import Look, Moment
-from sim.estimation.track import Track
+from sim.controllers.readings import TOUCH_FORCE, PadReading, PoseUncertainty
+from sim.estimation.filter import ContactNoise, Filtered, PoseFilter
+from sim.estimation.state import PoseMeasurement, SensorErrors, SensorSample
+from sim.estimation.track import LossDetector, Track
 
 PERIOD = 0.01
-"""Time (s) between two moments of the filter; it goes on at once where a finger (un)touches."""
+"""Time (s) between two samples of the filter; it goes on at once where a finger (un)touches."""
 
 NOMINAL_FORCE = 1.0
-"""Normal force (N) that is told of a contact of which only is known that it is one."""
+"""Normal force (N) that is given for a contact of which only is known that it is one."""
 
 STANDING: frozenset[Phase] = frozenset(
     {"approach", "close", "squeeze", "settle", "release", "open", "retreat"}
@@ -61,7 +58,7 @@ class ObjectEstimator:
         *,
         touch: Touch = "pads",
         camera: bool = True,
-        trust: Trust | None = None,
+        contact_noise: ContactNoise | None = None,
     ) -> None:
         """Prepare for a task.
 
@@ -69,34 +66,34 @@ class ObjectEstimator:
             task: Hand, fingers, shape, table and gravity, as they are believed.
             errors: How far senses are trusted.
             touch: What fingertips feel.
-            camera: Whether the object is looked at all the time; else only before the hand closes.
-            trust: How much contacts are believed; the default of this touch if None.
+            camera: Whether poses are measured all the time; else only before the hand closes.
+            contact_noise: Errors of contacts; the default of this touch if None.
         """
         self.task = task
         self.needs: tuple[Sense, ...] = ("touch", "object_pose")
         if touch == "pads":
             self.needs = (*self.needs, "pads")
         feels = touch == "pads"
-        if trust is None:
-            trust = Trust() if feels else Trust(creep=1e-3, share=0.05)
-        self._filter = PoseFilter(task, errors, trust, feels=feels)
+        if contact_noise is None:
+            contact_noise = ContactNoise() if feels else ContactNoise(creep=1e-3, share=0.05)
+        self._filter = PoseFilter(task, errors, contact_noise, feels=feels)
         self._feels, self._camera = feels, camera
         self._least = LOADED if feels else TOUCH_FORCE
-        self._knowing = Knowing()
+        self._loss = LossDetector()
         self._track: Track | None = None
         self._closing: float | None = None
-        self._looks, self._last_look = 0, -np.inf
-        self._told: PoseBelief | None = None
+        self._measurements, self._last_pose = 0, -np.inf
+        self._uncertainty: PoseUncertainty | None = None
         self._base_twist = np.zeros(6)
 
     @property
     def events(self) -> tuple[Event, ...]:
         """When it no longer knew the pose, and when it knew it again."""
-        return self._knowing.events
+        return self._loss.events
 
     @property
     def known(self) -> Filtered | None:
-        """What the filter knows, at its last moment; None before the first step."""
+        """What the filter knows, at its last sample; None before the first step."""
         return None if self._track is None else self._track.known
 
     @property
@@ -104,7 +101,7 @@ class ObjectEstimator:
         """Offsets (nq,) of the joints, reading minus joint, rad or m; 0 where nothing is known."""
         out = np.zeros(self.task.hand.nq)
         if self._track is not None:
-            out[self._filter.tips.index] = self._track.known.belief.offsets
+            out[self._filter.tips.index] = self._track.known.estimate.offsets
         return out
 
     def step(self, observation: Observation) -> Observation:
@@ -122,65 +119,68 @@ class ObjectEstimator:
                 (touching != last.touching).any()
             )
             fresh = self._fresh(observation)
-            here = observation.seen is None or observation.seen.time > last.time + TOL
+            here = (
+                observation.measured_pose is None
+                or observation.measured_pose.time > last.time + TOL
+            )
             due = changed or observation.time >= last.time + PERIOD - TOL or (fresh and here)
             if due:
                 self._go_on(track, observation, touching)
             if fresh:
-                self._look(track, observation)
+                self._add_pose(track, observation)
             if due or fresh:
                 self._note(track)
-        return self._tell(track, observation)
+        return self._output(track, observation)
 
     # ---- looking
 
     def _begin(self, observation: Observation, touching: NDArray[np.bool_]) -> Track:
-        moment = self._moment(observation, touching)
-        seen = observation.seen
+        sample = self._sample(observation, touching)
+        seen = observation.measured_pose
         pose = observation.T_world_object if seen is None else seen.T_world_object
-        self._last_look = observation.time if seen is None else seen.time
-        self._looks = 1
-        look = Look(observation.T_world_base.actInv(pose), 0, np.inf)
-        return Track(self._filter, moment, look)
+        self._last_pose = observation.time if seen is None else seen.time
+        self._measurements = 1
+        measurement = PoseMeasurement(observation.T_world_base.actInv(pose), 0, np.inf)
+        return Track(self._filter, sample, measurement)
 
     def _fresh(self, observation: Observation) -> bool:
-        """Whether there is a look that has not been counted."""
-        seen = observation.seen
+        """Whether there is a pose that has not been counted."""
+        seen = observation.measured_pose
         time = observation.time if seen is None else seen.time
         least = PERIOD - TOL if seen is None else TOL
-        if time < self._last_look + least:
+        if time < self._last_pose + least:
             return False
         return self._camera or self._closing is None or time < self._closing
 
-    def _look(self, track: Track, observation: Observation) -> None:
-        seen = observation.seen
+    def _add_pose(self, track: Track, observation: Observation) -> None:
+        seen = observation.measured_pose
         time = observation.time if seen is None else seen.time
         pose = observation.T_world_object if seen is None else seen.T_world_object
-        track.look(time, pose, self._looks, time - self._last_look, world=True)
-        self._looks += 1
-        self._last_look = time
+        track.add_pose(time, pose, self._measurements, time - self._last_pose, world=True)
+        self._measurements += 1
+        self._last_pose = time
 
     # ---- touching
 
     def _go_on(self, track: Track, observation: Observation, touching: NDArray[np.bool_]) -> None:
         last = track.last
-        moment = self._moment(observation, touching)
-        track.go_on(moment)
-        elapsed = moment.time - last.time
+        sample = self._sample(observation, touching)
+        track.go_on(sample)
+        elapsed = sample.time - last.time
         # of the base, world axes, about the world's origin
-        change = moment.T_world_base * last.T_world_base.inverse()
+        change = sample.T_world_base * last.T_world_base.inverse()
         self._base_twist = np.array(pin.log6(change).vector) / elapsed
 
     def _note(self, track: Track) -> None:
-        """Set the belief that controllers read: covariance, world axes, and whether it is known."""
+        """Set what controllers read: covariance, world axes, and whether the pose is known."""
         T_world_base = track.last.T_world_base
         turn = np.zeros((6, 6))
         turn[:3, :3] = turn[3:, 3:] = T_world_base.rotation
-        covariance = turn @ track.known.belief.pose_covariance() @ turn.T
-        known = self._knowing.update(track.last.time, covariance)
-        self._told = PoseBelief(covariance=covariance, known=known)
+        covariance = turn @ track.known.estimate.pose_covariance() @ turn.T
+        known = self._loss.update(track.last.time, covariance)
+        self._uncertainty = PoseUncertainty(covariance=covariance, known=known)
 
-    def _moment(self, observation: Observation, touching: NDArray[np.bool_]) -> Moment:
+    def _sample(self, observation: Observation, touching: NDArray[np.bool_]) -> SensorSample:
         points = normals = sliding = np.zeros((len(touching), 3))
         base = observation.T_world_base
         if self._feels and touching.any():
@@ -194,7 +194,7 @@ class ObjectEstimator:
             turned = base.rotation
             normals = np.where(felt, tips.turned_into(pads.normal @ turned), 0.0)
             sliding = np.where(felt, tips.turned_into(pads.sliding @ turned), 0.0)
-        return Moment(
+        return SensorSample(
             time=observation.time,
             q=observation.q,
             T_world_base=base,
@@ -205,11 +205,11 @@ class ObjectEstimator:
             sliding=sliding,
         )
 
-    # ---- telling
+    # ---- output
 
-    def _tell(self, track: Track, observation: Observation) -> Observation:
+    def _output(self, track: Track, observation: Observation) -> Observation:
         known, last = track.known, track.last
-        pose, motion = known.belief.T_base_object, known.motion
+        pose, motion = known.estimate.T_base_object, known.motion
         elapsed = observation.time - last.time
         k = self._filter.tips.index
         if motion is not None and elapsed > TOL:
@@ -217,19 +217,19 @@ class ObjectEstimator:
             moved = moved + elapsed * motion.rest_rate
             pose = pin.exp6(pin.Motion(moved)) * pose
         T_world_object = observation.T_world_base * pose
-        told = replace(
+        out = replace(
             observation,
             T_world_object=T_world_object,
             read_twist=partial(self._twist, known, observation, T_world_object),
-            belief=self._told,
-            seen=None,
+            uncertainty=self._uncertainty,
+            measured_pose=None,
         )
         if self._feels:
-            return replace(told, read_pads=lambda: observation.pads)
+            return replace(out, read_pads=lambda: observation.pads)
         touching = observation.normal_forces > self._least
         forces = np.where(touching, NOMINAL_FORCE, 0.0)
         return replace(
-            told,
+            out,
             normal_forces=forces,
             read_pads=partial(self._pads, known, observation, forces),
         )
@@ -246,7 +246,7 @@ class ObjectEstimator:
 
     def _pads(self, known: Filtered, observation: Observation, forces: FloatArray) -> PadReading:
         """What pads would say of contacts of which only is known that they are there."""
-        points, normals = self._filter.contacts(known.belief, observation.q)
+        points, normals = self._filter.contacts(known.estimate, observation.q)
         base, away = observation.T_world_base, (forces == 0.0)[:, None]
         normals = np.where(away, np.nan, normals @ base.rotation.T)
         return PadReading(

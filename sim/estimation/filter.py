@@ -1,4 +1,4 @@
-"""``PoseFilter``: carries estimate and covariance from one moment to the next.
+"""``PoseFilter``: carries estimate and covariance from one sample to the next.
 
 Prediction by contacts that stick (``rolling``), correction by contacts that lie on the surface
 (``surface``) and by what a camera saw. Errors that last, as a pad's or a camera's drift do, count
@@ -21,12 +21,22 @@ from numpy.typing import NDArray
 from planner.arrays import check_fields
 from planner.spatial import FloatArray, skew
 from planner.task import GraspTask
-from sim.estimation.errors import SensorErrors
-from sim.estimation.moments import Look, Moment
-from sim.estimation.rolling import Grip, Motion, rolling
-from sim.estimation.state import Belief
-from sim.estimation.surface import nearest, touch_equations
-from sim.estimation.tips import TipKinematics, Tips
+from sim.estimation.contacts import (
+    Grip,
+    Motion,
+    TipKinematics,
+    Tips,
+    nearest,
+    rolling,
+    touch_equations,
+)
+from sim.estimation.state import (
+    Estimate,
+    PoseMeasurement,
+    SensorErrors,
+    SensorSample,
+    about_origin,
+)
 
 FARTHEST = 22.5
 """Largest squared Mahalanobis distance (-) of a pose that is believed: 99.9 % of a chi-square
@@ -54,10 +64,7 @@ CARRIED = (0.1, 2.0)
 believed of a direction along which no finger sticks."""
 
 SHORTEST = 1e-3
-"""Least time (s) between two looks that counts: of two at once drift would tell nothing."""
-
-SHORTEST = 1e-3
-"""Least time (s) between two looks that counts: of two at once drift would tell nothing."""
+"""Least time (s) between two measurements that counts: of two at once drift would tell nothing."""
 
 OFF_PAD = 0.004
 """Distance (m) of a contact from a pad's sphere beyond which it is one of another link."""
@@ -67,8 +74,8 @@ LESS = 25.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trust:
-    """How much contacts are believed; calibrated on trials, see docs/how/sensors.md.
+class ContactNoise:
+    """Standard deviations of contacts; calibrated on trials, see docs/how/sensors.md.
 
     Attributes:
         creep: Random walk between object and pad, m / sqrt(s).
@@ -90,21 +97,21 @@ class Trust:
 
     def __post_init__(self) -> None:
         """Check every number: variances are divided by."""
-        check_fields(self, what="trust: ", above=0.0)
+        check_fields(self, what="contact noise: ", above=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Felt:
-    """What contacts said at a moment.
+class ContactUpdate:
+    """What contacts said at a sample.
 
     Attributes:
-        belief: What was known before.
+        estimate: What was known before.
         residual: (k,), m and rad.
         jacobian: (k, 7 + m).
         noise: (k,), variances.
     """
 
-    belief: Belief
+    estimate: Estimate
     residual: FloatArray
     jacobian: FloatArray
     noise: FloatArray
@@ -112,22 +119,22 @@ class Felt:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Filtered:
-    """What is known at a moment.
+    """What is known at a sample.
 
     Attributes:
-        belief: It.
-        motion: How the object moved since the moment before; None at the first.
+        estimate: It.
+        motion: How the object moved since the sample before; None at the first.
         drift: (m,), variance by which offsets wandered meanwhile.
         offsets: (m,), offsets with which the motion was computed.
         felt: What contacts said; None without any.
         refused: Poses in a row that were not believed.
     """
 
-    belief: Belief
+    estimate: Estimate
     motion: Motion | None = None
     drift: FloatArray | None = None
     offsets: FloatArray | None = None
-    felt: Felt | None = None
+    felt: ContactUpdate | None = None
     refused: int = 0
 
 
@@ -139,11 +146,13 @@ class PoseFilter:
         feels: Whether pads say where they touch; else only whether.
     """
 
-    def __init__(self, task: GraspTask, errors: SensorErrors, trust: Trust, *, feels: bool) -> None:
+    def __init__(
+        self, task: GraspTask, errors: SensorErrors, contact_noise: ContactNoise, *, feels: bool
+    ) -> None:
         """Prepare for a task."""
         self.tips = TipKinematics(task.hand, task.fingers)
         self.feels = feels
-        self._errors, self._trust = errors, trust
+        self._errors, self._contact_noise = errors, contact_noise
         self._shape = task.object.shape
         self._table = task.table_height is not None
         pads = [finger.pad for finger in task.fingers]
@@ -151,87 +160,87 @@ class PoseFilter:
         self._radii = np.array([pad.radius for pad in pads])
         self._up = -task.gravity / max(float(np.linalg.norm(task.gravity)), 1e-9)
 
-    def first(self, look: Look) -> Filtered:
-        """What a first look tells."""
+    def first(self, measurement: PoseMeasurement) -> Filtered:
+        """What a first measurement tells."""
         errors, m = self._errors, len(self.tips.index)
         covariance = np.zeros((7 + m, 7 + m))
-        covariance[:6, :6] = self.look_noise(look)
+        covariance[:6, :6] = self.pose_noise(measurement)
         covariance[range(6, 6 + m), range(6, 6 + m)] = errors.joint_offset**2
         covariance[-1, -1] = errors.size**2
-        return Filtered(Belief(look.T_base_object, np.zeros(m), 0.0, covariance))
+        return Filtered(Estimate(measurement.T_base_object, np.zeros(m), 0.0, covariance))
 
-    def advanced(self, known: Filtered, a: Moment, b: Moment) -> Filtered:
-        """Predicted state at moment b, before its measurements, from the state at a."""
-        belief, k, dt = known.belief, self.tips.index, b.time - a.time
+    def advanced(self, known: Filtered, a: SensorSample, b: SensorSample) -> Filtered:
+        """Predicted state at b, before its measurements, from the state at a."""
+        estimate, k, dt = known.estimate, self.tips.index, b.time - a.time
         moved = (b.q - a.q)[k]
-        tips = self.tips.at(self._believed(0.5 * (a.q + b.q), belief))
-        points, normals, on_pad = self._contacts(belief, a, b, tips)
+        tips = self.tips.at(self._believed(0.5 * (a.q + b.q), estimate))
+        points, normals, on_pad = self._contacts(estimate, a, b, tips)
         jacobians = tips.jacobians(points)
         held = a.touching & b.touching
         slid = 0.5 * dt * tips.turned(a.sliding + b.sliding)
-        trust = self._trust
+        noise_of = self._contact_noise
         way = np.abs(moved @ jacobians).sum(axis=1)
-        variance = trust.creep**2 * dt + trust.share**2 * trust.over * way
+        variance = noise_of.creep**2 * dt + noise_of.share**2 * noise_of.over * way
         variance += 0.25 * (slid * slid).sum(axis=1) + (self._errors.sliding * dt) ** 2
         variance *= on_pad
-        prior, information = self._prior(belief, a, b)
+        prior, information = self._prior(estimate, a, b)
         grip = Grip(
             points,
             normals,
             slid,
             held / variance,
-            held / (trust.spin**2 * dt * on_pad),
+            held / (noise_of.spin**2 * dt * on_pad),
         )
         motion = rolling(tips, jacobians, grip, moved, prior, information, dt)
         drift = (self._errors.joint_scale**2 * 0.5) * np.abs(moved)
-        after = belief.moved(motion.displacement, motion.by_offsets, motion.covariance, drift)
-        felt = self._feel(after, b, dt) if b.touching.any() else None
+        after = estimate.moved(motion.displacement, motion.by_offsets, motion.covariance, drift)
+        felt = self._contact_update(after, b, dt) if b.touching.any() else None
         if felt is not None:
             after = after.corrected(felt.residual, felt.jacobian, np.diag(felt.noise))
-        return Filtered(after, motion, drift, belief.offsets, felt, known.refused)
+        return Filtered(after, motion, drift, estimate.offsets, felt, known.refused)
 
-    def again(self, known: Filtered, before: Filtered) -> Filtered:
-        """What ``advanced`` gives from a better knowledge of the moment before, to first order.
+    def recomputed(self, known: Filtered, before: Filtered) -> Filtered:
+        """What ``advanced`` gives from a better knowledge of the sample before, to first order.
 
         Args:
-            known: What is known now of the moment before.
-            before: What was known of this moment, before any look.
+            known: What is known now of the sample before.
+            before: What was known of this sample, before any measurement.
         """
         motion, felt = before.motion, before.felt
         if motion is None or before.drift is None or before.offsets is None:
             return before
-        change = motion.by_offsets @ (known.belief.offsets - before.offsets)
-        after = known.belief.moved(
+        change = motion.by_offsets @ (known.estimate.offsets - before.offsets)
+        after = known.estimate.moved(
             motion.displacement + change, motion.by_offsets, motion.covariance, before.drift
         )
         if felt is not None:
-            residual = felt.residual - felt.jacobian @ after.beyond(felt.belief)
+            residual = felt.residual - felt.jacobian @ after.error_against(felt.estimate)
             after = after.corrected(residual, felt.jacobian, np.diag(felt.noise))
-        return replace(before, belief=after, refused=known.refused)
+        return replace(before, estimate=after, refused=known.refused)
 
-    def looked(self, known: Filtered, look: Look) -> Filtered:
-        """What is known after a look."""
-        belief = known.belief
-        noise = self.look_noise(look)
-        off = belief.off(look.T_base_object)
-        spread = belief.covariance[:6, :6] + noise
+    def corrected_by_pose(self, known: Filtered, measurement: PoseMeasurement) -> Filtered:
+        """What is known after a measurement."""
+        estimate = known.estimate
+        noise = self.pose_noise(measurement)
+        off = estimate.error_to(measurement.T_base_object)
+        spread = estimate.covariance[:6, :6] + noise
         if float(off @ np.linalg.solve(spread, off)) > FARTHEST:
             if known.refused + 1 < TOO_MANY:
                 return replace(known, refused=known.refused + 1)
-            again = self.first(look).belief
-            anew = Belief(again.T_base_object, belief.offsets, belief.size, again.covariance)
-            return replace(known, belief=anew, refused=0)
-        jacobian = np.zeros((6, len(belief.covariance)))
+            again = self.first(measurement).estimate
+            anew = Estimate(again.T_base_object, estimate.offsets, estimate.size, again.covariance)
+            return replace(known, estimate=anew, refused=0)
+        jacobian = np.zeros((6, len(estimate.covariance)))
         jacobian[:, :6] = np.eye(6)
-        return replace(known, belief=belief.corrected(off, jacobian, noise), refused=0)
+        return replace(known, estimate=estimate.corrected(off, jacobian, noise), refused=0)
 
-    def look_noise(self, look: Look) -> FloatArray:
+    def pose_noise(self, measurement: PoseMeasurement) -> FloatArray:
         """(6, 6), covariance of a measured pose as an error of the base's axes."""
         e = self._errors
-        drift = 1.0 + 2.0 * e.drift_time / max(look.period, SHORTEST)
+        drift = 1.0 + 2.0 * e.drift_time / max(measurement.period, SHORTEST)
         linear = e.camera**2 + e.drift**2 * drift
         angular = e.camera_turn**2 + e.drift_turn**2 * drift
-        arm = skew(look.T_base_object.translation)
+        arm = skew(measurement.T_base_object.translation)
         out = np.zeros((6, 6))
         out[:3, :3] = linear * np.eye(3) + angular * arm @ arm.T
         out[:3, 3:] = angular * arm
@@ -239,32 +248,32 @@ class PoseFilter:
         out[3:, 3:] = angular * np.eye(3)
         return out
 
-    def contacts(self, belief: Belief, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def contacts(self, estimate: Estimate, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where round tips would touch, as the joints are read: points and normals (n, 3), base."""
-        tips = self.tips.at(self._believed(q, belief))
-        points, normals = self._round(belief, tips)
+        tips = self.tips.at(self._believed(q, estimate))
+        points, normals = self._round(estimate, tips)
         read = self.tips.at(q)
         return read.out(tips.into(points)), read.turned(tips.turned_into(normals))
 
     # ---- steps
 
-    def _believed(self, q: FloatArray, belief: Belief) -> FloatArray:
+    def _believed(self, q: FloatArray, estimate: Estimate) -> FloatArray:
         out = q.copy()
-        out[self.tips.index] -= belief.offsets
+        out[self.tips.index] -= estimate.offsets
         return out
 
-    def _round(self, belief: Belief, tips: Tips) -> tuple[FloatArray, FloatArray]:
+    def _round(self, estimate: Estimate, tips: Tips) -> tuple[FloatArray, FloatArray]:
         """Points of the object nearest to the tips' spheres, and normals into it; (n, 3), base."""
         centers = tips.out(self._centers)
-        distance, outward = nearest(self._shape, belief, centers)
+        distance, outward = nearest(self._shape, estimate, centers)
         return centers - distance[:, None] * outward, -outward
 
     def _contacts(
-        self, belief: Belief, a: Moment, b: Moment, tips: Tips
+        self, estimate: Estimate, a: SensorSample, b: SensorSample, tips: Tips
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Contacts in the middle of a motion, and by how much their variance is larger (n,)."""
         if not self.feels:
-            points, normals = self._round(belief, tips)
+            points, normals = self._round(estimate, tips)
             return points, normals, np.ones(len(points))
         both = a.touching & b.touching
         local = np.where(both[:, None], 0.5 * (a.points + b.points), self._centers)
@@ -276,7 +285,9 @@ class PoseFilter:
         away = np.sqrt(((local - self._centers[on]) ** 2).sum(axis=1)) - self._radii[on]
         return np.where(np.abs(away) > OFF_PAD, LESS, 1.0)
 
-    def _prior(self, belief: Belief, a: Moment, b: Moment) -> tuple[FloatArray, FloatArray]:
+    def _prior(
+        self, estimate: Estimate, a: SensorSample, b: SensorSample
+    ) -> tuple[FloatArray, FloatArray]:
         """Displacement (6,) of an object that no finger moves, and the information on it (6, 6)."""
         dt = b.time - a.time
         free = np.zeros((6, 6))
@@ -297,33 +308,35 @@ class PoseFilter:
         level = np.eye(3) - vertical
         free[:3, :3] = (level / along**2 + vertical / up**2) / dt
         free[3:, 3:] = (level / tipping**2 + vertical / about**2) / dt
-        to_center = np.eye(6)
-        to_center[:3, 3:] = -skew(belief.T_base_object.translation)
+        to_center = about_origin(estimate.T_base_object.translation)
         return prior, to_center.T @ free @ to_center
 
-    def _feel(self, belief: Belief, moment: Moment, dt: float) -> Felt:
-        """What the contacts of a moment say."""
-        on = np.flatnonzero(moment.touching)
-        tips = self.tips.at(self._believed(moment.q, belief)).of(on)
-        trust, lasting = self._trust, 1.0 + 2.0 * self._trust.lasting / dt
+    def _contact_update(self, estimate: Estimate, sample: SensorSample, dt: float) -> ContactUpdate:
+        """What the contacts of a sample say."""
+        on = np.flatnonzero(sample.touching)
+        tips = self.tips.at(self._believed(sample.q, estimate)).of(on)
+        noise_of = self._contact_noise
+        lasting = 1.0 + 2.0 * noise_of.lasting / dt
         if self.feels:
-            local = moment.points[on]
-            outward = -tips.turned(moment.normals[on])
+            local = sample.points[on]
+            outward = -tips.turned(sample.normals[on])
             equations = touch_equations(
-                self._shape, belief, tips, tips.out(local), np.zeros(len(on)), outward
+                self._shape, estimate, tips, tips.out(local), np.zeros(len(on)), outward
             )
             less = self._less(local, on)
         else:
             points, less = tips.out(self._centers[on]), np.ones(len(on))
-            equations = touch_equations(self._shape, belief, tips, points, self._radii[on], None)
+            equations = touch_equations(self._shape, estimate, tips, points, self._radii[on], None)
         noise = np.empty(len(equations.residual))
-        noise[: len(on)] = trust.distance**2 * lasting * less
+        noise[: len(on)] = noise_of.distance**2 * lasting * less
         if self.feels:
             drift = 1.0 + 2.0 * self._errors.drift_time / dt
-            turned = trust.normal**2 * lasting + (self._errors.place / self._radii[on]) ** 2 * drift
+            turned = (
+                noise_of.normal**2 * lasting + (self._errors.place / self._radii[on]) ** 2 * drift
+            )
             noise[len(on) :] = np.repeat(turned * less, 2)
         jacobian, residual = equations.jacobian, equations.residual
-        spread = ((jacobian @ belief.covariance) * jacobian).sum(axis=1) + noise
+        spread = ((jacobian @ estimate.covariance) * jacobian).sum(axis=1) + noise
         far = np.abs(residual) / (FAR * np.sqrt(spread))
         noise = noise + spread * (np.maximum(far, 1.0) ** 2 - 1.0)
-        return Felt(belief, residual, jacobian, noise)
+        return ContactUpdate(estimate, residual, jacobian, noise)

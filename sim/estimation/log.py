@@ -24,7 +24,7 @@ from sim.controllers import Observation
 AXES = ("x", "y", "z")
 
 
-class _Told(Protocol):
+class _Simulation(Protocol):
     @property
     def told(self) -> tuple[Observation, Observation] | None: ...
 
@@ -43,22 +43,22 @@ class EstimateLog:
         self.every = every
         self._rows: list[tuple[float, str, FloatArray, FloatArray, bool]] = []
 
-    def __call__(self, simulation: _Told) -> None:
-        """Note what the estimator of a ``Simulation`` told last, if it has one."""
+    def __call__(self, simulation: _Simulation) -> None:
+        """Note what the estimator of a ``Simulation`` gave last, if it has one."""
         if simulation.told is not None:
             self.note(*simulation.told)
 
-    def note(self, truth: Observation, told: Observation) -> None:
+    def note(self, truth: Observation, estimated: Observation) -> None:
         """Note an estimate, unless the last one is too near in time."""
-        if told.belief is None:
+        if estimated.uncertainty is None:
             return
         if self._rows and truth.time < self._rows[-1][0] + self.every - 1e-9:
             return
-        true, estimated = truth.T_world_object, told.T_world_object
-        turned = pin.log3(true.rotation @ estimated.rotation.T)
-        error = np.concatenate([true.translation - estimated.translation, turned])
-        deviation = np.sqrt(np.diagonal(told.belief.covariance))
-        self._rows.append((truth.time, truth.phase, error, deviation, told.belief.known))
+        true, other = truth.T_world_object, estimated.T_world_object
+        turned = pin.log3(true.rotation @ other.rotation.T)
+        error = np.concatenate([true.translation - other.translation, turned])
+        deviation = np.sqrt(np.diagonal(estimated.uncertainty.covariance))
+        self._rows.append((truth.time, truth.phase, error, deviation, estimated.uncertainty.known))
 
     def __len__(self) -> int:
         """Number of samples."""

@@ -9,14 +9,17 @@ One of your own registers itself by a name::
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol, TypeAlias, runtime_checkable
 
 from planner.errors import NotFoundError, TaskError, shown
+from planner.registry import Registry
 from planner.task import GraspTask
 from sim.controllers import Event, Observation
-from sim.estimation.errors import SensorErrors
+from sim.estimation.estimator import ObjectEstimator
+from sim.estimation.state import SensorErrors
 from sim.reality import Reality
 
 NONE = "none"
@@ -57,9 +60,7 @@ class NamedEstimator:
     reads: str
 
 
-_ESTIMATORS: dict[str, NamedEstimator] = {}
-
-ESTIMATORS: Mapping[str, NamedEstimator] = _ESTIMATORS
+ESTIMATORS: Registry[NamedEstimator] = Registry("estimator")
 """Estimators by their names."""
 
 
@@ -75,12 +76,22 @@ def register_estimator(name: str, reads: str) -> Callable[[MakeEstimator], MakeE
     """
 
     def register(make: MakeEstimator) -> MakeEstimator:
-        if name == NONE or name in _ESTIMATORS:
-            raise TaskError(f"there is an estimator {name!r} already; give another name")
-        _ESTIMATORS[name] = NamedEstimator(make, reads)
+        if name == NONE:
+            raise TaskError(f"{NONE!r} is the name of no estimator; choose another name")
+        ESTIMATORS.add(name, NamedEstimator(make, reads))
         return make
 
     return register
+
+
+register_estimator("all", "joints, pads and camera")(ObjectEstimator)
+# contacts where round tips touch the estimated object, a nominal force, no sliding
+register_estimator("contact", "joints, and which fingers touch; no camera once the hand closes")(
+    partial(ObjectEstimator, touch="binary", camera=False)
+)
+register_estimator("touch", "joints and pads; no camera once the hand closes")(
+    partial(ObjectEstimator, camera=False)
+)
 
 
 def default_estimator(reality: Reality | None) -> str:
@@ -89,14 +100,16 @@ def default_estimator(reality: Reality | None) -> str:
     It is the one with all senses where the pose that is read has errors: a controller that acts on
     each pose by itself multiplies their noise by its stiffness. An exact pose needs none.
     """
-    return "all" if reality is not None and reality.blurs_pose else NONE
+    return "all" if reality is not None and reality.has_pose_errors else NONE
 
 
-def estimator_name(given: AnyEstimator | None, reality: Reality | None) -> str:
+def estimator_name(estimator: AnyEstimator | None, reality: Reality | None) -> str:
     """What reports call the estimator of a trial."""
-    if given is None:
+    if estimator is None:
         return default_estimator(reality)
-    return given if isinstance(given, str) else getattr(given, "__name__", type(given).__name__)
+    if isinstance(estimator, str):
+        return estimator
+    return str(getattr(estimator, "__name__", type(estimator).__name__))
 
 
 def check_estimator(name: str) -> None:
@@ -110,31 +123,33 @@ def check_estimator(name: str) -> None:
 
 
 def estimator_for(
-    task: GraspTask, given: AnyEstimator | None, reality: Reality | None
+    task: GraspTask, estimator: AnyEstimator | None, reality: Reality | None
 ) -> Estimator | None:
     """The estimator of a trial; None for none.
 
     Args:
         task: What it is to believe.
-        given: A name, or what makes one; if None, that with all senses where the
+        estimator: A name, or what makes one; if None, that with all senses where the
             pose that is read has errors, and none where it is exact.
         reality: How large the errors of the senses are; their size is all that is told of it.
 
     Raises:
         NotFoundError: No estimator has that name.
-        TaskError: What was given is none.
+        TaskError: It is none.
     """
-    if given is None:
-        given = default_estimator(reality)
-    if isinstance(given, str):
-        if given == NONE:
+    if estimator is None:
+        estimator = default_estimator(reality)
+    errors = SensorErrors.of(reality)
+    if isinstance(estimator, str):
+        if estimator == NONE:
             return None
-        check_estimator(given)
-        return ESTIMATORS[given].make(task, SensorErrors.of(reality))
-    made: object = given(task, SensorErrors.of(reality)) if callable(given) else given
+        check_estimator(estimator)
+        return ESTIMATORS[estimator].make(task, errors)
+    made: object = estimator(task, errors) if callable(estimator) else estimator
     if not isinstance(made, Estimator):
         raise TaskError(
-            f"{shown(given)} is no estimator; give a name ({', '.join((*ESTIMATORS, NONE))}), or "
+            f"{shown(estimator)} is no estimator; give a name "
+            f"({', '.join((*ESTIMATORS, NONE))}), or "
             "what makes an object with step(observation) and events out of task and sensor errors"
         )
     return made

@@ -3,7 +3,7 @@
 Until the fingers touch it is ``GraspController``. From the squeeze on the hand follows the playback
 of the plan, and ``rate_hz`` times a second the policy decides by how much the joint targets differ
 from it; that offset is held until the next decision. It reads joints and touch only. In a
-manipulation the phases are told by the clock how far the turn has come.
+manipulation the clock tells the phases how far the turn has come.
 
 ``policy_file``: the file of a policy, one of our own or of those that come with Opposable.
 
@@ -21,7 +21,6 @@ from planner.errors import FileFormatError, NotFoundError
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.system.package import models_dir
-from planner.system.plugins import plugin_names
 from sim.controllers import (
     CONTROLLERS,
     Event,
@@ -31,7 +30,8 @@ from sim.controllers import (
     Reference,
     Sense,
 )
-from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
+from sim.controllers.monitors import ContactSchedule
+from sim.controllers.readings import TOUCH_FORCE
 from sim.learning.policy import ACTION_SCALE, RATE_HZ, Policy
 from sim.learning.senses import AIM, SENSES, Playback, SenseHistory
 
@@ -265,7 +265,7 @@ def named_driver(name: str) -> str | PolicyMaker | None:
     """
     if name.startswith(POLICY):
         return policy_controller(name.removeprefix(POLICY))
-    if name and name not in (*CONTROLLERS, *plugin_names("controllers")):
+    if name and name not in CONTROLLERS:
         policies = [POLICY + policy for policy in shipped_policies()]
         raise NotFoundError("controller", name, (*CONTROLLERS, *policies, f"{POLICY}FILE"))
     return name or None

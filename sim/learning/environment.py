@@ -61,7 +61,7 @@ ENVIRONMENT = "Opposable/Turn-v0"
 ACTIONS = ("playback", "increment", "absolute")
 """What an action can mean."""
 
-ALWAYS, ASKED = ("joints", "targets", "touch", "clock", "plan"), ("object_pose",)
+ALWAYS, OPTIONAL = ("joints", "targets", "touch", "clock", "plan"), ("object_pose",)
 """Senses that there always are, and that there are if asked for."""
 
 INCREMENT = 0.05
@@ -73,14 +73,14 @@ MOST_TOUCH, MOST_RATE, BEYOND = 100.0, 10.0, 1.0
 REDRAWS = 20
 """Trials that are drawn, at most, until one comes to the first action."""
 
-Told: TypeAlias = dict[str, NDArray[np.float32]]
+SenseData: TypeAlias = dict[str, NDArray[np.float32]]
 
 
 RATE_TOL = 1e-9
 """Rates (Hz) that differ by less are the same: rounding."""
 
 
-class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
+class TurnEnv(gymnasium.Env[SenseData, NDArray[Any]]):
     """Turning an object in the hand; see the module."""
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012, an attribute of Gymnasium's
@@ -124,8 +124,8 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
         if isinstance(senses, str):
             raise TaskError(f"senses is {shown(senses)}; give a list of names: [{shown(senses)}]")
         for name in senses:
-            if name not in (*ALWAYS, *ASKED):
-                raise NotFoundError("sense of the environment", name, (*ALWAYS, *ASKED))
+            if name not in (*ALWAYS, *OPTIONAL):
+                raise NotFoundError("sense of the environment", name, (*ALWAYS, *OPTIONAL))
         if not (isinstance(plans, int) and plans >= 1):
             raise TaskError(f"plans is {shown(plans)}; give an integer >= 1")
         if not (math.isfinite(rate_hz) and rate_hz > 0):
@@ -149,7 +149,7 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
         self._sees_pose = "object_pose" in senses
         self._course: Any = None
         self._run: ManipulationRun | None = None
-        self._puppet: _Puppet | None = None
+        self._external: _External | None = None
         self._progress = 0.0
         self._set_spaces()
 
@@ -180,7 +180,7 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Told, dict[str, Any]]:
+    ) -> tuple[SenseData, dict[str, Any]]:
         """Draw a trial, and close the fingers.
 
         Args:
@@ -195,26 +195,26 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
         Raises:
             TaskError: No trial came to the first action, or another option than that.
         """
-        asked = _asked_plan(options or {})
+        requested = _requested_plan(options or {})
         super().reset(seed=seed)
         self.close()
         for redrawn in range(REDRAWS):
             drawn = int(self.np_random.integers(self._count))
-            number = drawn if asked is None else asked
+            number = drawn if requested is None else requested
             conditions = Conditions.draw(self.np_random)
             plan = self._plans(number)
-            self._puppet = _Puppet(plan.grasp, self._rate, self._meaning)
-            self._run = conditions.run(self.task, plan, self._puppet)
+            self._external = _External(plan.grasp, self._rate, self._meaning)
+            self._run = conditions.run(self.task, plan, self._external)
             self._course, self._progress = greenlet(self._run.perform), 0.0
             if self._course.switch() is None:
                 about = {"plan": number, "object": plan.task.object.shape.spec, "redrawn": redrawn}
-                return self._told(), about
+                return self._observation(), about
         raise TaskError(
             f"{REDRAWS} trials of {self.task.objects} ended before the first action; give another "
             "object or a milder reality"
         )
 
-    def step(self, action: NDArray[Any]) -> tuple[Told, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[SenseData, float, bool, bool, dict[str, Any]]:
         """Act until the next decision, or until the end of the run.
 
         Returns:
@@ -226,17 +226,17 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
         """
         if self._course is None or self._course.dead:
             raise TaskError("no episode is under way; call reset first")
-        given = np.asarray(action, dtype=np.float64)
+        command = np.asarray(action, dtype=np.float64)
         shape = self.action_space.shape
-        if given.shape != shape:
-            raise TaskError(f"the action has shape {given.shape}; give one of shape {shape}")
-        if not np.isfinite(given).all():
+        if command.shape != shape:
+            raise TaskError(f"the action has shape {command.shape}; give one of shape {shape}")
+        if not np.isfinite(command).all():
             raise TaskError("the action has numbers that are not finite; give numbers in [-1, 1]")
-        report = self._course.switch(np.clip(given, -1.0, 1.0))
+        report = self._course.switch(np.clip(command, -1.0, 1.0))
         reward = self._reward()
         if report is None:
-            return self._told(), reward, False, False, {}
-        return self._told(), reward + _bonus(report), True, False, _verdict(report)
+            return self._observation(), reward, False, False, {}
+        return self._observation(), reward + _bonus(report), True, False, _verdict(report)
 
     def close(self) -> None:
         """End the episode that is under way."""
@@ -248,30 +248,30 @@ class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
 
     def _reward(self) -> float:
         """Progress of the turn since the last step, as a share of all of it."""
-        assert self._run is not None and self._puppet is not None
-        if self._puppet.seen is None or self._puppet.seen.phase not in ("turn", "hold"):
+        assert self._run is not None and self._external is not None
+        if self._external.seen is None or self._external.seen.phase not in ("turn", "hold"):
             return 0.0
         turned = self._run.sim.recorder.moved()[0]
         before = self._progress
         self._progress = float(np.clip(turned / self.task.angle, 0.0, 1.0))
         return self._progress - before
 
-    def _told(self) -> Told:
-        assert self._puppet is not None
-        told = self._puppet.told()
+    def _observation(self) -> SenseData:
+        assert self._external is not None
+        known = self._external.senses()
         if self._sees_pose:
-            seen = self._puppet.seen
+            seen = self._external.seen
             assert seen is not None
             pose = pin.SE3ToXYZQUAT(seen.T_world_base.inverse() * seen.T_world_object)
-            told["object_pose"] = pose[[0, 1, 2, 6, 3, 4, 5]]
+            known["object_pose"] = pose[[0, 1, 2, 6, 3, 4, 5]]
         out = {}
         for name, space in self._spaces.items():
-            value = told[name].astype(np.float32)
+            value = known[name].astype(np.float32)
             out[name] = np.clip(value, space.low, space.high)
         return out
 
 
-class _Puppet(PolicyController):
+class _External(PolicyController):
     """A controller whose decisions come from outside: it lets the environment's caller go on."""
 
     def __init__(self, plan: GraspPlan, rate_hz: float, meaning: str) -> None:
@@ -303,7 +303,7 @@ class _Puppet(PolicyController):
             self._target = super().commands(observation)
         return self._target
 
-    def told(self) -> dict[str, FloatArray]:
+    def senses(self) -> dict[str, FloatArray]:
         """The senses at the last decision."""
         seen, play = self.seen, self.playback
         assert seen is not None
@@ -324,7 +324,7 @@ def _shared_plans(task: TurnTask, folder: Path | None) -> Plans:
     return Plans(task, folder)
 
 
-def _asked_plan(options: dict[str, Any]) -> int | None:
+def _requested_plan(options: dict[str, Any]) -> int | None:
     """Number of the plan that options ask for; None if they do not."""
     if unknown := sorted(set(options) - {"plan"}):
         raise TaskError(f"no option of reset is called {', '.join(unknown)}; there is: plan")

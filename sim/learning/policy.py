@@ -52,7 +52,7 @@ SAME_TURN = 0.01
 RATES = ("command_rate", "pose_rate", "touch_rate")
 """Numbers of a reality that are worse if they are smaller; 0 is every time step."""
 
-MOST_TOLD = 3
+MOST_NAMED = 3
 """Errors that a warning names; the others are counted."""
 
 
@@ -73,7 +73,7 @@ class PolicyFor:
         mass: Least and largest mass of the object, kg.
         friction: Least and largest sliding friction (-).
         rate_hz: Decisions per second.
-        senses: What it is told beside the plan.
+        senses: Its inputs beside the plan.
         action_scale: Change of a joint target by an action of 1, rad.
         aim: Turn beyond the asked one at which its playback ends, rad.
         estimator: What tells it where the object is, a name out of ``sim.estimation``.
@@ -138,7 +138,7 @@ class PolicyFor:
                     f"for {hand.name}: opposable learn {hand.name} {self.objects}"
                 )
 
-    def beyond(
+    def outside_training(
         self,
         item: GraspObject,
         angle_deg: float | None,
@@ -165,20 +165,20 @@ class PolicyFor:
             beyond.append(f"the mass is {item.mass:g} kg ({_range(self.mass)})")
         if physics is not None and not self.friction[0] <= physics.mu <= self.friction[1]:
             beyond.append(f"the friction is {physics.mu:g} ({_range(self.friction)})")
-        if physics is not None and self.physics and self.physics != physics_told(physics):
+        if physics is not None and self.physics and self.physics != physics_numbers(physics):
             beyond.append(f"the physics is {physics.label}")
         larger = [] if reality is None else self._larger_errors(reality)
         if larger:
-            more = len(larger) - MOST_TOLD
-            told = ", ".join(larger[:MOST_TOLD]) + (f" and {more} more" if more > 0 else "")
-            beyond.append(f"errors are larger than in its training: {told}")
+            more = len(larger) - MOST_NAMED
+            named = ", ".join(larger[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+            beyond.append(f"errors are larger than in its training: {named}")
         if not beyond:
             return ""
         *first, last = beyond
-        told = f"{', '.join(first)} and {last}" if first else last
+        listed = f"{', '.join(first)} and {last}" if first else last
         return (
             f"the policy was trained for {self.objects} turned by {self.angle_deg:g} degrees, and "
-            f"{told}: expect less of it"
+            f"{listed}: expect less of it"
         )
 
     def _larger_errors(self, reality: Reality) -> list[str]:
@@ -345,12 +345,12 @@ def normalised(
     return np.asarray(np.minimum(np.maximum(x, np.float32(-FAR)), np.float32(FAR)))
 
 
-def physics_told(physics: PhysicsOptions) -> dict[str, Any]:
+def physics_numbers(physics: PhysicsOptions) -> dict[str, Any]:
     """What a policy's file says of the physics: all numbers but name and friction."""
     return {k: v for k, v in physics.to_dict().items() if k not in ("name", "mu")}
 
 
-def errors_told(reality: Reality) -> dict[str, Any]:
+def error_numbers(reality: Reality) -> dict[str, Any]:
     """What a policy's file says of the errors it was trained with."""
     return {**reality.numbers, "touch": reality.touch}
 

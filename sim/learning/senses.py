@@ -10,21 +10,21 @@ with s the place on the path, ``rest`` the commands that hold the planned postur
 the squeeze and down in the release. The fingers close until they touch, wherever that is: q0 is the
 posture as read at that moment, and K takes the servos along.
 
-``ObjectLag``: how far the object is from where the plan has it, told in joints.
+``ObjectLag``: how far the object is from where the plan has it, expressed in joints.
 
 It is the sense ``object`` of a policy (``sim.learning.senses``). The pose is that of an estimator;
 without a camera it is made of joints and touch (``sim.estimation``). With G the planned map from
 joint rates to the object's twist (contacts stick, least squares over the contacts), a deviation e
-of the pose is told as
+of the pose is expressed as
 
     G_t' e_t / l^2,   G_r' e_r / l^2,      e_r and G_r times l, in degrees:
 
 the pattern of joint torques that pushes the object back, for shift and turn apart. So one small
 network serves plans with other contacts and other fingers.
 
-``SenseHistory``: what a policy is told, as one vector.
+``SenseHistory``: the inputs of a policy, as one vector.
 
-The pose of the object is told by the estimator that the policy was trained with; with ``touch``
+The pose of the object comes from the estimator that the policy was trained with; with ``touch``
 nothing of the vector comes from a camera once the hand has closed.
 
 joints    joints as read less the playback's posture (nq,), of each of the last decisions
@@ -58,12 +58,12 @@ from planner.kinematics.state import HandState
 from planner.motion import Knot, MotionPlan
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, minimum_jerk, skew
+from planner.spatial import SE3, FloatArray, cross, minimum_jerk, skew
 from planner.task import GraspTask
 from sim.controllers import MotionReference, Observation, Phase
 from sim.controllers.follow import CREEP, RAMP, RATE
 from sim.controllers.grasp import FIRST_SHARE
-from sim.controllers.loads import HandLoads, crossed
+from sim.controllers.hand_dynamics import HandLoads
 
 PLACES = 101
 """Places on the path at which everything planned is tabulated: a degree apart."""
@@ -114,8 +114,8 @@ class ObjectLag:
         self._axis = T_base_world.rotation @ motion.path.axis
         self._begin = None
 
-    def told(self, observation: Observation, place: float) -> FloatArray:
-        """What is told at a place of the path, 0 to 1: (2 nq,), degrees.
+    def vector(self, observation: Observation, place: float) -> FloatArray:
+        """The deviation at a place of the path, 0 to 1: (2 nq,), degrees.
 
         What the deviation was at first is kept about the axis and fades out in the other
         directions, as the reference of a turn has it (``sim.controllers.follow``).
@@ -132,8 +132,8 @@ class ObjectLag:
         kept[3:] += place * (self._axis @ self._begin[3:]) * self._axis
         error = (deviation - kept) / LENGTH**2
         by_joints = row[6:].reshape(6, -1)
-        told = np.concatenate([error[:3] @ by_joints[:3], error[3:] @ by_joints[3:]])
-        return np.asarray(np.rad2deg(told))
+        numbers = np.concatenate([error[:3] @ by_joints[:3], error[3:] @ by_joints[3:]])
+        return np.asarray(np.rad2deg(numbers))
 
 
 def interpolated(table: FloatArray, place: float) -> FloatArray:
@@ -207,7 +207,7 @@ class Playback:
 
     @property
     def reference(self) -> MotionReference | None:
-        """What tells the phases of a manipulation how far the turn has come: told by the clock."""
+        """What tells the phases of a manipulation how far the turn has come, by the clock."""
         return self._reference
 
     @reference.setter
@@ -311,7 +311,7 @@ def _tabulated(plan: GraspPlan, motion: MotionPlan | None) -> FloatArray:
         in_base = contacts.transformed(T_base_world)
         weight = loads.move(q, gravity)
         forces = in_base.forces_in_axes()
-        pressing = loads.torque(forces, crossed(in_base.positions, forces))
+        pressing = loads.torque(forces, cross(in_base.positions, forces))
         rest = actuation.commands(q, still, weight)
         rows.append(
             np.concatenate([q, rest, actuation.commands(q, still, weight + pressing) - rest])
@@ -330,7 +330,7 @@ LAGS: tuple[int, ...] = (0, 2, 6)
 
 
 _NOTHING = np.zeros(0)
-"""Of a sense that is not told."""
+"""Of a sense that is left out."""
 
 
 def checked_senses(names: Sequence[str]) -> tuple[str, ...]:
@@ -349,7 +349,7 @@ def checked_senses(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def columns(hand: Hand, senses: Sequence[str]) -> NDArray[np.intp]:
-    """Where some senses stand in a vector of all: what a policy of these alone is told.
+    """Where some senses stand in a vector of all: the inputs of a policy of these alone.
 
     Raises:
         NotFoundError: There is none of a name.
@@ -389,7 +389,7 @@ class SenseHistory:
 
         Args:
             task: Hand, and fingers that take part.
-            senses: Those that are told, out of ``SENSES``.
+            senses: Those that are used, out of ``SENSES``.
         """
         self._senses = checked_senses(senses)
         hand = task.hand
@@ -404,7 +404,7 @@ class SenseHistory:
     def vector(
         self, observation: Observation, playback: Playback, action: FloatArray
     ) -> FloatArray:
-        """What is told now, (size,); call it once a decision.
+        """The inputs now, (size,); call it once a decision.
 
         Args:
             observation: What sensors read.
@@ -415,12 +415,12 @@ class SenseHistory:
         forces[self._columns] = observation.normal_forces
         lag = _NOTHING
         if "object" in self._senses:
-            lag = playback.lag.told(observation, playback.place)
+            lag = playback.lag.vector(observation, playback.place)
         self._kept.appendleft((observation.q - playback.q, forces, lag))
         last = len(self._kept) - 1
         past = [self._kept[min(age, last)] for age in LAGS]
         play = playback
-        told: dict[str, list[FloatArray]] = {
+        parts: dict[str, list[FloatArray]] = {
             "joints": [joints for joints, _, _ in past],
             "touch": [force for _, force, _ in past],
             "targets": [action],
@@ -428,7 +428,7 @@ class SenseHistory:
             "clock": [np.array([play.place, play.rate, play.share, float(play.standing)])],
             "object": [lag for _, _, lag in past],
         }
-        return np.concatenate([part for name in self._senses for part in told[name]])
+        return np.concatenate([part for name in self._senses for part in parts[name]])
 
 
 _RANGE = re.compile(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)")

@@ -1,8 +1,8 @@
 """``Demonstrator``: a hand driven by the teacher or the policy, while both say what they would do.
 
-The teacher is the planner's closed loop (``ObjectImpedance``). It is told the truth, and it turns
+The teacher is the planner's closed loop (``ObjectImpedance``). It sees the truth, and it turns
 the object by the clock of the playback, so that teacher and policy mean the same moment. The policy
-is told what the sensors of the trial's reality say. Each decision gives a sample: the senses of the
+sees what the sensors of the trial's reality say. Each decision gives a sample: the senses of the
 policy, and the action that the teacher wanted then, in the readings of the encoders.
 
 Who drives is drawn anew every ``STRETCH`` decisions. With the teacher alone this is a
@@ -28,7 +28,7 @@ from sim.controllers import (
     Reference,
     Target,
 )
-from sim.controllers.impedance import felt_inertia
+from sim.controllers.impedance import effective_inertia
 from sim.estimation import NONE
 from sim.learning.controller import PolicyController
 from sim.learning.policy import Policy
@@ -84,7 +84,7 @@ class Demonstrator(PolicyController):
     Attributes:
         simulation: Of which it tells the teacher the truth.
         teacher: The closed loop.
-        senses: All that a policy can be told (``SENSES``), at each decision, (m,) each.
+        senses: All inputs that a policy can have (``SENSES``), at each decision, (m,) each.
         wanted: The actions that the teacher wanted then, (nu,) each.
     """
 
@@ -117,7 +117,7 @@ class Demonstrator(PolicyController):
         self.history = SenseHistory(plan.task)
         self._columns = columns(plan.task.hand, SENSES if policy is None else policy.about.senses)
         self.simulation: Simulation | None = None
-        mass, inertia = felt_inertia(plan, plan.task.object.mass)
+        mass, inertia = effective_inertia(plan, plan.task.object.mass)
         gains = ImpedanceGains.of_body(
             mass=mass, inertia=inertia, bandwidth=BANDWIDTH, learning_rate=LEARNING_RATE
         )
@@ -159,20 +159,20 @@ class Demonstrator(PolicyController):
         """The next action (nu,); what the teacher wants is kept, and taken where it drives."""
         if self.simulation is None:
             raise TaskError("a demonstrator needs its simulation; set it before the first step")
-        told = self.history.vector(observation, self.playback, self.action)
+        inputs = self.history.vector(observation, self.playback, self.action)
         truth = self.simulation.observe(observation.phase, observation.progress)
         commands = self.teacher.step(truth) + self._apart(truth.q)
         commands = commands + self.playback.shift @ (self.playback.q - truth.q)
         wanted = np.clip((commands - self.playback.ctrl) / self.scale, -1.0, 1.0)
         if len(self.senses) % STRETCH == 0:
             self._teaches = bool(self._rng.random() < self._share)
-        self.senses.append(told)
+        self.senses.append(inputs)
         self.wanted.append(wanted)
         if self._teaches:
             noise = self._noise * self._rng.standard_normal(len(wanted))
             return np.asarray(np.clip(wanted + noise, -1.0, 1.0))
         return (
-            np.zeros(len(wanted)) if self.policy is None else self.policy.act(told[self._columns])
+            np.zeros(len(wanted)) if self.policy is None else self.policy.act(inputs[self._columns])
         )
 
     def _apart(self, q: FloatArray) -> FloatArray:

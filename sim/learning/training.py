@@ -50,9 +50,9 @@ from sim.learning.policy import (
     RATE_HZ,
     Policy,
     PolicyFor,
-    errors_told,
+    error_numbers,
     normalised,
-    physics_told,
+    physics_numbers,
 )
 from sim.learning.senses import checked_senses, columns
 from sim.learning.teacher import Demonstrator
@@ -68,7 +68,7 @@ class Episode:
     """What was seen and wanted in one trial.
 
     Attributes:
-        senses: (k, m), all that a policy can be told (``senses.SENSES``), at k decisions.
+        senses: (k, m), all inputs that a policy can have (``senses.SENSES``), at k decisions.
         wanted: (k, nu), the teacher's actions.
         success: Turned as far as asked for, and not dropped.
         strict: The same with closure: nothing of ``ManipulationReport.faults``.
@@ -316,12 +316,12 @@ LEARN_FORMAT, LEARN_VERSION = "opposable-learn", 2
 """What ``learn.json`` says it is."""
 
 
-TOLD = ("touch", "clock", "object")
+DEFAULT_SENSES = ("touch", "clock", "object")
 """Senses of a policy if none are given. In unseen episodes they explain 0.5 of the squares of the
 actions wanted, the clock alone 0.3, and joints and plan add nothing (33 episodes of round 0)."""
 
-LOOKED_AT = 2000
-"""Samples, about, of which the error of a fit is told."""
+ERROR_SAMPLES = 2000
+"""Samples, about, by which the error of a fit is estimated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -338,7 +338,7 @@ class Course:
             policy learns the feedback with the wrong sign.
         noise: Noise on the teacher's actions while it drives (-).
         epochs: Passes over all samples in the fit of a round.
-        senses: What the policy is told beside the plan.
+        senses: Inputs of the policy beside the plan.
         estimator: What tells it where the object is, a name out of ``sim.estimation``.
     """
 
@@ -349,7 +349,7 @@ class Course:
     share: float = 0.0
     noise: float = 0.0
     epochs: int = 16
-    senses: tuple[str, ...] = TOLD
+    senses: tuple[str, ...] = DEFAULT_SENSES
     estimator: str = "touch"
 
     def __post_init__(self) -> None:
@@ -456,7 +456,7 @@ def learn(
         course: How much is trained.
         folder: Keeps everything; made if it is not there.
         command: What the policy's file says made it.
-        progress: Told after every episode and fit.
+        progress: SenseData after every episode and fit.
 
     Raises:
         FileFormatError: The folder was begun with another task or course, or is damaged.
@@ -470,15 +470,15 @@ def learn(
         objects=task.objects,
         angle_deg=float(np.rad2deg(task.angle)),
         reality=task.reality.name,
-        errors=errors_told(task.reality),
-        physics=physics_told(task.physics),
+        errors=error_numbers(task.reality),
+        physics=physics_numbers(task.physics),
         rate_hz=RATE_HZ,
         senses=checked_senses(course.senses),
         action_scale=ACTION_SCALE,
         estimator=course.estimator,
         command=command,
     )
-    told = columns(plans.hand, about.senses)
+    used = columns(plans.hand, about.senses)
     rows: list[dict[str, Any]] = []
     samples: list[Episode] = []
     policy: Policy | None = None
@@ -504,7 +504,7 @@ def learn(
                     )
                 )
         _write_rows(rows, folder)
-        policy, error = _fitted(about, samples, course, folder, number, task.seed, told)
+        policy, error = _fitted(about, samples, course, folder, number, task.seed, used)
         policy.save(folder / POLICY)
         draw_curves(rows, folder / "curves.png")
     return Learned(policy=policy, folder=folder, rows=tuple(rows), complete=True)
@@ -516,24 +516,24 @@ def _begin(task: TurnTask, course: Course, folder: Path) -> None:
     Raises:
         FileFormatError: It was not, or it cannot be made.
     """
-    told = asdict(task) | {"physics": task.physics.to_dict(), "reality": task.reality.to_dict()}
-    asked = {
+    physics, reality = task.physics.to_dict(), task.reality.to_dict()
+    request = {
         "format": LEARN_FORMAT,
         "version": LEARN_VERSION,
-        "task": told,
+        "task": asdict(task) | {"physics": physics, "reality": reality},
         "course": asdict(course) | {"senses": list(checked_senses(course.senses))},
     }
     file = folder / "learn.json"
     if file.exists():
         there = read_json(file, "record of a training")
-        refuse_other_request(folder, "training", there, asked)
+        refuse_other_request(folder, "training", there, request)
         return
     try:
         for name in ("plans", "episodes", "rounds"):
             (folder / name).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileFormatError(f"cannot make the folder {folder}: {error.strerror}") from error
-    write_json(asked, file)
+    write_json(request, file)
 
 
 def _episode(
@@ -563,18 +563,18 @@ def _fitted(
     folder: Path,
     number: int,
     seed: int,
-    told: NDArray[np.intp],
+    used: NDArray[np.intp],
 ) -> tuple[Policy, float]:
     """The policy of a round: read, or fitted and kept; and its mean squared error."""
     file = folder / "rounds" / f"{number:02d}.npz"
-    senses = np.concatenate([e.senses for e in samples])[:, told]
+    senses = np.concatenate([e.senses for e in samples])[:, used]
     wanted = np.concatenate([e.wanted for e in samples])
     if file.exists():
         policy = Policy.load(file)
     else:
         policy = fit(about, senses, wanted, epochs=course.epochs, seed=seed + number)
         policy.save(file)
-    some = slice(None, None, max(1, len(senses) // LOOKED_AT))
+    some = slice(None, None, max(1, len(senses) // ERROR_SAMPLES))
     return policy, float(((policy.act(senses[some]) - wanted[some]) ** 2).mean())
 
 

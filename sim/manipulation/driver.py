@@ -23,9 +23,9 @@ from planner.motion.path import tilts
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.carrier import ArmCarrier, Timeline
-from sim.controllers import ClosesAgain, Event, HasOwnAim, Observation, Phase
+from sim.controllers import Event, HasOwnAim, Observation, Phase, Recloses
 from sim.controllers.follow import MotionReference
-from sim.controllers.motors import MotorServo
+from sim.controllers.hand_dynamics import MotorServo
 from sim.gantry import Gantry
 from sim.manipulation.in_hand import InHandController
 from sim.manipulation.swing import FingerSwing
@@ -74,7 +74,7 @@ class ManipulationDriver:
     @property
     def closing(self) -> bool:
         """Whether the fingers close a second time."""
-        return isinstance(self.holding, ClosesAgain) and self.holding.closing
+        return isinstance(self.holding, Recloses) and self.holding.closing
 
     @property
     def aims_by_belief(self) -> bool:

@@ -44,8 +44,9 @@ from sim.controllers import (
     Target,
     controller_for,
 )
+from sim.controllers.monitors import ContactSchedule
 from sim.controllers.object_impedance import REFERENCE_PHASES
-from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
+from sim.controllers.readings import TOUCH_FORCE
 
 
 @dataclass(frozen=True, kw_only=True)

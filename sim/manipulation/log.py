@@ -13,7 +13,7 @@ from planner.quality import closure_and_epsilon
 from planner.spatial import SE3, FloatArray, IntArray, signed_twist
 from planner.system.process import interrupts_wait
 from sim.contacts import ContactHistory
-from sim.contacts.pads import read_pads
+from sim.contacts.reading import read_pads
 from sim.manipulation.timeline import ManipulationPhase
 from sim.recorder import StateRecorder
 from sim.recording import PALM, Recording

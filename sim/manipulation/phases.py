@@ -19,7 +19,7 @@ from planner.quality import QualityReport, analyse
 from planner.spatial import SE3
 from sim.contacts import hand_contacts, merge_per_finger
 from sim.controllers import Observation
-from sim.controllers.retouch import AGAIN_TIME, closed
+from sim.controllers.grasp import RECLOSING_TIME, closing_ended
 from sim.manipulation.machine import CLOSE_TO, PhaseCall
 from sim.manipulation.regrasping import Regrasping
 from sim.manipulation.results import Measured, off_target, placed, too_short, undisturbed
@@ -100,8 +100,10 @@ class Phases:
 
     def _close(self) -> Measured:
         wait, simulation = self._timeline.close_wait, self._run.simulation
-        until = closed(self._run.driver, wait, simulation.timestep)
-        fault = self._run.run("close", self._timeline.close, wait=wait + AGAIN_TIME, until=until)
+        until = closing_ended(self._run.driver, wait, simulation.timestep)
+        fault = self._run.run(
+            "close", self._timeline.close, wait=wait + RECLOSING_TIME, until=until
+        )
         return self._standing(fault)
 
     def _squeeze(self) -> Measured:

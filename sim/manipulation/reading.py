@@ -64,11 +64,11 @@ class Reading:
         0 where no estimator tells it.
         """
         seen = self._seen()
-        if seen is None or seen.belief is None:
+        if seen is None or seen.uncertainty is None:
             return 0.0
         turn = (seen.T_world_base * self._hand.move(seen.q).T_base_palm).rotation
         axis = turn @ self._axis
-        return float(np.sqrt(max(0.0, axis @ seen.belief.covariance[3:, 3:] @ axis)))
+        return float(np.sqrt(max(0.0, axis @ seen.uncertainty.covariance[3:, 3:] @ axis)))
 
     def T_world_object(self) -> SE3:
         """Pose of the object."""

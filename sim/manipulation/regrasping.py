@@ -18,9 +18,9 @@ from planner.motion.manipulation import ManipulationPlan
 from planner.quality import force_closure
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES
-from sim.contacts import as_believed, hand_contacts, merge_per_finger
+from sim.contacts import hand_contacts, merge_per_finger, with_planned_friction
 from sim.controllers import Observation
-from sim.controllers.schedule import RAMP
+from sim.controllers.monitors import RAMP
 from sim.manipulation.results import Measured
 from sim.manipulation.simulation import ManipulationSim
 from sim.manipulation.swing import FingerSwing
@@ -154,6 +154,6 @@ def margin_without(measured: ContactSet, task: GraspTask, finger: str) -> float:
     if len(stay) < task.fingers_needed:
         return -np.inf
     contacts = ContactSet.from_contacts(stay, center=merged.center)
-    closure = force_closure(as_believed(contacts, task), edges=CLOSURE_EDGES)
+    closure = force_closure(with_planned_friction(contacts, task), edges=CLOSURE_EDGES)
     margin = closure.normalised_min_weight
     return margin if closure.closed else min(0.0, margin)

@@ -16,7 +16,7 @@ from planner.showing import Shown, in_notebook
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers import Event
-from sim.controllers.events import told_events
+from sim.controllers.base import event_lines
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.modes import mode_table, told_modes
 from sim.manipulation.pressing import FingerForce, finger_forces
@@ -241,7 +241,7 @@ class ManipulationReport(Shown):
             limit = f"(at most {self.force_limit:.1f} N)"
             lines += [f"normal forces, largest mean over 20 ms {limit}:"]
             lines += [f"  {force}" for force in self.forces]
-        lines += [f"controller: {line}" for line in told_events(self.events)]
+        lines += [f"controller: {line}" for line in event_lines(self.events)]
         lines += reality_lines(self.reality)
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])

@@ -17,7 +17,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray, minimum_jerk
 from sim.controllers import Observation
 from sim.controllers.closing import SEARCH_DAMPING
-from sim.controllers.motors import motor_servo
+from sim.controllers.hand_dynamics import motor_servo
 
 LANDING_SPEED = 0.02
 """Speed (m/s) along the normal of a pad that has come to the end of its way without touching."""

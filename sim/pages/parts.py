@@ -22,7 +22,7 @@ from planner.pages.plan_scene import Stage
 from planner.pages.scene import Band, Contacts, Line, Mark, Motion, Plot, Scene
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask, Obstacle
-from sim.controllers.events import AS_TOLD
+from sim.controllers.base import COMMANDED
 from sim.recording import Recording
 from sim.report_file import EventData
 from sim.screen import reality_lines
@@ -255,7 +255,7 @@ def event_marks(events: Sequence[EventData], shift: float = 0.0) -> tuple[Mark, 
             text=f"{e.kind} {e.finger}".rstrip() + (f": {e.detail}" if e.detail else ""),
         )
         for e in events
-        if e.kind not in AS_TOLD
+        if e.kind not in COMMANDED
     )
 
 

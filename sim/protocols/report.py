@@ -19,7 +19,7 @@ from planner.arrays import finite
 from planner.errors import FileFormatError
 from planner.version import written_by
 from sim.protocols.outcome import Outcome
-from sim.reality import draws_in_words
+from sim.reality import drawn_text
 from sim.screen import OnScreen, number, percent, reality_lines
 from sim.tables import table
 
@@ -190,7 +190,7 @@ class ProtocolReport(OnScreen):
             yield Text(f"held in {s['held']} of {s['of']}{note}")
         for o in self.failed[:MOST_FAILED]:
             why = "" if o.fault is None else f": {o.reason}, {o.fault.detail}"
-            drawn = draws_in_words([o.conditions])
+            drawn = drawn_text([o.conditions])
             yield Text(f"not held: {o.name}{why}{drawn and f' (drawn: {drawn})'}")
         if len(self.failed) > MOST_FAILED:
             yield Text(f"and {len(self.failed) - MOST_FAILED} more")
@@ -213,7 +213,7 @@ class ProtocolReport(OnScreen):
         if "reality" not in self.settings:
             return [] if estimator == "none" else [f"estimator: {estimator}"]
         told = {**self.settings["reality"], "estimator": estimator}
-        drawn = draws_in_words(o.conditions for o in self.outcomes)
+        drawn = drawn_text(o.conditions for o in self.outcomes)
         return reality_lines(told | ({"drawn_in_words": drawn} if drawn else {}))
 
     def to_dict(self) -> dict[str, Any]:

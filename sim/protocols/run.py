@@ -42,7 +42,7 @@ from sim.protocols.outcome import Case, Conditions, Outcome
 from sim.protocols.report import ProtocolReport
 from sim.protocols.shake_pushes import on_an_arm, pushes_cases, shake_cases
 from sim.protocols.variations import reality_cases, robust_cases, with_errors
-from sim.reality import REALITIES, AnyReality, Drawn, drawn_numbers, draws_in_words
+from sim.reality import REALITIES, AnyReality, Drawn, drawn_numbers, drawn_text
 from sim.recording import CHANNELS, Samples
 from sim.runner import Runner, made_with
 from sim.scene import build_scene
@@ -235,7 +235,7 @@ def run_protocol(
         own["reality"] = reality.to_dict()
         if protocol not in DRAWN_ANEW:
             drawn = drawn_numbers(Drawn.of(reality, plan.task.hand), plan.task.hand)
-            own["reality"]["drawn_in_words"] = draws_in_words([drawn])
+            own["reality"]["drawn_in_words"] = drawn_text([drawn])
     if protocol not in REPLAYED and (used := estimator_name(estimator, reality)) != NONE:
         own["estimator"] = used
     stated = drake_physics(physics.mu) if protocol == "drake" else physics_of(plan, physics)

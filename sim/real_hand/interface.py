@@ -42,7 +42,7 @@ from planner.plan import GraspPlan
 from planner.shapes import shape_key
 from planner.spatial import SE3, FloatArray
 from sim.controllers.base import Controller, NeedsSenses, Observation, Phase, Sense
-from sim.controllers.pads import PadReading
+from sim.controllers.readings import PadReading
 
 
 class EndOfReadings(HandError):
@@ -211,7 +211,7 @@ class Clock(Protocol):
 class RecordedClock(Clock, Protocol):
     """A clock whose time is that of a recorded run: it serves the same run alone."""
 
-    def need_same(self, rate_hz: float, plan: PlanMark | None) -> None:
+    def check_same_run(self, rate_hz: float, plan: PlanMark | None) -> None:
         """Refuse a loop that is not the one that was recorded.
 
         Args:
@@ -534,31 +534,31 @@ class Observer:
             raise HandError(_missing(type(controller).__name__, missing))
 
 
-def places(what: str, wanted: tuple[str, ...], given: tuple[str, ...]) -> list[int]:
-    """Where each wanted name stands among those given, which must be the same names.
+def places(what: str, expected: tuple[str, ...], names: tuple[str, ...]) -> list[int]:
+    """Where each expected name stands among others, which must be the same names.
 
     Raises:
         HandError: Names that are missing, unknown or given twice.
     """
-    if len(set(given)) != len(given):
-        twice = sorted({name for name in given if given.count(name) > 1})
+    if len(set(names)) != len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
         raise HandError(f"the interface names {what} {twice[0]} more than once; name each once")
-    missing = [name for name in wanted if name not in given]
-    unknown = [name for name in given if name not in wanted]
+    missing = [name for name in expected if name not in names]
+    unknown = [name for name in names if name not in expected]
     if missing or unknown:
         parts = [f"lacks {', '.join(missing)}"] * bool(missing)
         parts += [f"has {', '.join(unknown)}, which the model has not"] * bool(unknown)
         raise HandError(
             f"the {what}s of the interface do not match the hand's model: it "
-            f"{' and '.join(parts)}; use the model's names: {', '.join(wanted)}"
+            f"{' and '.join(parts)}; use the model's names: {', '.join(expected)}"
         )
-    return [given.index(name) for name in wanted]
+    return [names.index(name) for name in expected]
 
 
-def _place(what: str, name: str, given: tuple[str, ...]) -> int:
-    if name not in given:
-        raise NotFoundError(f"{what} of the interface", name, given)
-    return given.index(name)
+def _place(what: str, name: str, names: tuple[str, ...]) -> int:
+    if name not in names:
+        raise NotFoundError(f"{what} of the interface", name, names)
+    return names.index(name)
 
 
 def _missing(who: str, senses: tuple[Sense, ...]) -> str:

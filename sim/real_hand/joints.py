@@ -30,7 +30,7 @@ from planner.spatial import FloatArray
 from planner.system.process import interrupts_wait
 from sim.carrier import Timeline
 from sim.controllers.base import PHASES, Controller, Observation, Sense
-from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.readings import TOUCH_FORCE
 from sim.real_hand.interface import Clock, HandInterface, HandObservation, Observer
 from sim.real_hand.loop import Carry, ControlLoop, LoopReport
 from sim.real_hand.safety import CommandLimits, Safety
@@ -148,7 +148,7 @@ class JointCheck:
     Attributes:
         actuator: Its name.
         joints: Joints that it drives, by the hand's model.
-        asked: Change of its command, rad.
+        commanded: Change of its command, rad.
         moved: Change of its length as the joints were read, rad; NaN if it was not moved.
         other: Joint of another actuator that moved the most.
         other_moved: How far, rad.
@@ -156,7 +156,7 @@ class JointCheck:
 
     actuator: str
     joints: tuple[str, ...]
-    asked: float
+    commanded: float
     moved: float
     other: str
     other_moved: float
@@ -166,8 +166,8 @@ class JointCheck:
         """What is wrong, "" if nothing."""
         if not np.isfinite(self.moved):
             return "was not moved: the run ended before"
-        ratio = self.moved / self.asked
-        swapped = ratio < LEAST and abs(self.other_moved) > STILL * abs(self.asked)
+        ratio = self.moved / self.commanded
+        swapped = ratio < LEAST and abs(self.other_moved) > STILL * abs(self.commanded)
         if ratio < -STILL:
             return "moves the wrong way: turn its sign"
         if swapped:
@@ -277,7 +277,7 @@ def checks_table(checks: Sequence[JointCheck]) -> Table:
     """A line per actuator."""
     table = table_of("what moved", ("actuator", "joints", "fault"), ("asked (rad)", "moved (rad)"))
     for check in checks:
-        numbers = f"{check.asked:+.3f}", f"{check.moved:+.3f}"
+        numbers = f"{check.commanded:+.3f}", f"{check.moved:+.3f}"
         table.add_row(check.actuator, ", ".join(check.joints), check.fault or "-", *numbers)
     return table
 
@@ -296,7 +296,7 @@ def _judged(hand: Hand, probe: _Probe, i: int) -> JointCheck:
     return JointCheck(
         actuator=actuation.names[i],
         joints=tuple(hand.joint_names[j] for j in np.flatnonzero(row)),
-        asked=float(probe.steps[i]),
+        commanded=float(probe.steps[i]),
         moved=float(row @ change),
         other=hand.joint_names[k],
         other_moved=float(others[k]),

@@ -7,7 +7,7 @@ version, names, units and rate. A run that is interrupted or fails writes what i
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from planner.errors import FileFormatError, NotFoundError
 from planner.exchange.array_files import OWN_BYTES, checked_small, read_npz
 from planner.files.json_csv import whole_file
-from planner.spatial import FloatArray, pose_to_wxyz
-from sim.controllers.pads import PadReading
+from planner.spatial import FloatArray, pose_from_wxyz, pose_to_wxyz
+from sim.controllers.readings import PadReading
 from sim.real_hand.interface import HandReading, PlanMark
 
 FORMAT, VERSION = "opposable-hand-log", 2
@@ -29,29 +29,29 @@ READ = (1, 2)
 PAD_WIDTH = 14
 """Numbers per finger in ``pads``: normal force, force, position, normal, sliding, spin."""
 
-UNITS = {
-    "time_s": "s, the loop's clock, when the reading was measured",
-    "begin_s": "s, when the tick began",
-    "write_s": "s, when its command was found",
-    "end_s": "s, when its command was written",
-    "joints": "rad or m",
-    "velocities": "rad/s or m/s",
-    "efforts": "N m or N",
-    "touch": "N",
-    "T_world_base": "m, quaternion w x y z",
-    "T_world_object": "m, quaternion w x y z",
-    "object_twist": "m/s, rad/s, world",
-    "pads": "N, N x3, m x3, -x3, m/s x3, rad/s, world",
-    "wanted": "rad or N m, what the controller gave",
-    "commands": "rad or N m, what was written; NaN where nothing was",
-    "progress": "-",
+CHANNELS = {
+    "time_s": ("", "s, the loop's clock, when the reading was measured"),
+    "begin_s": ("", "s, when the tick began"),
+    "write_s": ("", "s, when its command was found"),
+    "end_s": ("", "s, when its command was written"),
+    "joints": ("joints", "rad or m"),
+    "velocities": ("joints", "rad/s or m/s"),
+    "efforts": ("actuators", "N m or N"),
+    "touch": ("fingers", "N"),
+    "T_world_base": ("pose", "m, quaternion w x y z"),
+    "T_world_object": ("pose", "m, quaternion w x y z"),
+    "object_twist": ("twist", "m/s, rad/s, world"),
+    "pads": ("pads", "N, N x3, m x3, -x3, m/s x3, rad/s, world"),
+    "wanted": ("actuators", "rad or N m, what the controller gave"),
+    "commands": ("actuators", "rad or N m, what was written; NaN where nothing was"),
+    "progress": ("", "-"),
 }
-"""Array -> unit and meaning. NaN stands for what was not read."""
+"""Array -> what a tick has of it, and unit and meaning. NaN stands for what was not read."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HandLog:
-    """A run of m ticks; arrays by name as in ``UNITS``, NaN for what was not read.
+    """A run of m ticks; arrays by name as in ``CHANNELS``, NaN for what was not read.
 
     Attributes:
         joint_names: nq names, order of the interface.
@@ -98,21 +98,22 @@ class HandLog:
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shape that each array has for the names and the number of ticks."""
-        m, nq = len(self.time_s), len(self.joint_names)
-        nu, n = len(self.actuator_names), len(self.finger_names)
-        widths: dict[str, tuple[int, ...]] = {
-            "joints": (nq,),
-            "velocities": (nq,),
-            "efforts": (nu,),
-            "wanted": (nu,),
-            "commands": (nu,),
-            "touch": (n,),
-            "pads": (n, PAD_WIDTH),
-            "T_world_base": (7,),
-            "T_world_object": (7,),
-            "object_twist": (6,),
-        }
-        return {name: (m, *widths.get(name, ())) for name in UNITS}
+        return _shapes(len(self), self.joint_names, self.actuator_names, self.finger_names)
+
+    def reading(self, tick: int) -> HandReading:
+        """What was read in a tick."""
+        row = {name: getattr(self, name)[tick] for name in CHANNELS}
+        # what was not read is NaN in its first number
+        known = {k: v for k, v in row.items() if np.size(v) and not np.isnan(np.ravel(v)[0])}
+        poses = ("T_world_base", "T_world_object")
+        return HandReading(
+            time=float(self.time_s[tick]),
+            joints=row["joints"].copy(),
+            velocities=row["velocities"].copy(),
+            **{k: known[k].copy() for k in ("efforts", "touch", "object_twist") if k in known},
+            **{k: pose_from_wxyz(known[k][:3], known[k][3:]) for k in poses if k in known},
+            pads=_pads_of(known["pads"]) if "pads" in known else None,
+        )
 
     def write(self, path: Path | str) -> None:
         """Write it as a ``.npz`` file, whole or not at all.
@@ -128,9 +129,9 @@ class HandLog:
             "joint_names": self.joint_names,
             "actuator_names": self.actuator_names,
             "finger_names": self.finger_names,
-            "units": UNITS,
+            "units": {name: unit for name, (_, unit) in CHANNELS.items()},
         }
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in UNITS}
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in CHANNELS}
         arrays["phase"] = np.array(self.phase, dtype=np.str_)
         arrays["meta"] = np.array(json.dumps(meta))
         with whole_file(Path(path)) as stream:
@@ -166,7 +167,7 @@ class LogWriter:
         commands: FloatArray | None,
     ) -> None:
         """Take a tick; ``commands`` is None where nothing was written."""
-        row = dict(
+        row: dict[str, Any] = dict(
             time_s=reading.time,
             phase=phase,
             progress=progress,
@@ -175,39 +176,37 @@ class LogWriter:
             end_s=end_s,
             wanted=wanted,
             commands=commands,
-            T_world_base=None if reading.T_world_base is None else _numbers(reading.T_world_base),
-            T_world_object=(
-                None if reading.T_world_object is None else _numbers(reading.T_world_object)
-            ),
-            pads=None if reading.pads is None else _pad_rows(reading.pads),
         )
         for name in ("joints", "velocities", "efforts", "touch", "object_twist"):
             value = getattr(reading, name)
             row[name] = None if value is None else np.array(value, dtype=np.float64)
+        for name in ("T_world_base", "T_world_object"):
+            pose = getattr(reading, name)
+            row[name] = None if pose is None else np.concatenate(pose_to_wxyz(pose))
+        row["pads"] = None if reading.pads is None else _pad_rows(reading.pads)
         self._rows.append(row)
 
     def log(self) -> HandLog:
         """Everything taken so far."""
+        arrays: dict[str, Any] = {}
+        for name, shape in _shapes(len(self._rows), *self._names).items():
+            arrays[name] = np.full(shape, np.nan)
+            for i, row in enumerate(self._rows):
+                if row[name] is not None:
+                    arrays[name][i] = row[name]
         joints, actuators, fingers = self._names
-        zero = np.zeros(0)
-        empty = HandLog(
+        return HandLog(
             joint_names=joints,
             actuator_names=actuators,
             finger_names=fingers,
             rate_hz=self._rate_hz,
             plan=self._plan,
             phase=tuple(row["phase"] for row in self._rows),
-            **dict.fromkeys(UNITS, zero) | {"time_s": np.zeros(len(self._rows))},
+            **arrays,
         )
-        arrays: dict[str, Any] = {}
-        for name, shape in empty.shapes().items():
-            array = np.full(shape, np.nan)
-            for i, row in enumerate(self._rows):
-                if row[name] is not None:
-                    array[i] = row[name]
-            arrays[name] = array
-        kept = {f.name: getattr(empty, f.name) for f in fields(empty) if f.name not in arrays}
-        return HandLog(**kept, **arrays)
+
+
+GIVE = "give a file of opposable drive --log"
 
 
 def read_log(path: Path | str) -> HandLog:
@@ -224,21 +223,19 @@ def read_log(path: Path | str) -> HandLog:
     except FileFormatError as error:
         raise FileFormatError(
             f"{path} cannot be read as a log of a hand; it is damaged or something else ({error}): "
-            "give a file of opposable drive --log"
+            f"{GIVE}"
         ) from error
     try:
         meta = json.loads(str(checked_small(arrays.pop("meta"), f"{path}, meta")))
         if not isinstance(meta, dict) or meta.get("format") != FORMAT:
-            raise FileFormatError(
-                f"{path} is no log of a hand; give a file of opposable drive --log"
-            )
+            raise FileFormatError(f"{path} is no log of a hand; {GIVE}")
         if meta.get("version") not in READ:
             raise FileFormatError(
                 f"{path} is a log of version {meta.get('version')}; this reads version "
                 f"{' and '.join(map(str, READ))}"
             )
         marked = meta.get("plan")
-        numbers: Any = {name: arrays[name] for name in UNITS}
+        numbers: Any = {name: arrays[name] for name in CHANNELS}
         if any(array.dtype.kind != "f" for array in numbers.values()):
             raise TypeError("numbers of another type")
         numbers = {name: array.astype(np.float64) for name, array in numbers.items()}
@@ -258,8 +255,7 @@ def read_log(path: Path | str) -> HandLog:
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileFormatError(
-            f"{path} cannot be read as a log of a hand; it is damaged or something else: give a "
-            "file of opposable drive --log"
+            f"{path} cannot be read as a log of a hand; it is damaged or something else: {GIVE}"
         ) from error
     for name, shape in log.shapes().items():
         found = getattr(log, name).shape
@@ -268,8 +264,20 @@ def read_log(path: Path | str) -> HandLog:
     return log
 
 
-def _numbers(pose: Any) -> FloatArray:
-    return np.concatenate(pose_to_wxyz(pose))
+def _shapes(
+    ticks: int, joints: tuple[str, ...], actuators: tuple[str, ...], fingers: tuple[str, ...]
+) -> dict[str, tuple[int, ...]]:
+    """Shape of each array for some names and a number of ticks."""
+    sizes: dict[str, tuple[int, ...]] = {
+        "": (),
+        "joints": (len(joints),),
+        "actuators": (len(actuators),),
+        "fingers": (len(fingers),),
+        "pads": (len(fingers), PAD_WIDTH),
+        "pose": (7,),
+        "twist": (6,),
+    }
+    return {name: (ticks, *sizes[each]) for name, (each, _) in CHANNELS.items()}
 
 
 def _pad_rows(pads: PadReading) -> FloatArray:
@@ -278,3 +286,16 @@ def _pad_rows(pads: PadReading) -> FloatArray:
     parts = (pads.force, pads.position, pads.normal, pads.sliding)
     spin = np.broadcast_to(pads.spin, (n,))
     return np.column_stack([pads.normal_force, *parts, spin])
+
+
+def _pads_of(rows: FloatArray) -> PadReading:
+    """What ``_pad_rows`` was made of."""
+    force, position, normal, sliding = rows[:, 1:13].reshape(len(rows), 4, 3).transpose(1, 0, 2)
+    return PadReading(
+        normal_force=rows[:, 0].copy(),
+        force=force,
+        position=position,
+        normal=normal,
+        sliding=sliding,
+        spin=rows[:, 13].copy(),
+    )

@@ -246,7 +246,7 @@ class ControlLoop:
         checked_number("the rate", rate_hz, above=0.0, error=TaskError)
         plan = None if observer.plan is None else PlanMark.of(observer.plan)
         if isinstance(clock, RecordedClock):
-            clock.need_same(rate_hz, plan)
+            clock.check_same_run(rate_hz, plan)
         if rate_hz > interface.rate_hz * (1.0 + RATE_TOL):
             raise TaskError(
                 f"a rate of {rate_hz:g} Hz is asked for; this hand can be read and written at "

@@ -9,17 +9,14 @@ of another plan or at another rate is refused.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from planner.errors import FileFormatError, HandError, TaskError
 from planner.hands.hand import Hand
-from planner.spatial import FloatArray, pose_from_wxyz
-from sim.controllers.pads import PadReading
+from planner.spatial import FloatArray
 from sim.real_hand.interface import Clock, EndOfReadings, HandReading, PlanMark, places
 from sim.real_hand.log import HandLog, read_log
 
@@ -54,6 +51,8 @@ class ReplayedHand:
     Attributes:
         log: What is replayed.
         clock: What a loop is to be run by.
+        joint_names, actuator_names, finger_names: Those of the log.
+        rate_hz: That of the log, Hz.
     """
 
     def __init__(self, log: HandLog | Path | str, hand: Hand | None = None) -> None:
@@ -78,31 +77,13 @@ class ReplayedHand:
                 raise FileFormatError(
                     f"the log is of another hand than {hand.name}: {error}"
                 ) from error
+        self.joint_names, self.actuator_names = self.log.joint_names, self.log.actuator_names
+        self.finger_names, self.rate_hz = self.log.finger_names, self.log.rate_hz
         self.clock: Clock = self
         self._i = 0
         self._now = float(self.log.begin_s[0])
         self._differences: list[tuple[int, FloatArray]] = []
         self._stopped = False
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Those of the log."""
-        return self.log.joint_names
-
-    @property
-    def actuator_names(self) -> tuple[str, ...]:
-        """Those of the log."""
-        return self.log.actuator_names
-
-    @property
-    def finger_names(self) -> tuple[str, ...]:
-        """Those of the log."""
-        return self.log.finger_names
-
-    @property
-    def rate_hz(self) -> float:
-        """That of the log, Hz."""
-        return self.log.rate_hz
 
     def read(self) -> HandReading:
         """The reading of this tick.
@@ -114,17 +95,7 @@ class ReplayedHand:
         if i >= len(log):
             raise EndOfReadings(f"the log ends after {len(log)} readings")
         self._now = float(log.write_s[i])
-        return HandReading(
-            time=float(log.time_s[i]),
-            joints=log.joints[i].copy(),
-            velocities=log.velocities[i].copy(),
-            efforts=_read(log.efforts[i], np.copy),
-            touch=_read(log.touch[i], np.copy),
-            T_world_base=_read(log.T_world_base[i], _pose),
-            T_world_object=_read(log.T_world_object[i], _pose),
-            object_twist=_read(log.object_twist[i], np.copy),
-            pads=_read(log.pads[i], _pads),
-        )
+        return log.reading(i)
 
     def write(self, commands: FloatArray) -> None:
         """Compare commands (nu,) with those of the log.
@@ -163,7 +134,7 @@ class ReplayedHand:
 
     # ---- its own clock
 
-    def need_same(self, rate_hz: float, plan: PlanMark | None) -> None:
+    def check_same_run(self, rate_hz: float, plan: PlanMark | None) -> None:
         """See ``RecordedClock``: readings are those of the log's ticks and answer to its plan.
 
         A log of version 1 does not say which plan it is of, and none is refused.
@@ -191,24 +162,3 @@ class ReplayedHand:
         self._i += 1
         later = moment if self._i >= len(self.log) else float(self.log.begin_s[self._i])
         self._now = max(self._now, later)
-
-
-def _read(row: FloatArray, make: Callable[[FloatArray], Any]) -> Any:
-    """What a row of the log says; None where nothing was read, which is NaN in its first number."""
-    return None if not row.size or np.isnan(row.flat[0]) else make(row)
-
-
-def _pose(row: FloatArray) -> Any:
-    return pose_from_wxyz(row[:3], row[3:])
-
-
-def _pads(rows: FloatArray) -> PadReading:
-    force, position, normal, sliding = rows[:, 1:13].reshape(len(rows), 4, 3).transpose(1, 0, 2)
-    return PadReading(
-        normal_force=rows[:, 0].copy(),
-        force=force,
-        position=position,
-        normal=normal,
-        sliding=sliding,
-        spin=rows[:, 13].copy(),
-    )

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection
-from functools import cached_property
 
 import numpy as np
 
@@ -75,6 +74,9 @@ class SimulatedHand:
         trial: The trial that runs.
         controller: What the trial was made with, to be run on this hand.
         clock: What a loop is to be run by.
+        joint_names, actuator_names: Those of the hand's model.
+        finger_names: Fingers that take part, if it feels at all.
+        rate_hz: One over the time step, Hz.
     """
 
     def __init__(
@@ -111,6 +113,11 @@ class SimulatedHand:
                 f"{', '.join(ALL_SENSES)}"
             )
         self._senses = frozenset(senses)
+        task = trial.plan.task
+        self.joint_names: tuple[str, ...] = task.hand.joint_names
+        self.actuator_names: tuple[str, ...] = task.hand.actuation.names
+        self.finger_names = task.finger_names if self._senses & {"touch", "pads"} else ()
+        self.rate_hz = 1.0 / simulation.timestep
         self._simulation = simulation
         self._written = _Written(trial.plan, self.controller)
         simulation.controller = self._written
@@ -118,29 +125,8 @@ class SimulatedHand:
         self.clock: Clock = self if clock is None else clock
         self._offset: float | None = None if clock is not None else 0.0
         self._phase: Phase = simulation.phase
-        self._carried = (0.0, 0.0, 0.0)  # progress, its rate, and when it was told
+        self._carried = (0.0, 0.0, 0.0)  # progress, its rate, and since when
         self._begin = time.perf_counter()
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Those of the hand's model."""
-        return self.trial.plan.task.hand.joint_names
-
-    @property
-    def actuator_names(self) -> tuple[str, ...]:
-        """Those of the hand's model."""
-        return self.trial.plan.task.hand.actuation.names
-
-    @cached_property
-    def finger_names(self) -> tuple[str, ...]:
-        """Fingers that take part, if it feels at all."""
-        feels = self._senses & {"touch", "pads"}
-        return self.trial.plan.task.finger_names if feels else ()
-
-    @property
-    def rate_hz(self) -> float:
-        """One over the time step, Hz."""
-        return 1.0 / self._simulation.timestep
 
     # ---- the interface
 
@@ -233,10 +219,10 @@ class SimulatedHand:
     def _step(self) -> None:
         """One time step, and a sample where one is due."""
         simulation = self._simulation
-        progress, per_second, told = self._carried
+        progress, per_second, since = self._carried
         share = progress
-        if simulation.time > told:
-            share = min(1.0, progress + per_second * (simulation.time - told))
+        if simulation.time > since:
+            share = min(1.0, progress + per_second * (simulation.time - since))
         simulation.step(self._phase, share)
         if simulation.due(self.trial.recorder.every):
             self.trial.recorder.record()

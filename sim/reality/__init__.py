@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from planner.system.package import lazy_names
-from sim.reality.drawn import Drawn, drawn_numbers, draws_in_words
+from sim.reality.drawn import Drawn, drawn_numbers, drawn_text
 from sim.reality.errors import (
     IDEAL,
     LAB,
@@ -28,7 +28,7 @@ __all__ = [
     "Reality",
     "RealityOfTrial",
     "drawn_numbers",
-    "draws_in_words",
+    "drawn_text",
     "named_reality",
     "register_reality",
 ]

@@ -5,7 +5,7 @@ the seed whose spawn key is a checksum of the name. Streams give standard number
 only scales. So an error that is added or changed leaves the draws of all others as they were, and
 doubles with its field.
 
-``drawn_numbers`` and ``draws_in_words``: what was drawn, for people.
+``drawn_numbers`` and ``drawn_text``: what was drawn, for people.
 
 Called for reports and pages of trials, and by protocols, which show the range over their trials.
 A failure then has its likely cause beside it.
@@ -145,7 +145,7 @@ def drawn_numbers(drawn: Drawn, hand: Hand) -> dict[str, float]:
     }
 
 
-def draws_in_words(numbers: Iterable[Mapping[str, float]]) -> str:
+def drawn_text(numbers: Iterable[Mapping[str, float]]) -> str:
     """One line about the draws of some trials; "" if nothing was off.
 
     Of several trials it says the largest errors, and between what factors lie.

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 
 from planner.arrays import checked_number, finite
 from planner.errors import NotFoundError, TaskError, shown
-from sim.controllers.touch import EXACT
+from sim.controllers.readings import EXACT
 from sim.presets import Presets
 
 IDEAL = "ideal"
@@ -157,7 +157,7 @@ class Reality:
         )
 
     @property
-    def blurs_pose(self) -> bool:
+    def has_pose_errors(self) -> bool:
         """Whether the object's pose, as it is read, is not the one of now."""
         return any(self.numbers[name] for name in POSE_ERRORS)
 
@@ -165,7 +165,7 @@ class Reality:
         """The same with another seed."""
         return replace(self, seed=seed)
 
-    def alone(self, *names: str) -> Reality:
+    def only(self, *names: str) -> Reality:
         """The same with only some of its errors: to find which one does the harm.
 
         Args:
@@ -176,7 +176,7 @@ class Reality:
             TaskError: No name was given, or that of a field that is always kept.
         """
         if not names:
-            raise TaskError("alone() was given no name; give those of the errors that stay")
+            raise TaskError("only() was given no name; give those of the errors that stay")
         for name in names:
             if name in (*NO_ERROR, "drift_time"):
                 raise TaskError(
@@ -194,7 +194,8 @@ class Reality:
 
         What is left is drawn as before. It is the best that any estimator could do.
         """
-        exact: dict[str, Any] = dict.fromkeys(SENSED, 0.0)
+        sensed = (name for name in self.numbers if name not in NOT_SENSED)
+        exact: dict[str, Any] = dict.fromkeys(sensed, 0.0)
         return replace(self, name=f"{self.name}, sensed exactly", **exact)
 
     def without_camera(self) -> Reality:
@@ -225,34 +226,19 @@ NO_ERROR = ("name", "touch", "seed")
 EXAMPLE = "encoder_offset"
 """An error, for a message."""
 
-SENSED = (
-    "encoder_offset",
-    "encoder_scale",
-    "encoder_noise",
-    "encoder_step",
-    "rate_noise",
-    "backlash",
-    "pose_noise",
-    "turn_noise",
-    "pose_drift",
-    "turn_drift",
-    "pose_bias",
-    "turn_bias",
-    "pose_rate",
-    "pose_delay",
-    "dropout",
-    "dropout_time",
-    "touch_noise",
-    "touch_scale",
-    "touch_step",
-    "touch_threshold",
-    "touch_place",
-    "touch_rate",
-    "touch_delay",
-    "sliding_noise",
+NOT_SENSED = (
+    "drift_time",
+    "dry_friction",
+    "torque_constant",
+    "command_delay",
+    "command_rate",
+    "object_size",
+    "object_mass",
+    "object_center",
+    "object_friction",
 )
-"""Errors of sensors and of what stands between them and the joints; the others are of drives and of
-the world."""
+"""Errors of drives and of the world; the others are of sensors and of what stands between them and
+the joints."""
 
 FOREVER = 1e9
 """A time (s) that no trial lasts."""

@@ -10,9 +10,8 @@ of its stamp, or from that at which the hand had closed; before, the object stan
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -24,13 +23,10 @@ from planner.kinematics.state import MovingHand
 from planner.spatial import SE3, FloatArray, cross
 from planner.task import GraspTask
 from sim.controllers import Observation, Phase
-from sim.controllers.belief import SeenPose
-from sim.controllers.pads import PadReading
+from sim.controllers.readings import MeasuredPose, PadReading
 from sim.reality.drawn import Drawn, stream
 from sim.reality.errors import Reality
-
-TIME_TOL = 1e-9
-"""Times that differ by less (s) are the same: rounding of sums of time steps."""
+from sim.tactile.layout import TIME_TOL, Delayed
 
 STANDING: frozenset[Phase] = frozenset({"approach", "close"})
 """Phases in which the object does not move with the hand."""
@@ -66,36 +62,6 @@ class Drift:
         return np.asarray(self._deviation * self._state)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Stamped:
-    """A measured pose: when, of the object in the world and in the hand's base."""
-
-    time: float
-    T_world_object: SE3
-    T_base_object: SE3
-
-
-@dataclass
-class _Camera:
-    """Poses that are under way, the newest that arrived, and the one before."""
-
-    under_way: deque[_Stamped] = field(default_factory=deque)
-    newest: _Stamped | None = None
-    before: _Stamped | None = None
-    next_sample: float = 0.0
-    blind_until: float = -math.inf
-    last_sample: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Felt:
-    """What pads felt: when, the normal forces, and how the rest is read."""
-
-    time: float
-    normal_forces: FloatArray
-    read: Callable[[], PadReading]
-
-
 class RealSenses:
     """Turns exact observations into what is read; call ``read`` once a time step."""
 
@@ -127,12 +93,16 @@ class RealSenses:
         ]
         place = np.full(3 * len(task.fingers), reality.touch_place)
         self._misplaced = Drift(place, reality.drift_time, stream(reality.seed, "touch_place"))
-        self._under_way: deque[_Felt] = deque()
-        self._next_touch = 0.0
+        self._touch: Delayed[tuple[FloatArray, Callable[[], PadReading]]] = Delayed(
+            reality.touch_rate, reality.touch_delay
+        )
         self._late = reality.touch_rate > 0 or reality.touch_delay > 0
-        self._camera = _Camera()
+        # of the object in the world and in the hand's base
+        self._camera: Delayed[tuple[SE3, SE3]] = Delayed(reality.pose_rate, reality.pose_delay)
+        self._looked: float | None = None
+        self._blind_until = -math.inf
         self._closed: tuple[float, SE3] | None = None  # when, and T_base_world then
-        self._sees_exactly = not reality.blurs_pose
+        self._sees_exactly = not reality.has_pose_errors
         off = drawn.encoder_offset.any() or drawn.encoder_scale.any()
         placed = not off and reality.backlash == 0.0 and reality.touch_place == 0.0
         self._as_it_is = placed and not self._late
@@ -149,55 +119,47 @@ class RealSenses:
             q = r.encoder_step * np.round(q / r.encoder_step)
         v = truth.v * (1.0 + self._drawn.encoder_scale)
         v = v + r.rate_noise * self._rng["rate_noise"].standard_normal(n)
-        felt = self._felt(truth)
+        normal_forces, read_pads = self._felt(truth)
         changed = replace(
             truth,
             q=q,
             v=v,
-            normal_forces=felt.normal_forces,
+            normal_forces=normal_forces,
             read_contacts=_no_contacts,
-            read_pads=lambda: self._placed(felt.read(), truth.T_world_base, q),
+            read_pads=lambda: self._placed(read_pads(), truth.T_world_base, q),
         )
         if self._sees_exactly:
             return changed
         pose, seen = self._pose(truth)
         return replace(
-            changed, T_world_object=pose, read_twist=lambda: self._twist(truth), seen=seen
+            changed, T_world_object=pose, read_twist=lambda: self._twist(truth), measured_pose=seen
         )
 
     # ---- pads
 
-    def _felt(self, truth: Observation) -> _Felt:
-        """The newest reading of the pads that has arrived; at first the oldest there is."""
+    def _felt(self, truth: Observation) -> tuple[FloatArray, Callable[[], PadReading]]:
+        """Normal forces, and how the rest is read, that arrived last; at first the oldest."""
         r, now = self._reality, truth.time
         fingers = len(truth.normal_forces)
         error = r.touch_noise * self._rng["touch_noise"].standard_normal((fingers, 3))
         slid = r.sliding_noise * self._rng["sliding_noise"].standard_normal((fingers, 3))
-        waiting = self._under_way
-        if now >= self._next_touch - TIME_TOL:
-            if r.touch_rate > 0:
-                self._next_touch = (math.floor(now * r.touch_rate + TIME_TOL) + 1) / r.touch_rate
-            since = now - waiting[-1].time if waiting else 0.0
+        if self._touch.due(now):
+            last = self._touch.last_time
+            since = 0.0 if last is None else now - last
             aside = self._misplaced.step(since).reshape(fingers, 3)
-
-            def read() -> PadReading:
-                return self._pads(truth, error, slid, aside)
-
+            read = partial(self._pads, truth, error, slid, aside)
             if self._late:
-                read = partial(_given, read())
-            forces = self._told(truth.normal_forces, error[:, 0])
-            waiting.append(_Felt(time=now, normal_forces=forces, read=read))
-        while len(waiting) > 1 and waiting[1].time <= now - r.touch_delay + TIME_TOL:
-            waiting.popleft()
-        return waiting[0]
+                read = partial(_as_sent, read())
+            self._touch.add(now, (self._measured(truth.normal_forces, error[:, 0]), read))
+        return self._touch.newest(now)[1]
 
-    def _told(self, normal_force: FloatArray, error: FloatArray) -> FloatArray:
+    def _measured(self, normal_force: FloatArray, error: FloatArray) -> FloatArray:
         """What pads say of normal forces (n,), with noise (n,), N."""
         r = self._reality
-        told = np.maximum(self._scale * normal_force + error, 0.0)
+        force = np.maximum(self._scale * normal_force + error, 0.0)
         if r.touch_step:
-            told = r.touch_step * np.round(told / r.touch_step)
-        return np.where((normal_force > 0) & (told >= r.touch_threshold), told, 0.0)
+            force = r.touch_step * np.round(force / r.touch_step)
+        return np.where((normal_force > 0) & (force >= r.touch_threshold), force, 0.0)
 
     def _pads(
         self, truth: Observation, error: FloatArray, slid: FloatArray, aside: FloatArray
@@ -206,7 +168,7 @@ class RealSenses:
         exact = truth.pads
         if not len(exact.normal_force):  # nothing reads pads here
             return exact
-        pressing = self._told(exact.normal_force, error[:, 0])
+        pressing = self._measured(exact.normal_force, error[:, 0])
         there = pressing > 0
         normal = np.where(there[:, None], np.nan_to_num(exact.normal), 0.0)
         across = np.column_stack([np.zeros(len(error)), error[:, 1:]])
@@ -225,7 +187,7 @@ class RealSenses:
             return noisy
         hand = self._true_hand.move(truth.q)
         poses = [truth.T_world_base * hand.joint_pose(f.pad.joint_id) for f in self._fingers]
-        local = _moved(noisy, [pose.inverse() for pose in poses])
+        local = noisy.moved([pose.inverse() for pose in poses])
         if not self._reality.touch_place:
             return local
         turns = cross(local.normal, aside) / self._radii[:, None]
@@ -233,91 +195,65 @@ class RealSenses:
             SE3(R, c - R @ c)
             for R, c in zip(map(pin.exp3, np.nan_to_num(turns)), self._centers, strict=True)
         ]
-        return _moved(local, about)
+        return local.moved(about)
 
     def _placed(self, felt: PadReading, T_world_base: SE3, q: FloatArray) -> PadReading:
         """Vectors and places in the world, as they follow from the joints (nq,) that were read."""
         if self._as_it_is or not len(felt.normal_force):
             return felt
         hand = self._read_hand.move(q)
-        return _moved(felt, [T_world_base * hand.joint_pose(f.pad.joint_id) for f in self._fingers])
+        return felt.moved([T_world_base * hand.joint_pose(f.pad.joint_id) for f in self._fingers])
 
     # ---- the object's pose
 
-    def _pose(self, truth: Observation) -> tuple[SE3, SeenPose]:
+    def _pose(self, truth: Observation) -> tuple[SE3, MeasuredPose]:
         """The newest pose that has arrived, now and as measured; at first the oldest there is."""
-        r, camera, now = self._reality, self._camera, truth.time
-        if now >= camera.next_sample - TIME_TOL:
-            if r.pose_rate > 0:
-                camera.next_sample = (math.floor(now * r.pose_rate + TIME_TOL) + 1) / r.pose_rate
+        now = truth.time
+        if self._camera.due(now):
             self._sample(truth)
-        while camera.under_way and camera.under_way[0].time <= now - r.pose_delay + TIME_TOL:
-            camera.before, camera.newest = camera.newest, camera.under_way.popleft()
-        known = camera.newest or camera.under_way[0]
-        seen = SeenPose(time=known.time, T_world_object=known.T_world_object)
+        time, (T_world_object, T_base_object) = self._camera.newest(now)
+        seen = MeasuredPose(time=time, T_world_object=T_world_object)
         if truth.phase in STANDING:
-            return known.T_world_object, seen
+            return T_world_object, seen
         closed = self._closed = self._closed or (now, truth.T_world_base.inverse())
-        if known.time < closed[0]:  # the object stood still until the hand had closed
-            return truth.T_world_base * closed[1] * known.T_world_object, seen
-        return truth.T_world_base * known.T_base_object, seen
+        if time < closed[0]:  # the object stood still until the hand had closed
+            return truth.T_world_base * closed[1] * T_world_object, seen
+        return truth.T_world_base * T_base_object, seen
 
     def _sample(self, truth: Observation) -> None:
         """Measure a pose, unless the object is out of sight; the first one is always seen."""
-        r, camera, now = self._reality, self._camera, truth.time
-        since = 0.0 if camera.last_sample is None else now - camera.last_sample
-        first, camera.last_sample = camera.last_sample is None, now
+        r, now = self._reality, truth.time
+        first = self._looked is None
+        since = 0.0 if self._looked is None else now - self._looked
+        self._looked = now
         shift = r.pose_noise * self._rng["pose_noise"].standard_normal(3)
         turn = r.turn_noise * self._rng["turn_noise"].standard_normal(3)
         pose_drift, turn_drift = (drift.step(since) for drift in self._drifts)
         lost = self._rng["dropout"].random() < r.dropout
-        if now < camera.blind_until - TIME_TOL:
+        if now < self._blind_until - TIME_TOL:
             return
         if lost and not first:
-            camera.blind_until = now + r.dropout_time
+            self._blind_until = now + r.dropout_time
             return
         exact = truth.T_world_object
         turned = pin.exp3(self._drawn.turn_bias + turn + turn_drift) @ exact.rotation
         moved = exact.translation + self._drawn.pose_bias + shift + pose_drift
         measured = SE3(turned, moved)
-        camera.under_way.append(
-            _Stamped(
-                time=now,
-                T_world_object=measured,
-                T_base_object=truth.T_world_base.inverse() * measured,
-            )
-        )
+        self._camera.add(now, (measured, truth.T_world_base.inverse() * measured))
 
     def _twist(self, truth: Observation) -> FloatArray:
         """Velocity (6,) between the last two poses that arrived; 0 before there are two."""
-        old, new = self._camera.before, self._camera.newest
-        if old is None or new is None:
+        if self._camera.before is None:
             return np.zeros(6)
-        T_old, T_new = old.T_world_object, new.T_world_object
+        old, (T_old, _) = self._camera.before
+        new, (T_new, _) = self._camera.newest(truth.time)
         turned = pin.log3(T_new.rotation @ T_old.rotation.T)
         moved = T_new.translation - T_old.translation
-        return np.concatenate([moved, turned]) / (new.time - old.time)
+        return np.concatenate([moved, turned]) / (new - old)
 
 
-def _given(reading: PadReading) -> PadReading:
+def _as_sent(reading: PadReading) -> PadReading:
     return reading
-
-
-def _moved(pads: PadReading, moves: Sequence[SE3]) -> PadReading:
-    """A reading of n pads, each moved."""
-    turns = np.array([m.rotation for m in moves])
-    shifts = np.array([m.translation for m in moves])
-
-    def turned(rows: FloatArray) -> FloatArray:
-        return np.asarray((turns @ rows[:, :, None])[:, :, 0])
-
-    return replace(
-        pads,
-        force=turned(pads.force),
-        position=turned(pads.position) + shifts,
-        normal=turned(pads.normal),
-        sliding=turned(pads.sliding),
-    )
 
 
 def _no_contacts() -> ContactSet:

@@ -36,8 +36,6 @@ per time step.
 
 from __future__ import annotations
 
-import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -50,11 +48,12 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation
-from sim.reality.drawn import Drawn, drawn_numbers, draws_in_words, hand_actuators
+from sim.reality.drawn import Drawn, drawn_numbers, drawn_text, hand_actuators
 from sim.reality.errors import Reality
-from sim.reality.senses import TIME_TOL, RealSenses, encoder_error
+from sim.reality.senses import RealSenses, encoder_error
 from sim.scene import HAND_PREFIX, OBJECT, Scene
 from sim.tactile import TaxelSense, TouchContext, TouchSense, make_sense
+from sim.tactile.layout import Delayed
 
 
 class RealityOfTrial:
@@ -86,7 +85,7 @@ class RealityOfTrial:
         """Changes a scene's specification to what there really is; for ``build_scene``."""
         return change_world(self.reality, self.drawn, self.task)
 
-    def feel(self, scene: Scene, data: Any, plan: GraspPlan) -> None:
+    def attach_touch(self, scene: Scene, data: Any, plan: GraspPlan) -> None:
         """Feel touch in a scene from now on.
 
         Args:
@@ -142,7 +141,7 @@ class RealityOfTrial:
         data = {
             **self.reality.to_dict(),
             "drawn": self.drawn.to_dict(),
-            "drawn_in_words": draws_in_words([self.numbers]),
+            "drawn_in_words": drawn_text([self.numbers]),
         }
         if isinstance(self._touch, TaxelSense):
             data["felt"] = self._touch.felt()
@@ -247,8 +246,7 @@ class RealDrive:
         self._half_band = 0.5 * reality.backlash * widest * (servo > 0)
         self._ahead: FloatArray = np.zeros(actuation.moment.shape[1])
         self._to_joints = np.linalg.pinv(actuation.moment * (servo > 0)[:, None])
-        self._under_way: deque[tuple[float, FloatArray]] = deque()
-        self._next = 0.0
+        self._commands: Delayed[FloatArray] = Delayed(reality.command_rate, reality.command_delay)
 
     def drive(self, time: float, commands: FloatArray, q: FloatArray) -> FloatArray:
         """What the actuators do at a time (s): ctrl (nu,).
@@ -258,7 +256,9 @@ class RealDrive:
             commands: The controller's (nu,), of now.
             q: True joints (nq,).
         """
-        acting = np.clip(self._arrived(time, commands), self._low, self._high)
+        if self._commands.due(time):
+            self._commands.add(time, commands.copy())
+        acting = np.clip(self._commands.newest(time)[1], self._low, self._high)
         acting -= self._shift @ encoder_error(self._drawn, q)
         return acting if not self._half_band.any() else self._in_gear(acting, q)
 
@@ -277,15 +277,3 @@ class RealDrive:
         lost = np.clip(pull, -band, band)
         self._ahead = self._to_joints @ (lost / np.where(self._servo > 0, self._servo, 1.0))
         return np.asarray(idle + pull - lost)
-
-    def _arrived(self, time: float, commands: FloatArray) -> FloatArray:
-        """The newest commands that act; before any does, the first ones."""
-        rate = self._reality.command_rate
-        if time >= self._next - TIME_TOL:
-            if rate > 0:
-                self._next = (math.floor(time * rate + TIME_TOL) + 1) / rate
-            self._under_way.append((time, commands.copy()))
-        due = time - self._reality.command_delay + TIME_TOL
-        while len(self._under_way) > 1 and self._under_way[1][0] <= due:
-            self._under_way.popleft()
-        return self._under_way[0][1]

@@ -1,9 +1,9 @@
 """Tactile pads: arrays of taxels, what follows from their images, and cheaper senses of touch."""
 
-from sim.controllers.touch import EXACT
+from sim.controllers.readings import EXACT
 from sim.tactile.binary import BinarySense
 from sim.tactile.effort import EffortSense
-from sim.tactile.estimate import ContactEstimate, ContactEstimator, FrictionWatch
+from sim.tactile.estimate import ContactEstimate, ContactEstimator, TaxelFrictionEstimator
 from sim.tactile.exact import (
     PadContact,
     contact_image,
@@ -22,7 +22,7 @@ from sim.tactile.senses import (
     make_sense,
     register_touch,
 )
-from sim.tactile.slip import SlipWatch
+from sim.tactile.slip import TaxelSlipDetector
 from sim.tactile.taxels import TaxelSense
 
 __all__ = [
@@ -33,12 +33,12 @@ __all__ = [
     "ContactEstimator",
     "EffortSense",
     "ExactSense",
-    "FrictionWatch",
     "PadContact",
-    "SlipWatch",
     "TaxelArray",
+    "TaxelFrictionEstimator",
     "TaxelLayout",
     "TaxelSense",
+    "TaxelSlipDetector",
     "Texture",
     "TouchContext",
     "TouchSense",

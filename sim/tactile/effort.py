@@ -20,8 +20,7 @@ import pinocchio as pin
 
 from planner.spatial import FloatArray, skew
 from sim.controllers import Observation
-from sim.controllers.loads import HandLoads
-from sim.controllers.motors import joint_drag
+from sim.controllers.hand_dynamics import HandLoads, joint_drag
 from sim.tactile.senses import PlannedPads, TouchContext, register_touch
 
 LEAST_FORCE, LOST_FORCE = 0.12, 0.04

@@ -6,7 +6,7 @@ normal force in the chart of the pad; the force is the sum over the taxels, each
 the normal is that of the pad's sphere there. Who has the pose of the pad's body turns it all into
 the world (``sim.tactile.taxels``).
 
-``FrictionWatch``: the friction of n pads, from how far their shear spreads.
+``TaxelFrictionEstimator``: the friction of n pads, from how far their shear spreads.
 
 Where a share (used) of the friction cone is in use, the shear is spread wider than the pressure by
 (1 - (1 - used)^(5/3)) / used, 5/3 at no load and 1 at the edge (``sim.tactile.exact``). With the
@@ -163,7 +163,7 @@ RATIO_NOISE = 0.03
 """Standard deviation (-) of r, as a share of it."""
 
 
-class FrictionWatch:
+class TaxelFrictionEstimator:
     """Friction of n pads over time.
 
     Attributes:

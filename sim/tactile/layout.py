@@ -27,6 +27,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -169,6 +170,52 @@ TIME_TOL = 1e-9
 """Times that differ by less (s) are the same: rounding of sums of time steps."""
 
 
+T = TypeVar("T")
+
+
+class Delayed(Generic[T]):
+    """What is sampled at a rate and arrives late.
+
+    Attributes:
+        before: The sample that arrived before the newest, with its time (s); None without.
+    """
+
+    def __init__(self, rate: float, delay: float) -> None:
+        """Nothing has been sampled.
+
+        Args:
+            rate: Hz; 0 for every time step.
+            delay: From a sample to its arrival, s.
+        """
+        self._rate, self._delay, self._next = rate, delay, -math.inf
+        self._under_way: deque[tuple[float, T]] = deque()
+        self.before: tuple[float, T] | None = None
+
+    def due(self, now: float) -> bool:
+        """Whether a sample is taken at a time (s), never earlier than at the last call."""
+        if now < self._next - TIME_TOL:
+            return False
+        if self._rate > 0:
+            self._next = (math.floor(now * self._rate + TIME_TOL) + 1) / self._rate
+        return True
+
+    def add(self, now: float, sample: T) -> None:
+        """Send a sample on its way at a time (s)."""
+        self._under_way.append((now, sample))
+
+    @property
+    def last_time(self) -> float | None:
+        """When the last sample was taken, s; None before the first."""
+        return self._under_way[-1][0] if self._under_way else None
+
+    def newest(self, now: float) -> tuple[float, T]:
+        """When the newest sample that has arrived was taken (s), and it; at first the oldest."""
+        waiting = self._under_way
+        while len(waiting) > 1 and waiting[1][0] <= now - self._delay + TIME_TOL:
+            self.before = waiting.popleft()
+        return waiting[0]
+
+
 class TaxelArray:
     """One array over time.
 
@@ -188,9 +235,8 @@ class TaxelArray:
         self._alive = np.ones((*layout.shape, 1))
         for row, column in layout.array.dead:
             self._alive[row, column] = 0.0
-        self._under_way: deque[tuple[float, FloatArray]] = deque()
-        self._newest: tuple[float, FloatArray] = (0.0, np.zeros((*layout.shape, 3)))
-        self._next = -math.inf
+        self._images: Delayed[FloatArray] = Delayed(layout.array.rate, layout.array.latency)
+        self._nothing = 0.0, np.zeros((*layout.shape, 3))
 
     def read(self, time: float, exact: FloatArray) -> tuple[float, FloatArray]:
         """When the newest image that has arrived was taken (s), and the image.
@@ -199,14 +245,11 @@ class TaxelArray:
             time: Now, s; never earlier than at the last call.
             exact: What perfect taxels would read now, (rows, columns, 3), N.
         """
-        array = self.layout.array
-        if time >= self._next - TIME_TOL:
-            if array.rate > 0:
-                self._next = (math.floor(time * array.rate + TIME_TOL) + 1) / array.rate
-            self._under_way.append((time, self.measured(exact)))
-        while self._under_way and self._under_way[0][0] <= time - array.latency + TIME_TOL:
-            self._newest = self._under_way.popleft()
-        return self._newest
+        if self._images.due(time):
+            self._images.add(time, self.measured(exact))
+        taken, image = self._images.newest(time)
+        arrived = taken <= time - self.layout.array.latency + TIME_TOL
+        return (taken, image) if arrived else self._nothing
 
     def measured(self, exact: FloatArray) -> FloatArray:
         """An image (rows, columns, 3) with noise, without what is below the threshold or dead."""

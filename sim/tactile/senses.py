@@ -16,21 +16,20 @@ fingertip moves otherwise than the rigid body that the others hold.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import NotFoundError, TaskError
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
+from planner.registry import Registry
 from planner.spatial import SE3, FloatArray, cross, skew
-from planner.system.plugins import plugin
-from sim.contacts.pads import body_twist
+from sim.contacts.reading import body_twist
 from sim.controllers import Observation, PadReading, TouchReading
-from sim.controllers.touch import EXACT
+from sim.controllers.readings import EXACT
 from sim.scene import HAND_PREFIX, Scene
 from sim.tactile.exact import layouts_of
 from sim.tactile.layout import TaxelLayout
@@ -67,21 +66,10 @@ class TouchContext:
 MakeSense: TypeAlias = Callable[[TouchContext], TouchSense]
 """What makes a sense for a trial."""
 
-_SENSES: dict[str, MakeSense] = {}
-
-TOUCH_SENSES: Mapping[str, MakeSense] = _SENSES
+TOUCH_SENSES: Registry[MakeSense] = Registry("sense of touch", group="senses")
 """Senses by their names."""
 
-
-def register_touch(name: str, make: MakeSense) -> MakeSense:
-    """Make a sense of touch known by a name, and return what makes it.
-
-    Raises:
-        TaskError: Another one has that name.
-    """
-    if _SENSES.setdefault(name, make) is not make:
-        raise TaskError(f"there is a sense of touch {name!r} already; give another name")
-    return make
+register_touch = TOUCH_SENSES.add
 
 
 def check_touch(name: str) -> str:
@@ -90,10 +78,7 @@ def check_touch(name: str) -> str:
     Raises:
         NotFoundError: There is none of that name.
     """
-    if name not in TOUCH_SENSES and (brought := plugin("senses", name)) is not None:
-        register_touch(name, brought)
-    if name not in TOUCH_SENSES:
-        raise NotFoundError("sense of touch", name, sorted(TOUCH_SENSES))
+    TOUCH_SENSES.named(name)
     return name
 
 
@@ -103,7 +88,7 @@ def make_sense(name: str, context: TouchContext) -> TouchSense:
     Raises:
         NotFoundError: There is none of that name.
     """
-    return TOUCH_SENSES[check_touch(name)](context)
+    return TOUCH_SENSES.named(name)(context)
 
 
 class ExactSense:

@@ -1,4 +1,4 @@
-"""``SlipWatch``: which pads slip, from the shiver of their taxels.
+"""``TaxelSlipDetector``: which pads slip, from the shiver of their taxels.
 
 While a pad sticks or rolls, the texture under its taxels stays the same, whatever the force does
 (``GainTracker``). When the object slides, another texture comes under them. Gains are
@@ -12,7 +12,7 @@ single difference a jerk, many a creep.
 ``GainTracker``: how much more or less each taxel reads than a smooth patch would give it.
 
 These gains are the texture under the taxels (``sim.tactile.layout``). While a pad sticks or rolls
-they stay what they are, whatever the force does. Called by ``SlipWatch`` once per image and pad.
+they stay what they are, whatever the force does. ``TaxelSlipDetector`` asks once per image and pad.
 
 Place, force and width of the patch are fitted so that the known gains explain the image best
 (``fit_patches``). What the fit cannot explain is a change of the gains. They are known from
@@ -22,7 +22,7 @@ a slow average; a taxel that has just been loaded takes part once it is known.
 
 A patch is that of ``sim.tactile.exact``: Gauss-Newton steps on the logarithms of the forces. All
 pads of a hand are fitted together, because calling NumPy costs more than a dozen taxels do. Called
-by ``SlipWatch`` once per time step, with what each ``GainTracker`` knows.
+by ``TaxelSlipDetector`` once per time step, with what each ``GainTracker`` knows.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ SHARED = 1.5
 neighbouring differences share a block, and are correlated by one half."""
 
 LEAST_FORCE = 0.25
-"""Normal force (N) below which a pad is too lightly loaded to tell."""
+"""Normal force (N) below which a pad is too unloaded loaded to tell."""
 
 LEAST_NOISE = 0.01
 """Noise (-) that is expected of the best array."""
@@ -80,11 +80,11 @@ TIME_TOL = 1e-9
 """Times that differ by less (s) are the same: rounding of sums of time steps."""
 
 
-class SlipWatch:
+class TaxelSlipDetector:
     """Slips of n pads over time.
 
     Attributes:
-        shiver: (n,), largest sum of squared changes beyond noise (-); see ``ALARM``.
+        gain_change: (n,), largest sum of squared changes beyond noise (-); see ``ALARM``.
         slipping: (n,), which pads slip now.
     """
 
@@ -96,8 +96,8 @@ class SlipWatch:
         """
         n = len(layouts)
         self._pads = [_Pad(layout) for layout in layouts]
-        self._taken, self._told = np.full((2, n), -np.inf)
-        self.shiver = np.zeros(n)
+        self._taken, self._alarmed = np.full((2, n), -np.inf)
+        self.gain_change = np.zeros(n)
         self.slipping: NDArray[np.bool_] = np.zeros(n, dtype=bool)
 
     def step(
@@ -112,17 +112,17 @@ class SlipWatch:
         """
         elapsed, self._taken = times - self._taken, times.copy()
         new = np.flatnonzero(elapsed > 0.0).tolist()
-        patches = [self._pads[k].look(float(elapsed[k]), images[k], seen[k]) for k in new]
+        patches = [self._pads[k].patch(float(elapsed[k]), images[k], seen[k]) for k in new]
         shown = [one for one in patches if one is not None]
         changes = iter(fit_patches(shown))
         for k, patch in zip(new, patches, strict=True):
             pad = self._pads[k]
             if patch is not None:
                 pad.learn(float(elapsed[k]), patch, next(changes))
-            self.shiver[k] = pad.blocks.shiver
+            self.gain_change[k] = pad.blocks.gain_change
             if pad.blocks.alarm:
-                self._told[k] = times[k]
-            self.slipping[k] = times[k] - self._told[k] <= HOLD
+                self._alarmed[k] = times[k]
+            self.slipping[k] = times[k] - self._alarmed[k] <= HOLD
 
 
 class _Pad:
@@ -133,29 +133,29 @@ class _Pad:
         taxels = layout.array.rows * layout.array.columns
         self.blocks = _Blocks(taxels, max(layout.array.noise, LEAST_NOISE) ** 2)
 
-    def look(self, elapsed: float, image: FloatArray, seen: ContactEstimate) -> Patch | None:
+    def patch(self, elapsed: float, image: FloatArray, seen: ContactEstimate) -> Patch | None:
         """What of an image is to be fitted; None where it tells nothing."""
-        lightly = seen.normal_force < LEAST_FORCE
-        if lightly or elapsed > LONGEST:
-            self._gains.forget()
-            self.blocks.forget()
-        patch = None if lightly else self._gains.look(image, seen)
-        if patch is None and not lightly:
+        unloaded = seen.normal_force < LEAST_FORCE
+        if unloaded or elapsed > LONGEST:
+            self._gains.reset()
+            self.blocks.reset()
+        patch = None if unloaded else self._gains.patch(image, seen)
+        if patch is None and not unloaded:
             self.blocks.add(min(elapsed, LONGEST))
         return patch
 
     def learn(self, elapsed: float, patch: Patch, change: FloatArray | None) -> None:
         """Take over what the fit left of an image; None of no fit."""
         elapsed = min(elapsed, LONGEST)
-        told = None if change is None else self._gains.learn(elapsed, patch, change)
-        self.blocks.add(elapsed, told)
+        known = None if change is None else self._gains.learn(elapsed, patch, change)
+        self.blocks.add(elapsed, known)
 
 
 class _Blocks:
     """Gains of one pad by blocks of ``BLOCK``, the newest last.
 
     Attributes:
-        shiver: Largest sum of squared changes beyond noise (-).
+        gain_change: Largest sum of squared changes beyond noise (-).
         alarm: Whether one of the sums is a slip.
     """
 
@@ -164,18 +164,18 @@ class _Blocks:
         self._sums, self._loaded = np.zeros((2, MOST, taxels))
         self._images = np.zeros(MOST)
         self._time, self._filled = 0.0, 0
-        self.shiver, self.alarm = 0.0, False
+        self.gain_change, self.alarm = 0.0, False
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """The contact is another one from now on."""
         self._sums[:] = self._loaded[:] = self._images[:] = 0.0
         self._time, self._filled = 0.0, 0
-        self.shiver, self.alarm = 0.0, False
+        self.gain_change, self.alarm = 0.0, False
 
-    def add(self, elapsed: float, told: tuple[NDArray[np.intp], FloatArray] | None = None) -> None:
-        """Take over an image: its loaded taxels (n,) and their gains (n,), if it told any."""
-        if told is not None:
-            taxels, gains = told
+    def add(self, elapsed: float, known: tuple[NDArray[np.intp], FloatArray] | None = None) -> None:
+        """Take over an image: its loaded taxels (n,) and their gains (n,), if any is known."""
+        if known is not None:
+            taxels, gains = known
             self._sums[-1, taxels] += gains
             self._loaded[-1, taxels] += 1.0
         self._images[-1] += 1.0
@@ -190,7 +190,7 @@ class _Blocks:
         self._time = 0.0
 
     def _judge(self) -> None:
-        self.shiver, self.alarm = 0.0, False
+        self.gain_change, self.alarm = 0.0, False
         used = np.flatnonzero(self._loaded[-1])
         sums, loaded = self._sums[:, used], self._loaded[:, used]
         for length, counts in SCALES:
@@ -206,8 +206,8 @@ class _Blocks:
             freedom = np.maximum(both.sum(axis=1) - FITTED, 0)
             square = (np.diff(mean, axis=0) ** 2 * both).sum(axis=1) / np.maximum(freedom, 1)
             noise = self._noise * (1.0 / images[1:] + 1.0 / images[:-1])
-            told = freedom > 0
-            self._sum_up(counts, freedom, (square - noise) * told, noise * told)
+            enough = freedom > 0
+            self._sum_up(counts, freedom, (square - noise) * enough, noise * enough)
 
     def _sum_up(
         self, counts: tuple[int, ...], freedom: FloatArray, excess: FloatArray, noise: FloatArray
@@ -219,7 +219,7 @@ class _Blocks:
             if known < 1.0:
                 continue
             change, expected = sum(beyond[-count:]), sum(usual[-count:])
-            self.shiver = max(self.shiver, change)
+            self.gain_change = max(self.gain_change, change)
             self.alarm |= change > max(ALARM, expected * (_unlikely(known) - 1.0))
 
 
@@ -258,11 +258,11 @@ class GainTracker:
         self._layout = layout
         self._age = np.zeros(count)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """The contact is another one from now on."""
         self._age[:] = 0.0
 
-    def look(self, image: FloatArray, seen: ContactEstimate) -> Patch | None:
+    def patch(self, image: FloatArray, seen: ContactEstimate) -> Patch | None:
         """What is to be fitted to an image; None where too few taxels are loaded.
 
         Args:
@@ -297,7 +297,7 @@ class GainTracker:
 
         Args:
             elapsed: Since the last image, s.
-            patch: What was fitted: the result of the last ``look``.
+            patch: What was fitted: the result of the last ``patch``.
             change: (taxels,), what was left.
         """
         taxels = patch.taxels

@@ -17,11 +17,11 @@ import numpy as np
 
 from planner.spatial import FloatArray
 from sim.controllers import Observation, PadReading, TouchReading
-from sim.tactile.estimate import ContactEstimate, ContactEstimator, FrictionWatch
+from sim.tactile.estimate import ContactEstimate, ContactEstimator, TaxelFrictionEstimator
 from sim.tactile.exact import exact_images, layouts_of
 from sim.tactile.layout import SHARE, TaxelArray, Texture
 from sim.tactile.senses import PadBodies, TouchContext, pad_reading, register_touch
-from sim.tactile.slip import SlipWatch
+from sim.tactile.slip import TaxelSlipDetector
 
 
 class TaxelSense:
@@ -56,8 +56,8 @@ class TaxelSense:
             for layout, rng in zip(self._layouts, own[1::2], strict=True)
         ]
         self._estimators = [ContactEstimator(layout) for layout in self._layouts]
-        self.slips = SlipWatch(self._layouts)
-        self.friction = FrictionWatch([one.array.spacing for one in self._layouts])
+        self.slips = TaxelSlipDetector(self._layouts)
+        self.friction = TaxelFrictionEstimator([one.array.spacing for one in self._layouts])
         self.estimates: tuple[ContactEstimate, ...] = ()
         self.touch = self.fullest = TouchReading.nothing()
         self._most = 0

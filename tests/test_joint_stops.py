@@ -12,11 +12,11 @@ from test_actuation import make, tendon_finger
 
 from planner.joints.actuation import STOP_TOL
 from planner.spatial import FloatArray
-from sim.controllers.believed import (
+from sim.controllers.joint_stops import (
     LEAST_EFFORT,
     MOST_OFF,
     STILL_TIME,
-    BelievedJoints,
+    StopCorrection,
     servo_commands,
 )
 
@@ -27,7 +27,7 @@ DT = 0.002
 
 
 def felt(
-    joints: BelievedJoints,
+    joints: StopCorrection,
     q: FloatArray,
     duration: float,
     *,
@@ -36,7 +36,7 @@ def felt(
 ) -> None:
     """The stops feel an effort for a time."""
     for _ in range(round(duration / DT)):
-        joints.feel(DT, q, np.zeros(2) if v is None else v, pressing)
+        joints.update(DT, q, np.zeros(2) if v is None else v, pressing)
 
 
 def test_a_stop_that_the_plan_leans_on_carries_in_spite_of_the_reading() -> None:
@@ -44,7 +44,7 @@ def test_a_stop_that_the_plan_leans_on_carries_in_spite_of_the_reading() -> None
     read = np.array([0.53, 0.48])  # 0.05 open: a plan would say that nothing carries
     torque = np.array([0.3, 0.1])  # 0.2 (1, 1) + 0.1 (1, -1)
     assert finger.split_torque(read, torque)[1] == pytest.approx([0.0])
-    believed = BelievedJoints(finger, BENT).believe(read)
+    believed = StopCorrection(finger, BENT).corrected(read)
     np.testing.assert_allclose(believed, [0.505, 0.505], atol=1e-12)
     force, stop = finger.split_torque(believed, torque)
     assert (force[0], stop[0]) == pytest.approx((0.2, 0.1))
@@ -53,26 +53,26 @@ def test_a_stop_that_the_plan_leans_on_carries_in_spite_of_the_reading() -> None
 def test_what_the_plan_leaves_open_stays_open() -> None:
     finger = tendon_finger()
     read = np.array([0.53, 0.48])
-    assert BelievedJoints(finger, OPEN).believe(read) is read
-    joints = BelievedJoints(finger, BENT)
-    joints.lean_on(OPEN)
-    assert joints.believe(read) is read
+    assert StopCorrection(finger, OPEN).corrected(read) is read
+    joints = StopCorrection(finger, BENT)
+    joints.set_posture(OPEN)
+    assert joints.corrected(read) is read
 
 
 def test_readings_that_agree_with_the_stops_are_left_as_they_are() -> None:
-    joints = BelievedJoints(tendon_finger(), BENT)
+    joints = StopCorrection(tendon_finger(), BENT)
     for gap in (-0.9 * STOP_TOL, 0.0, 0.9 * STOP_TOL, 1.01 * MOST_OFF):
         read = np.array([0.5 + gap, 0.5])
-        assert joints.believe(read) is read
-    motors = BelievedJoints(make([[1, 0], [0, 1]], [[1, 0]], [0.0]), np.zeros(2))
+        assert joints.corrected(read) is read
+    motors = StopCorrection(make([[1, 0], [0, 1]], [[1, 0]], [0.0]), np.zeros(2))
     assert not motors.acts  # a stop along a motor carries nothing that the motor cannot
     read = np.array([0.05, 0.0])
-    assert motors.believe(read) is read
+    assert motors.corrected(read) is read
 
 
 def test_no_joint_is_beyond_its_stop() -> None:
-    joints = BelievedJoints(tendon_finger(), OPEN)
-    np.testing.assert_allclose(joints.believe(np.array([0.4, 0.5])), [0.45, 0.45], atol=1e-12)
+    joints = StopCorrection(tendon_finger(), OPEN)
+    np.testing.assert_allclose(joints.corrected(np.array([0.4, 0.5])), [0.45, 0.45], atol=1e-12)
 
 
 @given(
@@ -87,30 +87,30 @@ def test_a_correction_closes_the_stop_and_keeps_the_tendon(
     """Least change: along the stop's row only, and a tendon over both keeps its length."""
     hand = make([[pull, pull, 0.0], [0.0, 0.0, 1.0]], [[1, -1, 0], [0, 0, 1]], [0.0, -1.0])
     read = np.array([middle + gap, middle, other])
-    believed = BelievedJoints(hand, np.array([middle, middle, other])).believe(read)
+    believed = StopCorrection(hand, np.array([middle, middle, other])).corrected(read)
     assert believed[0] - believed[1] == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(hand.moment @ believed, hand.moment @ read, atol=1e-12)
 
 
 def test_effort_at_rest_confirms_where_a_stop_is() -> None:
-    joints = BelievedJoints(tendon_finger(), BENT)
+    joints = StopCorrection(tendon_finger(), BENT)
     read = np.array([0.53, 0.48])
     felt(joints, read, STILL_TIME + DT)
     assert joints.offset == pytest.approx([0.05])
-    joints.lean_on(OPEN)  # no plan needs to say so from now on
-    np.testing.assert_allclose(joints.believe(read), [0.505, 0.505], atol=1e-12)
+    joints.set_posture(OPEN)  # no plan needs to say so from now on
+    np.testing.assert_allclose(joints.corrected(read), [0.505, 0.505], atol=1e-12)
     # 0.08 open as read is 0.03 open
-    moved = joints.believe(np.array([0.56, 0.48]))
+    moved = joints.corrected(np.array([0.56, 0.48]))
     assert moved[0] - moved[1] == pytest.approx(0.03)
 
 
 def test_a_reading_below_the_stop_is_an_offset_too() -> None:
-    joints = BelievedJoints(tendon_finger(), BENT)
+    joints = StopCorrection(tendon_finger(), BENT)
     felt(joints, np.array([0.47, 0.52]), STILL_TIME + DT)
     assert joints.offset == pytest.approx([-0.05])
-    joints.lean_on(OPEN)
+    joints.set_posture(OPEN)
     # read as closed, open by 0.05
-    moved = joints.believe(np.array([0.5, 0.5]))
+    moved = joints.corrected(np.array([0.5, 0.5]))
     assert moved[0] - moved[1] == pytest.approx(0.05)
 
 
@@ -125,7 +125,7 @@ def test_a_reading_below_the_stop_is_an_offset_too() -> None:
     ],
 )
 def test_what_is_no_evidence(gap: float, duration: float, effort: float, rate: float) -> None:
-    joints = BelievedJoints(tendon_finger(), BENT)
+    joints = StopCorrection(tendon_finger(), BENT)
     read = np.array([0.5 + gap, 0.5])
     pressing = np.array([effort * LEAST_EFFORT])
     felt(joints, read, duration, pressing=pressing, v=np.array([rate, 0.0]))

@@ -1,8 +1,8 @@
-"""``BelievedJoints``: where joints are, by their encoders and by the stops that they must lean on.
+"""``StopCorrection``: where joints are, by their encoders and by the stops that they must lean on.
 
 An encoder is off by a degree or three. Where a tendon drives two joints, a stop carries what the
 tendon cannot, and a controller that takes the stop for open can exert no force: 0.01 rad decide.
-Called by the controllers of this room before they turn torques into commands.
+Called by controllers before they turn torques into commands.
 
 A stop carries (its gap counts as closed) if the reading says so within ``STOP_TOL``, as in a plan;
 or if the plan leans on it and the reading is within ``MOST_OFF``: a load that presses on an open
@@ -37,7 +37,7 @@ STILL_RATE, STILL_TIME = 0.1, 0.03
 effort moves a distal link of 1e-5 kg m^2 by a radian in that time."""
 
 
-class BelievedJoints:
+class StopCorrection:
     """Corrects readings by stops; exact readings it leaves as they are.
 
     Attributes:
@@ -45,7 +45,7 @@ class BelievedJoints:
     """
 
     def __init__(self, actuation: Actuation, planned: FloatArray) -> None:
-        """Lean on the stops that a planned posture (nq,) leans on."""
+        """Take as closed the stops that a planned posture (nq,) leans on."""
         self._rows, self._values = actuation.stop_rows, actuation.stop_values
         self._carrying = np.zeros(len(self._values), dtype=bool)
         self._carrying[actuation.carrying_stops] = True
@@ -54,24 +54,24 @@ class BelievedJoints:
         self._planned: NDArray[np.bool_] = self._carrying.copy()
         self._rested = np.zeros(len(self._values))
         self._idle = not self._carrying.any()
-        self.lean_on(planned)
+        self.set_posture(planned)
 
     @property
     def acts(self) -> bool:
         """Whether the hand has stops that carry what no actuator can."""
         return not self._idle
 
-    def lean_on(self, planned: FloatArray) -> None:
+    def set_posture(self, planned: FloatArray) -> None:
         """Go on to another planned posture (nq,)."""
         if not self._idle:
             self._planned = self._carrying & (self._gaps(planned) <= STOP_TOL)
 
-    def corrected(self, offset: FloatArray) -> None:
+    def remove_offset(self, offset: FloatArray) -> None:
         """From now on readings come without an offset (nq,), rad."""
         self.offset = self.offset - self._rows @ offset
 
-    def believe(self, q: FloatArray) -> FloatArray:
-        """Joints (nq,) that agree with the stops; the array given itself if readings do already."""
+    def corrected(self, q: FloatArray) -> FloatArray:
+        """Joints (nq,) that agree with the stops; the same array if readings do already."""
         if self._idle:
             return q
         gaps = self._gaps(q)
@@ -87,7 +87,7 @@ class BelievedJoints:
         rows = self._rows[moved]
         return np.asarray(q - np.linalg.lstsq(rows, change[moved], rcond=None)[0])
 
-    def feel(self, elapsed: float, q: FloatArray, v: FloatArray, pressing: FloatArray) -> None:
+    def update(self, elapsed: float, q: FloatArray, v: FloatArray, pressing: FloatArray) -> None:
         """Take over what effort says of the stops.
 
         Args:
@@ -112,21 +112,21 @@ class BelievedJoints:
 
 
 def servo_commands(
-    actuation: Actuation, read: FloatArray, believed: FloatArray, v: FloatArray, torque: FloatArray
+    actuation: Actuation, read: FloatArray, corrected: FloatArray, v: FloatArray, torque: FloatArray
 ) -> FloatArray:
-    """Commands (nu,) for joint torques (nq,) at believed joints, for servos that read others.
+    """Commands (nu,) for joint torques (nq,) at corrected joints, for servos that read others.
 
     Args:
         actuation: The hand's.
         read: Joints (nq,) as the servos' encoders have them.
-        believed: Joints (nq,) where the stops are looked at.
+        corrected: Joints (nq,) where the stops are looked at.
         v: Rates (nq,).
         torque: Wanted (nq,), N m.
     """
-    ctrl = actuation.commands(believed, v, torque)
-    if believed is read:
+    ctrl = actuation.commands(corrected, v, torque)
+    if corrected is read:
         return ctrl
     servo = -actuation.bias[:, 1] / actuation.gain
-    ctrl = ctrl + servo * (actuation.moment @ (read - believed))
+    ctrl = ctrl + servo * (actuation.moment @ (read - corrected))
     low, high = actuation.ctrl_range.T
     return np.asarray(np.clip(ctrl, low, high))

@@ -14,7 +14,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers import Observation, PadReading
 from sim.controllers.calibration import Calibration
-from sim.controllers.retouch import CLOSE_TIME, LONGEST, OPEN_TIME, TouchAgain, closed
+from sim.controllers.grasp import CLOSE_TIME, LONGEST, OPEN_TIME, Reclosing, closing_ended
 
 DT = 0.002
 
@@ -46,7 +46,7 @@ def off_by(plan: GraspPlan, degrees: float) -> FloatArray:
 
 def test_exact_joints_touch_once_and_are_left_alone(plan: GraspPlan) -> None:
     calibration = Calibration(plan)
-    closing = TouchAgain(plan, calibration)
+    closing = Reclosing(plan, calibration)
     seen = touching(plan, np.zeros(len(plan.q)))
     closing.step(DT, seen)
     assert calibration.estimate is not None
@@ -57,7 +57,7 @@ def test_exact_joints_touch_once_and_are_left_alone(plan: GraspPlan) -> None:
 
 def test_joints_that_are_off_open_and_close_where_they_are(plan: GraspPlan) -> None:
     calibration = Calibration(plan)
-    closing = TouchAgain(plan, calibration)
+    closing = Reclosing(plan, calibration)
     seen = touching(plan, off_by(plan, 3.0))
     closing.step(DT, seen)
     assert closing.again
@@ -77,7 +77,7 @@ def test_joints_that_are_off_open_and_close_where_they_are(plan: GraspPlan) -> N
 
 
 def test_a_finger_that_never_comes_does_not_keep_it_busy(plan: GraspPlan) -> None:
-    closing = TouchAgain(plan, Calibration(plan))
+    closing = Reclosing(plan, Calibration(plan))
     closing.step(DT, touching(plan, off_by(plan, 3.0)))
     free = replace(touching(plan, off_by(plan, 3.0)), normal_forces=np.zeros(4))
     for _ in range(round((OPEN_TIME + CLOSE_TIME + LONGEST) / DT) + 2):
@@ -123,11 +123,11 @@ class Busy:
 def test_a_phase_waits_as_long_as_it_did_and_longer_for_a_second_closing(plan: GraspPlan) -> None:
     felt = observe(plan, "close", force=0.5)
     none = observe(plan, "close")
-    once = closed(object(), 5 * DT, DT)
+    once = closing_ended(object(), 5 * DT, DT)
     assert [once(none) for _ in range(7)] == [False] * 5 + [True] * 2
-    assert closed(object(), 5 * DT, DT)(felt)
+    assert closing_ended(object(), 5 * DT, DT)(felt)
     busy = Busy()
-    again = closed(busy, 5 * DT, DT)
+    again = closing_ended(busy, 5 * DT, DT)
     assert not any(again(felt) for _ in range(20))
     busy.closing = False
     assert again(felt)

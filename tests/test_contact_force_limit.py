@@ -9,8 +9,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
-from sim.controllers.lightly import LIGHTEST, LightTouch
-from sim.controllers.motors import joint_drag
+from sim.controllers.hand_dynamics import CONTACT_TORQUE, ContactForceLimit, joint_drag
 
 
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand", "shadow_hand_torque"])
@@ -42,7 +41,7 @@ def test_weight_and_drag_are_let(hand: Hand) -> None:
     drag, stiction = joint_drag(hand)
     weight = weight_of(hand)
     ctrl = hand.actuation.commands(hand.neutral, v, weight + drag * v + stiction)
-    light = LightTouch(hand)
+    light = ContactForceLimit(hand)
     np.testing.assert_array_equal(light.commands(ctrl, hand.neutral, v, weight), ctrl)
 
 
@@ -54,7 +53,7 @@ def test_what_blocks_a_finger_is_pushed_lightly_and_the_wrist_is_stiff(
     held = hand.actuation.commands(hand.neutral, still, weight)
     # each actuator asks for 0.4 N m more than the weight: a servo of 3 N m/rad, 8 degrees short
     ctrl = held + sign * 0.4 / hand.actuation.gain
-    limited = LightTouch(hand).commands(ctrl, hand.neutral, still, weight)
+    limited = ContactForceLimit(hand).commands(ctrl, hand.neutral, still, weight)
     more = pushed(hand, limited, still) - pushed(hand, held, still)
-    expected = np.where(of_fingers(hand), LIGHTEST, 0.4) * sign
+    expected = np.where(of_fingers(hand), CONTACT_TORQUE, 0.4) * sign
     np.testing.assert_allclose(more, expected, atol=1e-9)

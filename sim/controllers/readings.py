@@ -3,17 +3,93 @@
 A pad that measures force in three axes and sees the surface move under it (optical pads do) gives
 the force on the object, where it acts, along which normal, and how fast the object slides over it.
 Contacts of one finger are summed; positions and velocities are means weighted by normal force.
+
+``MeasuredPose`` and ``PoseUncertainty``: when a pose was seen, and how well one is known.
+
+Both stand in an ``Observation``, beside the pose itself.
+
+``TouchReading``: what arrays of taxels read, one image per finger that takes part.
+
+Made by ``sim.tactile``; read by whoever wants more than a ``PadReading``: policies, pictures.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import ContactError, shown
-from planner.spatial import FloatArray
+from planner.spatial import SE3, FloatArray
+
+TOUCH_FORCE, LOST_FORCE = 0.1, 0.03
+"""Normal forces (N) from which on a finger touches, and below which it has lost the object: a tenth
+of what moves an object of 0.1 kg, and both far above rounding; apart, so that noise does not toggle
+them."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredPose:
+    """A measured pose of the object.
+
+    Attributes:
+        time: When it was measured, s since the start of the trial.
+        T_world_object: What was measured.
+    """
+
+    time: float
+    T_world_object: SE3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseUncertainty:
+    """What an estimator knows of the error of ``Observation.T_world_object``.
+
+    Attributes:
+        covariance: (6, 6), of the position of the object's origin, m, and of its rotation vector,
+            rad, true minus estimated, world axes.
+        known: Whether the estimate is worth acting on.
+    """
+
+    covariance: FloatArray
+    known: bool
+
+    @property
+    def position_deviation(self) -> float:
+        """Root mean square of the position's error as it is believed, m."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+    @property
+    def rotation_deviation(self) -> float:
+        """Root mean square of the rotation's error as it is believed, rad."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
+
+
+EXACT = "exact"
+"""Name of the sense of touch without error."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TouchReading:
+    """Images of n fingers; empty of a hand that has no taxels.
+
+    Attributes:
+        time: When each image was taken, (n,), s.
+        images: n arrays (rows, columns, 3): force of each taxel on what touches it, N, in the
+            taxel's own axes: outward, along the columns (around the bone), along the rows (along
+            the bone).
+    """
+
+    time: FloatArray
+    images: tuple[FloatArray, ...]
+
+    @classmethod
+    def nothing(cls) -> TouchReading:
+        """The reading of a hand that has no taxels."""
+        return cls(time=np.zeros(0), images=())
+
 
 ZERO_NOISE = 0.1
 """How far (N) below 0 a pad without contact may read: pads are zeroed, and drift by some 0.03 N."""
@@ -86,6 +162,21 @@ class PadReading:
             position=none,
             normal=none.copy(),
             sliding=none.copy(),
+        )
+
+    def moved(self, moves: Sequence[SE3]) -> PadReading:
+        """The same with the vectors of each of the n pads moved."""
+        turns = np.array([move.rotation for move in moves])
+
+        def turned(rows: FloatArray) -> FloatArray:
+            return np.asarray((turns @ rows[:, :, None])[:, :, 0])
+
+        return replace(
+            self,
+            force=turned(self.force),
+            position=turned(self.position) + np.array([move.translation for move in moves]),
+            normal=turned(self.normal),
+            sliding=turned(self.sliding),
         )
 
     @property

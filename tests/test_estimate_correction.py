@@ -15,18 +15,18 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim import simulate
 from sim.controllers import ObjectImpedance, Phase
-from sim.controllers.belief import PoseBelief
-from sim.controllers.doubt import DEVIATIONS, Doubt
+from sim.controllers.impedance import DEVIATIONS, EstimateCorrection
+from sim.controllers.readings import PoseUncertainty
 from sim.reality import Reality
 from sim.simulation import Simulation
 
 DT = 0.002
 
 
-def belief(position: float, rotation: float) -> PoseBelief:
+def uncertainty(position: float, rotation: float) -> PoseUncertainty:
     """Standard deviations (m, rad) along every axis."""
     variances = np.repeat([position**2, rotation**2], 3)
-    return PoseBelief(covariance=np.diag(variances), known=True)
+    return PoseUncertainty(covariance=np.diag(variances), known=True)
 
 
 def pose(x: FloatArray) -> SE3:
@@ -45,14 +45,14 @@ numbers = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array)
 @settings(max_examples=50)
 def test_a_motion_with_the_fingertips_is_all_seen(way: FloatArray, jump: FloatArray) -> None:
     """Whatever is in doubt, the loop answers to what the fingertips did."""
-    doubt, known = Doubt(), belief(0.01, 0.1)
+    correction, known = EstimateCorrection(), uncertainty(0.01, 0.1)
     start, twist = pose(0.01 * jump), 0.02 * way
-    wanted = doubt.gone_along(start, start, np.zeros(6), DT, known)
+    wanted = correction.follow(start, start, np.zeros(6), DT, known)
     now = start
     for _ in range(50):
         turn = pin.exp3(DT * twist[3:])
         now = SE3(turn @ now.rotation, now.translation + DT * twist[:3])
-        wanted = doubt.gone_along(wanted, now, twist, DT, known)
+        wanted = correction.follow(wanted, now, twist, DT, known)
     np.testing.assert_allclose(error(wanted, now), -50 * DT * twist, atol=1e-9)
 
 
@@ -60,23 +60,23 @@ def test_a_motion_with_the_fingertips_is_all_seen(way: FloatArray, jump: FloatAr
 @settings(max_examples=50)
 def test_what_is_taken_back_within_the_doubt_is_no_error(jump: FloatArray) -> None:
     size = np.array([0.002] * 3 + [0.03] * 3)  # within 3 standard deviations, however it points
-    doubt, known, start = Doubt(), belief(0.001, 0.015), SE3.Identity()
-    wanted = doubt.gone_along(start, start, np.zeros(6), DT, known)
+    correction, known, start = EstimateCorrection(), uncertainty(0.001, 0.015), SE3.Identity()
+    wanted = correction.follow(start, start, np.zeros(6), DT, known)
     after = pose(size * jump / np.sqrt(3.0))
-    wanted = doubt.gone_along(wanted, after, np.zeros(6), DT, known)
+    wanted = correction.follow(wanted, after, np.zeros(6), DT, known)
     np.testing.assert_allclose(error(wanted, after), 0.0, atol=1e-9)
 
 
 def test_beyond_the_doubt_the_object_moved() -> None:
-    doubt, known, start = Doubt(), belief(0.001, 0.01), SE3.Identity()
-    wanted = doubt.gone_along(start, start, np.zeros(6), DT, known)
+    correction, known, start = EstimateCorrection(), uncertainty(0.001, 0.01), SE3.Identity()
+    wanted = correction.follow(start, start, np.zeros(6), DT, known)
     after = SE3(np.eye(3), np.array([0.02, 0.0, 0.0]))
     for _ in range(3):  # as often as one looks
-        wanted = doubt.gone_along(wanted, after, np.zeros(6), DT, known)
+        wanted = correction.follow(wanted, after, np.zeros(6), DT, known)
     may = DEVIATIONS * np.sqrt(3.0) * 0.001
     np.testing.assert_allclose(error(wanted, after)[:3], [may - 0.02, 0.0, 0.0], atol=1e-12)
-    doubt.forget()  # at another wanted pose nothing was taken back yet
-    assert doubt.gone_along(start, after, np.zeros(6), DT, known) is start
+    correction.forget()  # at another wanted pose nothing was taken back yet
+    assert correction.follow(start, after, np.zeros(6), DT, known) is start
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def answered(plan: GraspPlan, phase: Phase, sliding: float, rates: float) -> flo
         for _ in simulation.run(kind, seconds):  # type: ignore[arg-type]
             pass
     now = simulation.observe(phase, 1.0)
-    controller, known = ObjectImpedance(plan), belief(0.005, 0.1)
+    controller, known = ObjectImpedance(plan), uncertainty(0.005, 0.1)
     pads = replace(now.pads, sliding=np.tile([0.0, 0.0, sliding], (len(now.pads.sliding), 1)))
     begin = None
     for k in range(51):
@@ -106,7 +106,7 @@ def answered(plan: GraspPlan, phase: Phase, sliding: float, rates: float) -> flo
                 v=np.full_like(now.v, rates),
                 T_world_object=pose,
                 read_pads=lambda: pads,
-                belief=known,
+                uncertainty=known,
             )
         )
         begin = controller.T_palm_wanted if begin is None else begin

@@ -1,1 +1,0 @@
-"""Estimators that ship, a file each; each registers itself by its name."""
