@@ -37,8 +37,7 @@ from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.field_points import Field
 from planner.synthesis.formulation import Formulation, formulate
-from planner.synthesis.loops.build import LoopProblem, loop_problem
-from planner.synthesis.loops.solver import LoopResiduals
+from planner.synthesis.loops.solver import LoopProblem, LoopResiduals, loop_problem
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals

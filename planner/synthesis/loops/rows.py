@@ -1,207 +1,206 @@
-"""The residuals of a grasp with their derivatives, in loops: what ``Residuals`` does in NumPy.
+"""What compiled terms share: rows, where the hand is, and derivatives of points that move with it.
 
-``planner.synthesis.residuals`` and its row sources say what the rows are. Here a row has the
-entries that can differ from zero, and no others: a tenth of all.
+The compiled part of a term stands in the term's file, below its part in NumPy, and appends its
+rows to ``Rows``. A row has the entries that can differ from zero, and no others: a tenth of all.
+
+numba takes long to compile views and small arrays. So loops read entries of large arrays, and all
+arrays are made beforehand. What a program computes is found at ``*_at`` in its work array.
 """
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
+from planner.hands.hand import Hand
 from planner.numerics.kernels import loops_of_kernels
-from planner.numerics.tape import run_tape
-from planner.spatial import FloatArray
-from planner.synthesis.contact_wrenches import TINY
-from planner.synthesis.loops.clearances import clearance_rows, cross, dot, gather
-from planner.synthesis.loops.field import SplineTables, taylor_at
-from planner.synthesis.loops.tables import (
-    LINKS_PLACE,
-    TAYLOR_ROW,
-    Contacts,
-    ProblemTables,
-    Rows,
-    RunTables,
-    Sources,
-    Written,
-)
-from planner.synthesis.resistance import TIE
-from planner.synthesis.terms.link_distance import LINKS, ROUNDING
-from planner.synthesis.terms.resistance import RESISTANCE_WEIGHT
-
-LINKS_WEIGHT = LINKS.weight
+from planner.spatial import FloatArray, IntArray
+from planner.synthesis.symbols import GraspSymbols
 
 
-@loops_of_kernels
-def evaluate(
-    p: ProblemTables, run: RunTables, sources: Sources, x: FloatArray
-) -> tuple[int, float]:
-    """The rows at x (n,): how many, and the largest of those that must hold.
+class Rows(NamedTuple):
+    """The weighted rows of the last evaluation.
 
-    What depends on x alone is kept where x is that of the last call.
+    Attributes:
+        values: (r,).
+        ends: Where the entries of each row end (r,).
+        columns, entries: Unknown and value of each entry.
+        least: Least value of each term that must hold and whose rows are numbers; 0 where none is
+            violated. Of term ``place``.
+        weights: Their weights.
+        count: Rows, and entries, so far (2,).
     """
-    kept, rows, work = run.kept, run.rows, run.work
-    same = kept.counts[0] >= 0
-    for k in range(len(x)):
-        same = same and x[k] == kept.x[k]
-    if not same:
-        for k in range(len(x)):
-            kept.x[k] = work[k] = x[k]
-        if p.contacts.taylor >= 0:
-            look_up(p.contacts, run.object.field, work, x)
-        run_tape(p.program, work)
-        for k in range(len(rows.least)):
-            rows.least[k] = 0.0
-        n, at = clearance_rows(
-            p.joints, p.spheres, p.hull, p.capsules, p.object, p.obstacle, run.object, run.around,
-            rows, work, x, p.contacts.taylor >= 0,
-        )  # fmt: skip
-        worst = largest(rows.values[:n])
-        n, at, worst = written_rows(p.written, rows, work, n, at, worst)
-        kept.counts[0], kept.counts[1], kept.worst[0] = n, at, worst
-    n, at, worst = kept.counts[0], kept.counts[1], kept.worst[0]
-    begin = n
-    n, at = link_rows(rows, sources, x, n, at)
-    worst = max(worst, largest(rows.values[begin:n]))
-    if len(sources.directions):
-        n, at = resistance_rows(
-            p.contacts, rows, work, sources.directions, sources.target, run.mu, run.length, x, n, at
-        )
-    return n, worst
+
+    values: FloatArray
+    ends: IntArray
+    columns: IntArray
+    entries: FloatArray
+    least: FloatArray
+    weights: FloatArray
+    count: IntArray
 
 
-@loops_of_kernels
-def largest(values: FloatArray) -> float:
-    """Largest absolute value."""
-    out = 0.0
-    for value in values:
-        out = max(out, abs(value))
-    return out
+class Joints(NamedTuple):
+    """How the hand moves; joint 0 is the base, or an arm's root.
 
-
-@loops_of_kernels
-def look_up(contacts: Contacts, field: SplineTables, work: FloatArray, x: FloatArray) -> None:
-    """Put the Taylor rows of a mesh at the contacts into the work array."""
-    for i in range(len(contacts.normals_at)):
-        point = x[contacts.first + 3 * i : contacts.first + 3 * i + 3]
-        begin = contacts.taylor + TAYLOR_ROW * i
-        for k in range(3):
-            work[begin + k] = point[k]
-        taylor_at(field, point, 2, work[begin + 3 : begin + TAYLOR_ROW])
-
-
-@loops_of_kernels
-def written_rows(
-    written: Written, rows: Rows, work: FloatArray, n: int, at: int, worst: float
-) -> tuple[int, int, float]:
-    """Append the written rows that count."""
-    entries_at, entry_columns = written.entries_at, written.entry_columns
-    columns, entries = rows.columns, rows.entries
-    begin = 0
-    for k in range(len(written.values_at)):
-        value, end = work[written.values_at[k]], written.entry_ends[k]
-        if written.both[k] or value < 0.0:
-            for j in range(begin, end):
-                columns[at], entries[at] = entry_columns[j], work[entries_at[j]]
-                at += 1
-            rows.values[n], rows.ends[n] = value, at
-            n += 1
-            if k < written.n_required:
-                worst = max(worst, abs(value))
-        begin = end
-    return n, at, worst
-
-
-@loops_of_kernels
-def link_rows(rows: Rows, sources: Sources, x: FloatArray, n: int, at: int) -> tuple[int, int]:
-    """Append the linearised distances of true links that are too small."""
-    rates, link_x = sources.link_rows, sources.link_x
-    rows.least[LINKS_PLACE] = 0.0
-    for k in range(len(rates)):
-        value = sources.link_values[k]
-        for j in range(len(x)):
-            value += rates[k, j] * (x[j] - link_x[j])
-        if value < -ROUNDING:
-            rows.least[LINKS_PLACE] = min(rows.least[LINKS_PLACE], value)
-            for j in range(len(x)):
-                if rates[k, j] != 0.0:
-                    rows.columns[at], rows.entries[at] = j, LINKS_WEIGHT * rates[k, j]
-                    at += 1
-            rows.values[n], rows.ends[n] = LINKS_WEIGHT * value, at
-            n += 1
-    return n, at
-
-
-@loops_of_kernels
-def resistance_rows(
-    contacts: Contacts,
-    rows: Rows,
-    work: FloatArray,
-    directions: FloatArray,
-    target: float,
-    mu: float,
-    length: float,
-    x: FloatArray,
-    n: int,
-    at: int,
-) -> tuple[int, int]:
-    """Append the directions of wrench in which resistance falls short of its target."""
-    g, t, z, w, slope = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    normals, slopes = np.empty(contacts.normals_at.shape), np.empty(contacts.slopes_at.shape)
-    resisted, first = np.empty(len(normals)), contacts.first
-    gather(work, contacts.normals_at, normals)
-    gather(work, contacts.slopes_at, slopes)
-    for k in range(len(directions)):
-        u = directions[k]
-        highest = -math.inf
-        for i in range(len(normals)):
-            pressed, across = part(u, x[first + 3 * i :], normals[i], length, g, t)
-            resisted[i] = pressed + mu * across
-            highest = max(highest, resisted[i])
-        best, size = 0, 0.0
-        while resisted[best] < highest - TIE:
-            best += 1
-        for i in range(6):
-            size += u[i] * u[i]
-        value = resisted[best] - target * math.sqrt(size)
-        if value < 0.0:
-            normal = normals[best]
-            pressed, across = part(u, x[first + 3 * best :], normal, length, g, t)
-            c = 1.0 + mu / across * dot(t, normal)
-            for i in range(3):
-                along = mu / across * t[i]
-                w[i], z[i] = along - c * normal[i], pressed * along - c * g[i]
-            cross(w, u[3:], slope)
-            for j in range(3):
-                slope[j] /= length
-                for i in range(3):
-                    slope[j] += z[i] * slopes[best, 3 * i + j]
-                rows.columns[at] = first + 3 * best + j
-                rows.entries[at] = RESISTANCE_WEIGHT * slope[j]
-                at += 1
-            rows.values[n], rows.ends[n] = RESISTANCE_WEIGHT * value, at
-            n += 1
-    return n, at
-
-
-@loops_of_kernels
-def part(
-    u: FloatArray,
-    point: FloatArray,
-    normal: FloatArray,
-    length: float,
-    g: FloatArray,
-    t: FloatArray,
-) -> tuple[float, float]:
-    """The force g (3,) of a wrench at a contact, its part t across the normal; sizes of both.
-
-    The contact point is the first three of ``point``.
+    Attributes:
+        twists_at: Of each joint linear and angular rate (6 nq,), in the frame of its placement.
+        rotation_at: R0 M(s) by rows (9,).
+        joints_at: Of each joint its rotation by rows, then its origin (12 (nq + 1),).
+        chains: Joints (places in q) that move what is fixed to each joint, all in one array.
+        chain_ends: Those of joint j are from ``chain_ends[j]`` to ``chain_ends[j + 1]`` (nq + 2,).
+        carried: Whether s and t move what is fixed to a joint: 1 or 0 (nq + 1,).
     """
-    g[0] = u[0] + (u[4] * point[2] - u[5] * point[1]) / length
-    g[1] = u[1] + (u[5] * point[0] - u[3] * point[2]) / length
-    g[2] = u[2] + (u[3] * point[1] - u[4] * point[0]) / length
-    pressed = -dot(g, normal)
+
+    twists_at: IntArray
+    rotation_at: IntArray
+    joints_at: IntArray
+    chains: IntArray
+    chain_ends: IntArray
+    carried: IntArray
+
+
+class HandAt(NamedTuple):
+    """Where the hand is at the last evaluation, see ``Joints``.
+
+    Attributes:
+        joints: (12 (nq + 1),).
+        twists: (6 nq,).
+        frames: Rotation and origin of an arm's root, then of what s and t move, (2, 12); m.
+        rates: ``mrp_rates`` of s (3, 3).
+    """
+
+    joints: FloatArray
+    twists: FloatArray
+    frames: FloatArray
+    rates: FloatArray
+
+
+def joint_outputs(g: GraspSymbols) -> list[ca.SX]:
+    """Expressions of ``Joints``: twists (6, nq), rotation (3, 3), frames (12, nq + 1)."""
+    frames = [g.symbolic.joint(j) for j in range(g.hand.nq + 1)]
+    placed = [ca.vertcat(ca.vec(r.T), t) for r, t in frames]
+    return [g.symbolic.joint_columns(), g.rotation.T, ca.horzcat(*placed)]
+
+
+def joints_of(hand: Hand, twists: IntArray, rotation: IntArray, frames: IntArray) -> Joints:
+    """What moves what, with the places of ``joint_outputs``.
+
+    What the arm carries is placed by the unknowns s and t, its other links by its joints.
+    """
+    moved = hand.moved_by.copy()
+    carried = np.ones(len(moved), dtype=bool)
+    if hand.arm is not None:
+        carried = moved[:, hand.arm.chain[-1]].copy()
+        moved[np.ix_(carried, hand.arm.chain)] = False
+    return Joints(
+        twists_at=twists,
+        rotation_at=rotation,
+        joints_at=frames,
+        chains=np.nonzero(moved)[1],
+        chain_ends=np.append(0, np.cumsum(moved.sum(axis=1))),
+        carried=carried.astype(np.int64),
+    )
+
+
+def hand_at(joints: Joints, root: FloatArray) -> HandAt:
+    """Places for where the hand is; an arm has a root (12,), its rotation by columns."""
+    frames = np.zeros((2, 12))
+    if len(root):
+        frames[0, :9], frames[0, 9:] = root[:9].reshape(3, 3).T.ravel(), root[9:]
+    return HandAt(
+        joints=np.zeros(len(joints.joints_at)),
+        twists=np.zeros(len(joints.twists_at)),
+        frames=frames,
+        rates=np.zeros((3, 3)),
+    )
+
+
+@loops_of_kernels
+def place_hand(p: Joints, hand: HandAt, work: FloatArray, x: FloatArray) -> None:
+    """Write where the hand is at unknowns x (n,), for which the work array is computed."""
+    for k in range(len(hand.joints)):
+        hand.joints[k] = work[p.joints_at[k]]
+    for k in range(len(hand.twists)):
+        hand.twists[k] = work[p.twists_at[k]]
+    for k in range(9):
+        hand.frames[1, k] = work[p.rotation_at[k]]
+    for k in range(3):
+        hand.frames[1, 9 + k] = x[3 + k]
+    out = hand.rates
+    a, b, c = x[0], x[1], x[2]
+    n = a * a + b * b + c * c
+    d, k4 = 1 - n, 4 / (1 + n) ** 2
+    out[0, 0], out[0, 1] = k4 * (d + 2 * a * a), k4 * (2 * (a * b + c))
+    out[0, 2], out[1, 0] = k4 * (2 * (a * c - b)), k4 * (2 * (a * b - c))
+    out[1, 1], out[1, 2] = k4 * (d + 2 * b * b), k4 * (2 * (b * c + a))
+    out[2, 0], out[2, 1] = k4 * (2 * (a * c + b)), k4 * (2 * (b * c - a))
+    out[2, 2] = k4 * (d + 2 * c * c)
+
+
+@loops_of_kernels
+def move(hand: HandAt, joint: int, points: FloatArray, k: int, out: FloatArray) -> None:
+    """Point k (3,) of points fixed to a joint, in the frame of base, flange or root."""
+    o, r = 12 * joint, hand.joints
     for i in range(3):
-        t[i] = g[i] + pressed * normal[i]
-    return pressed, math.sqrt(dot(t, t) + TINY)
+        at = o + 3 * i
+        out[k, i] = (
+            r[at] * points[k, 0]
+            + r[at + 1] * points[k, 1]
+            + r[at + 2] * points[k, 2]
+            + r[o + 9 + i]
+        )
+
+
+@loops_of_kernels
+def point_row(
+    p: Joints,
+    hand: HandAt,
+    rows: Rows,
+    place: int,
+    joint: int,
+    local: FloatArray,
+    k: int,
+    gap: float,
+    slopes: FloatArray,
+    s: int,
+) -> None:
+    """Append the gap of point k (3,) that moves with a joint, with slope s (3,).
+
+    See ``planner.synthesis.terms.hand_points`` for the derivatives.
+    """
+    weight, at, f = rows.weights[place], rows.count[1], p.carried[joint]
+    rows.least[place] = min(rows.least[place], gap)
+    d0, d1, d2 = slopes[s, 0], slopes[s, 1], slopes[s, 2]
+    b0, b1, b2 = local[k, 0], local[k, 1], local[k, 2]
+    turn, columns, entries = hand.frames, rows.columns, rows.entries
+    a0 = d0 * turn[f, 0] + d1 * turn[f, 3] + d2 * turn[f, 6]
+    a1 = d0 * turn[f, 1] + d1 * turn[f, 4] + d2 * turn[f, 7]
+    a2 = d0 * turn[f, 2] + d1 * turn[f, 5] + d2 * turn[f, 8]
+    m0, m1, m2 = b1 * a2 - b2 * a1, b2 * a0 - b0 * a2, b0 * a1 - b1 * a0
+    if f == 1:
+        rates = hand.rates
+        for i in range(3):
+            columns[at + i], columns[at + 3 + i] = i, 3 + i
+            entries[at + i] = weight * (m0 * rates[0, i] + m1 * rates[1, i] + m2 * rates[2, i])
+            entries[at + 3 + i] = weight * slopes[s, i]
+        at += 6
+    twists = hand.twists
+    for c in range(p.chain_ends[joint], p.chain_ends[joint + 1]):
+        j = p.chains[c]
+        t = 6 * j
+        rate = twists[t] * a0 + twists[t + 1] * a1 + twists[t + 2] * a2
+        rate += twists[t + 3] * m0 + twists[t + 4] * m1 + twists[t + 5] * m2
+        columns[at], entries[at] = 6 + j, weight * rate
+        at += 1
+    end_row(rows, weight * gap, at)
+
+
+@loops_of_kernels
+def end_row(rows: Rows, value: float, end: int) -> None:
+    """Finish a row whose entries have been appended: its weighted value, where they end."""
+    n = rows.count[0]
+    rows.values[n], rows.ends[n] = value, end
+    rows.count[0], rows.count[1] = n + 1, end

@@ -67,19 +67,22 @@ class HandPoints:
             out[:, :6] *= carried
             along = np.where(carried, along, directions @ placement.root)
             moments = _cross(at, along)
-        self._unknowns.q(out.T)[:] = self._by_joints(placement, which, along, moments).T
+        self._unknowns.q(out.T)[:] = self._by_joints(placement.columns, which, along, moments).T
         return out
 
     def joint_rows(
-        self, placement: Placement, which: IntArray, at: FloatArray, directions: FloatArray
+        self, twists: FloatArray, which: IntArray, at: FloatArray, directions: FloatArray
     ) -> FloatArray:
-        """Derivatives (k, nq) by the joints alone, along directions (k, 3) of the base's frame."""
-        return self._by_joints(placement, which, directions, _cross(at, directions))
+        """Derivatives (k, nq) by the joints alone, along directions (k, 3) of the base's frame.
+
+        Twists of the joints are (nq, 6), see ``Placement``.
+        """
+        return self._by_joints(twists, which, directions, _cross(at, directions))
 
     def _by_joints(
-        self, placement: Placement, which: IntArray, along: FloatArray, moments: FloatArray
+        self, twists: FloatArray, which: IntArray, along: FloatArray, moments: FloatArray
     ) -> FloatArray:
-        rates = np.hstack([along, moments]) @ placement.columns.T
+        rates = np.hstack([along, moments]) @ twists.T
         rates *= self._moved[which]
         return rates
 

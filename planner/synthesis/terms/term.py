@@ -1,13 +1,16 @@
 """``Term``: one named residual of the grasp or motion problem.
 
 A term has a meaning, a unit, a role (equality, inequality or cost), a weight per unit, rows, and a
-verdict after the solver has finished. It is added by
-``planner.synthesis.register_term``; nothing else has to know of it.
+verdict after the solver has finished. It is added by ``planner.synthesis.register_term``; nothing
+else has to know of it.
+
+Rows are expressions (``write``), or clearances of spheres of the hand from surfaces
+(``clearance``). NumPy and compiled loops evaluate both from what is said here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -15,6 +18,8 @@ from typing import Any
 import casadi as ca
 
 from planner.failure import Failure
+from planner.hands.hand import Hand
+from planner.synthesis.link_spheres import LinkSphere
 from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
 
@@ -51,6 +56,33 @@ class Rows:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Clearance:
+    """Spheres of the hand that keep away from surfaces: the rows of a term.
+
+    One row per sphere and surface: the signed distance of the sphere's centre from the surface less
+    what that must be at least. It counts while it is negative.
+
+    Attributes:
+        spheres: The spheres: ``link_spheres`` fill the links, ``hull_spheres`` span them.
+        numbers: What each surface depends on at a grasp in symbols: a column (k,) of expressions of
+            parameters for each surface; all of one length.
+        distance: Signed distance (m) of a point (3,), object frame, from the surface with numbers
+            (k,), as an expression of the two alone.
+        least: What the distance of a sphere's centre must be at least, m: one or two expressions of
+            parameters that are taken off it one after the other, usually the radius and a margin.
+            None for a sphere that has no row.
+        of_object: Whether the surface is that of the object. On a mesh its distance is looked up in
+            the field of the mesh, in place of ``distance``.
+    """
+
+    spheres: Callable[[Hand], tuple[LinkSphere, ...]]
+    numbers: Callable[[GraspSymbols], Sequence[Any]]
+    distance: Callable[[GraspSymbols, Any, Any], Any]
+    least: Callable[[GraspSymbols, LinkSphere], tuple[Any, ...] | None]
+    of_object: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Term:
     """One named residual.
 
@@ -65,6 +97,7 @@ class Term:
             the wrong side of an inequality.
         write: The rows at a grasp in symbols. None for terms whose rows come from a ``RowSource``
             (``planner.synthesis.terms.source``).
+        clearance: The rows as clearances of spheres, in place of ``write``; of an inequality.
         wording: One row in words; ``{}`` stands for what it concerns, ``elsewhere`` if nothing.
         elsewhere: See ``wording``.
         lacking: What it says of hand and object if no attempt satisfies it, and what to change: a
@@ -81,6 +114,7 @@ class Term:
     weight: float
     margin: float = 0.0
     write: Callable[[GraspSymbols], Iterable[Rows]] | None = None
+    clearance: Clearance | None = None
     wording: str = ""
     elsewhere: str = "the grasp"
     lacking: str = ""
