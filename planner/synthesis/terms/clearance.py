@@ -1,7 +1,7 @@
 """Clearances of spheres of the hand from surfaces, where they are violated: ``Clearances``.
 
 Spheres stand for the links (``planner.synthesis.link_spheres``). Which spheres keep away from
-which surface, and by how much, is said by each term (``Clearance``); here are those of every
+which surface, and by how much, is said by each term (``SphereClearance``); here are those of every
 problem, and what evaluates all of them. A new one is written in one file, as in
 ``tests/test_own_clearance.py``.
 
@@ -48,7 +48,7 @@ from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.contact import PER_METRE
 from planner.synthesis.terms.hand_points import HandPoints, Placement
 from planner.synthesis.terms.source import ActiveRows
-from planner.synthesis.terms.term import Clearance, Role, Row, Term
+from planner.synthesis.terms.term import Role, Row, SphereClearance, Term
 from planner.synthesis.unknowns import mrp_rates
 from planner.system.threads import built
 
@@ -86,7 +86,7 @@ OBJECT = Term(
     role=Role.INEQUALITY,
     unit="m",
     weight=PER_METRE,
-    clearance=Clearance(
+    clearance=SphereClearance(
         spheres=link_spheres,
         numbers=lambda g: [g.size],
         distance=lambda g, size, point: g.surface.clearance(size, point),
@@ -105,7 +105,7 @@ TABLE = Term(
     role=Role.INEQUALITY,
     unit="m",
     weight=PER_METRE,
-    clearance=Clearance(
+    clearance=SphereClearance(
         spheres=hull_spheres,
         numbers=lambda g: [ca.vertcat(*g.table)],
         distance=lambda g, plane, point: ca.dot(plane[:3], point) - plane[3],
@@ -123,7 +123,7 @@ OBSTACLE = Term(
     role=Role.INEQUALITY,
     unit="m",
     weight=PER_METRE,
-    clearance=Clearance(
+    clearance=SphereClearance(
         spheres=link_spheres,
         numbers=lambda g: [ca.vertcat(*map(ca.vec, box)) for box in g.boxes],
         distance=lambda g, box, point: box_clearance(
@@ -221,7 +221,7 @@ def _distance(g: GraspSymbols, term: Term, size: int) -> Any:
     except RuntimeError as error:
         raise TaskError(
             f"the distance of term {term.name!r} depends on more than its numbers and the point; "
-            "give what it depends on as numbers= of its Clearance"
+            "give what it depends on as numbers= of its SphereClearance"
         ) from error
 
 

@@ -56,7 +56,7 @@ class Rows:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Clearance:
+class SphereClearance:
     """Spheres of the hand that keep away from surfaces: the rows of a term.
 
     One row per sphere and surface: the signed distance of the sphere's centre from the surface less
@@ -114,7 +114,7 @@ class Term:
     weight: float
     margin: float = 0.0
     write: Callable[[GraspSymbols], Iterable[Rows]] | None = None
-    clearance: Clearance | None = None
+    clearance: SphereClearance | None = None
     wording: str = ""
     elsewhere: str = "the grasp"
     lacking: str = ""
