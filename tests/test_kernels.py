@@ -28,7 +28,7 @@ from planner.numerics.kernels import (
     kernel,
     kernels_are_compiled,
 )
-from planner.proximity import gap_loops
+from planner.proximity import mesh_pairs
 from planner.synthesis.loops import least_squares
 
 
@@ -81,7 +81,7 @@ def test_globals_that_code_reads_are_those_that_dis_tells() -> None:
     """Of functions of all kinds; an attribute that is called like a global is none."""
     functions = [
         value
-        for module in (dis, subprocess, gap_loops, least_squares, kernels)
+        for module in (dis, subprocess, mesh_pairs, least_squares, kernels)
         for value in vars(module).values()
         if isinstance(value, FunctionType)
     ]

@@ -212,7 +212,24 @@ def _compile(loops: Any, *, called: bool) -> Any:
     copy = FunctionType(loops.__code__, globals_, loops.__name__, loops.__defaults__)
     copy.__qualname__ = f"{loops.__qualname__}_{_digest(loops)[:12]}"
     options = {"fastmath": False, "error_model": "numpy", "no_cfunc_wrapper": True}
-    return numba.njit(cache=not called, no_cpython_wrapper=called, **options)(copy)
+    compiled = numba.njit(cache=not called, no_cpython_wrapper=called, **options)(copy)
+    if called:
+        _compile_once(compiled)
+    return compiled
+
+
+def _compile_once(compiled: Any) -> None:
+    """Compile loops once for all whole numbers that others call them with.
+
+    numba compiles anew for every number that is written out in a call.
+    """
+    unliteral, template_for = _numba().types.unliteral, compiled.get_call_template
+
+    def template(args: Any, kws: Any) -> Any:
+        plain = tuple(unliteral(a) for a in args)
+        return template_for(plain, {name: unliteral(a) for name, a in kws.items()})
+
+    compiled.get_call_template = template
 
 
 WITHOUT_REFERENCES = 2
