@@ -41,7 +41,7 @@ from planner.synthesis.loops.solver import LoopProblem, LoopResiduals, loop_prob
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals
-from planner.synthesis.table_and_obstacles import obstacles_in_object, table_in_object
+from planner.synthesis.symbols import obstacles_in_object, table_in_object
 from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.term import Term, WrittenTerm, table_of
 from planner.system.threads import built

@@ -2,7 +2,7 @@
 
 CasADi differentiates the written terms once; each call writes into the same arrays, without
 conversion of matrices. Further rows come in numbers from sources
-(``planner.synthesis.terms.source``): clearances, true distances of links, resistance. Every row
+(``planner.synthesis.terms.term``): clearances, true distances of links, resistance. Every row
 has a name: ``row_names`` gives those of the last call.
 """
 
@@ -25,8 +25,7 @@ from planner.synthesis.terms.clearance import Clearances
 from planner.synthesis.terms.fingers import FingerCapsules
 from planner.synthesis.terms.link_distance import LinkDistances, TrueLinks
 from planner.synthesis.terms.resistance import Resistance
-from planner.synthesis.terms.source import ActiveRows, RowSource, names_of
-from planner.synthesis.terms.term import Row, Term, WrittenTerm
+from planner.synthesis.terms.term import ActiveRows, Row, RowSource, Term, WrittenTerm, names_of
 from planner.system.threads import BUILDING, built, stage
 
 

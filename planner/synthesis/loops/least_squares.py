@@ -26,9 +26,9 @@ from planner.numerics.tape import Program, run_tape
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.field_points import COEFFICIENTS
 from planner.synthesis.loops.field import SplineTables, taylor_at
-from planner.synthesis.loops.rows import HandAt, Joints, Rows, end_row, place_hand
 from planner.synthesis.terms.clearance import ClearanceRun, ClearanceTables, clearance_rows
 from planner.synthesis.terms.fingers import CapsuleRun, CapsuleTables, finger_rows
+from planner.synthesis.terms.hand_points import HandAt, Joints, Rows, end_row, place_hand
 from planner.synthesis.terms.link_distance import LinkRun, link_rows
 from planner.synthesis.terms.resistance import ContactTables, ResistanceRun, resistance_rows
 

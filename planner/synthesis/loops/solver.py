@@ -30,10 +30,10 @@ from planner.synthesis.loops.least_squares import (
     Written,
     minimise,
 )
-from planner.synthesis.loops.rows import Rows, hand_at, joint_outputs, joints_of
 from planner.synthesis.residuals import Residuals
 from planner.synthesis.terms.clearance import CompiledClearances
 from planner.synthesis.terms.fingers import capsule_run, capsule_tables
+from planner.synthesis.terms.hand_points import Rows, hand_at, joint_outputs, joints_of
 from planner.synthesis.terms.link_distance import LINKS, LinkDistances, link_run
 from planner.synthesis.terms.resistance import (
     N_DIRECTIONS,

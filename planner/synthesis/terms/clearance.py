@@ -43,12 +43,18 @@ from planner.synthesis.link_spheres import (
     moving,
 )
 from planner.synthesis.loops.field import SplineTables, taylor_at
-from planner.synthesis.loops.rows import HandAt, Joints, Rows, move, point_row
 from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.contact import PER_METRE
-from planner.synthesis.terms.hand_points import HandPoints, Placement
-from planner.synthesis.terms.source import ActiveRows
-from planner.synthesis.terms.term import Role, Row, SphereClearance, Term
+from planner.synthesis.terms.hand_points import (
+    HandAt,
+    HandPoints,
+    Joints,
+    Placement,
+    Rows,
+    move,
+    point_row,
+)
+from planner.synthesis.terms.term import ActiveRows, Role, Row, SphereClearance, Term
 from planner.synthesis.unknowns import mrp_rates
 from planner.system.threads import built
 

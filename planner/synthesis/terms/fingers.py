@@ -25,12 +25,10 @@ from planner.synthesis.link_capsules import (
     finger_capsules,
     rooms_at_rest,
 )
-from planner.synthesis.loops.rows import HandAt, Joints, Rows, end_row, move
 from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.contact import PER_METRE
-from planner.synthesis.terms.hand_points import HandPoints
-from planner.synthesis.terms.source import ActiveRows
-from planner.synthesis.terms.term import Role, Row, Term
+from planner.synthesis.terms.hand_points import HandAt, HandPoints, Joints, Rows, end_row, move
+from planner.synthesis.terms.term import ActiveRows, Role, Row, Term
 
 FINGERS = Term(
     name="fingers",

@@ -24,10 +24,9 @@ from planner.hands.hand import Hand
 from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.synthesis.field_points import Field
-from planner.synthesis.loops.rows import Rows, end_row
 from planner.synthesis.terms.contact import PER_METRE
-from planner.synthesis.terms.source import ActiveRows
-from planner.synthesis.terms.term import Role, Row, Term
+from planner.synthesis.terms.hand_points import Rows, end_row
+from planner.synthesis.terms.term import ActiveRows, Role, Row, Term
 from planner.synthesis.unknowns import Unknowns, mrp_rates
 
 LEAST_DISTANCE = 0.0015

@@ -15,13 +15,11 @@ import numpy as np
 
 from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.contact_wrenches import TINY
 from planner.synthesis.field_points import Field
-from planner.synthesis.loops.rows import Rows, end_row
 from planner.synthesis.resistance import TIE, missing_resistance
-from planner.synthesis.symbols import GraspSymbols
-from planner.synthesis.terms.source import ActiveRows
-from planner.synthesis.terms.term import Role, Row, Term
+from planner.synthesis.symbols import TINY, GraspSymbols
+from planner.synthesis.terms.hand_points import Rows, end_row
+from planner.synthesis.terms.term import ActiveRows, Role, Row, Term
 
 N_DIRECTIONS = 64
 """Most directions of wrench in one round: with few of them a round makes other directions weak."""

@@ -5,20 +5,25 @@ verdict after the solver has finished. It is added by ``planner.synthesis.regist
 else has to know of it.
 
 Rows are expressions (``write``), or clearances of spheres of the hand from surfaces
-(``clearance``). NumPy and compiled loops evaluate both from what is said here.
+(``clearance``). NumPy and compiled loops evaluate both from what is said here. Rows that are
+neither come from a ``RowSource``: of some hundreds of clearances few are violated at a time, and in
+each direction of wrench only one contact has derivatives; as expressions all of them would be
+differentiated at every evaluation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 
 from planner.failure import Failure
 from planner.hands.hand import Hand
+from planner.spatial import FloatArray, IntArray
+from planner.synthesis.field_points import Field
 from planner.synthesis.link_spheres import LinkSphere
 from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
@@ -95,8 +100,7 @@ class Term:
             some 0.05 of a normal force, of a cosine or of a radian weighs as much.
         margin: Added to the requirement for the solver, in the unit: least squares end slightly on
             the wrong side of an inequality.
-        write: The rows at a grasp in symbols. None for terms whose rows come from a ``RowSource``
-            (``planner.synthesis.terms.source``).
+        write: The rows at a grasp in symbols. None for terms whose rows come from a ``RowSource``.
         clearance: The rows as clearances of spheres, in place of ``write``; of an inequality.
         wording: One row in words; ``{}`` stands for what it concerns, ``elsewhere`` if nothing.
         elsewhere: See ``wording``.
@@ -211,3 +215,61 @@ def first_failure(terms: Iterable[Term], point: GraspPoint) -> Failure | None:
 def table_of(terms: Iterable[WrittenTerm]) -> str:
     """Terms as a table, one line each."""
     return "\n".join(f"  {line}" for line in (HEADER, *terms))
+
+
+class ActiveRows(NamedTuple):
+    """Active rows of one term.
+
+    Attributes:
+        term: The term.
+        values: (k,), in the term's unit, without its weight.
+        jacobian: (k, n), their derivatives by the unknowns.
+        numbers: Which rows of the term they are (k,).
+    """
+
+    term: Term
+    values: FloatArray
+    jacobian: FloatArray
+    numbers: IntArray
+
+
+class RowSource(Protocol):
+    """Computes rows of one or more terms.
+
+    Attributes:
+        outputs: Expressions of the unknowns and parameters whose values it needs, by name.
+    """
+
+    outputs: dict[str, Any]
+
+    @property
+    def rows(self) -> Mapping[Term, tuple[Row, ...]]:
+        """The terms, and the names of all rows that each has at present."""
+        ...
+
+    def clone(self) -> RowSource:
+        """The same with parameters and results of its own."""
+        ...
+
+    def receive(self, results: dict[str, FloatArray]) -> None:
+        """Arrays that hold the transposed ``outputs`` after every evaluation, row by row."""
+        ...
+
+    def set_parameters(self, values: dict[str, FloatArray], field: Field | None) -> None:
+        """Numbers for the calls that follow.
+
+        Args:
+            values: Parameters by name, see ``Formulation``.
+            field: The distance field of a mesh.
+        """
+        ...
+
+    def __call__(self, x: FloatArray) -> list[ActiveRows]:
+        """The rows that count at x (n,), for which the outputs have been computed."""
+        ...
+
+
+def names_of(active: ActiveRows, rows: Mapping[Term, tuple[Row, ...]]) -> list[Row]:
+    """The names of rows that count, of a source with these rows."""
+    by_number = {row.number: row for row in rows[active.term]}
+    return [by_number[k] for k in active.numbers.tolist()]
