@@ -27,9 +27,11 @@ from planner.numerics.kernels import (
     globals_read,
     kernel,
     kernels_are_compiled,
+    loops_of_kernels,
 )
-from planner.proximity import gap_loops
-from planner.synthesis.loops import clearances
+from planner.proximity import mesh_pairs
+from planner.spatial import FloatArray
+from planner.synthesis.loops import least_squares
 
 
 def plain_norms(rows: np.ndarray) -> np.ndarray:
@@ -81,7 +83,7 @@ def test_globals_that_code_reads_are_those_that_dis_tells() -> None:
     """Of functions of all kinds; an attribute that is called like a global is none."""
     functions = [
         value
-        for module in (dis, subprocess, gap_loops, clearances, kernels)
+        for module in (dis, subprocess, mesh_pairs, least_squares, kernels)
         for value in vars(module).values()
         if isinstance(value, FunctionType)
     ]
@@ -136,6 +138,23 @@ def test_compiling_is_decided_by_the_number_of_an_attempt(monkeypatch: pytest.Mo
     monkeypatch.setenv(COMPILE_VARIABLE, "yes")
     with pytest.raises(PlannerError, match="set it to 1 or to 0"):
         kernels_are_compiled()
+
+
+@loops_of_kernels
+def entry(values: FloatArray, k: int) -> float:
+    """One of the values."""
+    return float(values[k])
+
+
+def ends_of(values: FloatArray) -> float:
+    """A sum of three of them, two by numbers that are written out."""
+    return entry(values, 0) + entry(values, 1) + entry(values, len(values) - 1)
+
+
+def test_loops_are_compiled_once_for_all_numbers_that_are_written_out() -> None:
+    compiled = kernels._compile(ends_of, called=True)
+    compiled.compile((kernels._numba().float64[::1],))
+    assert len(kernels._compile(entry, called=True).overloads) == 1
 
 
 def test_a_plan_does_not_load_numba() -> None:

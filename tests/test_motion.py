@@ -48,7 +48,7 @@ from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.objectives.joint import driving
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.table_and_obstacles import obstacles_in_object
+from planner.synthesis.symbols import obstacles_in_object
 from planner.synthesis.terms.forces import BALANCE, CONE
 from planner.synthesis.unknowns import mrp_numeric
 from planner.task import GraspTask, Obstacle

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from planner.contacts import ContactSet
 from planner.quality import epsilon_l1
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.contact_wrenches import support
 from planner.synthesis.resistance import SAMPLE, least_resisted, missing_resistance
+from planner.synthesis.symbols import support
 
 MU, LENGTH = 0.7, 1.3
 

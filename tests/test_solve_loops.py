@@ -11,13 +11,12 @@ from planner import GraspTask, plan_grasp
 from planner.numerics import tape as tape_module
 from planner.numerics.kernels import compile_loops, compiled_searches
 from planner.numerics.levenberg_marquardt import LMResult
-from planner.numerics.tape import run_tape, run_tape_on_lanes, tape_of
+from planner.numerics.tape import programs_of, run_on_lanes, run_tape, tape_of
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.loops import solver
-from planner.synthesis.loops.build import LoopProblem, loop_problem
 from planner.synthesis.loops.field import spline_tables, taylor_at
-from planner.synthesis.loops.solver import LINK_ROWS, LoopResiduals
+from planner.synthesis.loops.solver import LINK_ROWS, LoopProblem, LoopResiduals, loop_problem
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start
 from planner.synthesis.problem_cache import problems_for
@@ -109,7 +108,9 @@ def test_a_tape_gives_the_bits_of_the_virtual_machine(compiled: bool) -> None:
         for places, values in zip(tape.results, expected, strict=True):
             assert np.allclose(work[places], values, rtol=1e-15, atol=0, equal_nan=True)
     if compiled:
-        compile_loops(run_tape_on_lanes)(tape.program, lanes)
+        programs, both = programs_of([tape, tape]), np.concatenate([np.zeros(3), lanes.ravel()])
+        compile_loops(run_on_lanes)(programs, 1, both, 3, len(ARGUMENTS))
+        lanes = both[3:].reshape(lanes.shape)
         for k, (a, b) in enumerate(ARGUMENTS):
             expected = [np.array(r.nz[:]).ravel() for r in function(a, b)]
             for places, values in zip(tape.results, expected, strict=True):
@@ -132,7 +133,7 @@ def test_loops_look_up_the_field_of_a_mesh(order: int, compiled: bool) -> None:
     expected = field.taylor(points, order)
     found, one = np.zeros((len(points), 10)), loops_or_compiled(taylor_at, compiled)
     for point, out in zip(points, found, strict=True):
-        one(spline_tables(field), point, order, out)
+        one(spline_tables(field), *point.tolist(), order, out, 0)
     assert np.allclose(found[:, : expected.shape[1]], expected, rtol=1e-9, atol=1e-12)
 
 

@@ -6,8 +6,6 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import MovingHand
 from planner.system.threads import kept_by_thread
 
-__all__ = ["moving_hand"]
-
 
 @kept_by_thread(8)
 def moving_hand(hand: Hand) -> MovingHand:

@@ -21,16 +21,6 @@ from planner.spatial import SE3, FloatArray
 from planner.system.threads import kept_by_thread
 from planner.task import GraspTask
 
-__all__ = [
-    "ROUND",
-    "PadContact",
-    "PadContactQueries",
-    "contact_geometries",
-    "pad_contact_queries",
-    "pad_contacts",
-    "pad_geometry",
-]
-
 ROUND = ("sphere", "capsule")
 """Kinds of geometry whose surface is a pad's sphere where the pad may touch."""
 

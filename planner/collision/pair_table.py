@@ -26,16 +26,6 @@ from planner.shapes import Box, Mesh, Shape
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
-__all__ = [
-    "OBJECT",
-    "TABLE",
-    "TABLE_SIZE",
-    "Clearance",
-    "NearPairs",
-    "PairTable",
-    "shape_pair",
-]
-
 OBJECT = "object"
 """Name of the object among the geometries."""
 TABLE = "table"

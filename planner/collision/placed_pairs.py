@@ -20,8 +20,6 @@ from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
-__all__ = ["PlacedPairs"]
-
 MESH_LIMIT = 0.006
 """``PlacedPairs.near`` looks no further than this (m) from a mesh; a wider search takes longer."""
 

@@ -15,8 +15,6 @@ from planner.shapes import Box, Shape
 from planner.spatial import SE3
 from planner.task import Obstacle
 
-__all__ = ["lift_to_rest"]
-
 APART = 1e-6
 """Distance (m) from what carries it at which the object lies on it; it must not be in it."""
 

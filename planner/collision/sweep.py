@@ -22,8 +22,6 @@ from planner.proximity.mesh_pairs import MeshPairs
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["Sweep", "hull_pairs"]
-
 NORMAL_ERROR = 1e-4
 """Error of coal's normals (rad)."""
 

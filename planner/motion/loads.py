@@ -29,8 +29,8 @@ from planner.kinematics.symbolic import SymbolicHand
 from planner.motion.path import ObjectPath
 from planner.motion.terms import BEARING, LOAD
 from planner.spatial import FloatArray
-from planner.synthesis.contact_wrenches import contact_torque
 from planner.synthesis.objectives.joint import LEAST_LIMIT, LEAST_PRESS, driving
+from planner.synthesis.symbols import contact_torque
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 from planner.task import GraspTask
 from planner.tolerances import FRICTION_SHARE

@@ -40,7 +40,7 @@ from planner.numerics.casadi_buffers import BufferedFunction
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start
-from planner.synthesis.table_and_obstacles import NO_TABLE
+from planner.synthesis.symbols import NO_TABLE
 from planner.synthesis.terms.term import WrittenTerm, table_of
 from planner.system.threads import built
 from planner.task import GraspTask
@@ -259,7 +259,7 @@ def _level(path: ObjectPath) -> bool:
 
 
 OBSTACLE_DIM = 15
-"""Numbers of an obstacle: rotation, translation and half extents (``table_and_obstacles``)."""
+"""Numbers of an obstacle: rotation, translation and half extents (``obstacles_in_object``)."""
 
 JOINT_ROOM = 0.05
 """How far (rad or m) joints stay from the ends of their ranges: a servo whose command ends there

@@ -14,8 +14,6 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["BufferedFunction", "into_buffers"]
-
 
 def into_buffers(
     function: Any, arguments: list[FloatArray], results: list[FloatArray]

@@ -17,8 +17,6 @@ from planner.spatial import FloatArray
 if TYPE_CHECKING:
     import qpsolvers
 
-__all__ = ["DenseQp"]
-
 
 class DenseQp:
     """min 1/2 x'Px + q'x  with  low <= A x <= high,  lower <= x <= upper; written in place.

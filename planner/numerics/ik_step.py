@@ -21,8 +21,6 @@ import numpy as np
 from planner.numerics.qp import solve_qp
 from planner.spatial import FloatArray
 
-__all__ = ["Barrier", "Task", "constrained_ik_step", "ik_step"]
-
 
 @dataclass(frozen=True)
 class Task:

@@ -4,7 +4,7 @@ Where arrays are small, calling NumPy costs more than its arithmetic. A kernel i
 plain loops, which numba compiles, and in NumPy. Both give the same numbers to rounding, which a
 test of each kernel checks.
 
-Loading numba and its machine code takes half a second per process, and compiling 20 to 40 s once
+Loading numba and its machine code takes half a second per process, and compiling 15 to 30 s once
 per machine: more than a single plan. So attempts run in NumPy until a search lasts, and compiled
 from then on. Which attempts those are is a matter of counts, never of the clock or of what was
 compiled before, and the same seed gives the same plan in any thread or process:
@@ -196,7 +196,7 @@ def planning_time() -> float:
 @lru_cache(maxsize=1)
 def _tell_once() -> None:
     logging.getLogger(__name__).warning(
-        "compiling the inner loops for this machine, once: 20 to 40 s of CPU"
+        "compiling the inner loops for this machine, once: 15 to 30 s of CPU"
     )
 
 
@@ -212,7 +212,24 @@ def _compile(loops: Any, *, called: bool) -> Any:
     copy = FunctionType(loops.__code__, globals_, loops.__name__, loops.__defaults__)
     copy.__qualname__ = f"{loops.__qualname__}_{_digest(loops)[:12]}"
     options = {"fastmath": False, "error_model": "numpy", "no_cfunc_wrapper": True}
-    return numba.njit(cache=not called, no_cpython_wrapper=called, **options)(copy)
+    compiled = numba.njit(cache=not called, no_cpython_wrapper=called, **options)(copy)
+    if called:
+        _compile_once(compiled)
+    return compiled
+
+
+def _compile_once(compiled: Any) -> None:
+    """Compile loops once for all whole numbers that others call them with.
+
+    numba compiles anew for every number that is written out in a call.
+    """
+    unliteral, template_for = _numba().types.unliteral, compiled.get_call_template
+
+    def template(args: Any, kws: Any) -> Any:
+        plain = tuple(unliteral(a) for a in args)
+        return template_for(plain, {name: unliteral(a) for name, a in kws.items()})
+
+    compiled.get_call_template = template
 
 
 WITHOUT_REFERENCES = 2

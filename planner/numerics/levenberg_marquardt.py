@@ -16,15 +16,6 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = [
-    "PATIENCE",
-    "STALLED",
-    "LMResult",
-    "ResidualFunction",
-    "StructuredJacobian",
-    "levenberg_marquardt",
-]
-
 MAX_ITERATIONS = 40
 """Evaluations of the residuals in one run."""
 

@@ -30,8 +30,6 @@ from planner.errors import PlannerError
 from planner.numerics.qp import run_daqp, violation
 from planner.spatial import FloatArray
 
-__all__ = ["NOT_KNOWN", "LpAnswer", "LpSolution", "Undecided", "solve_lp"]
-
 PROXIMAL = 1e-3
 """Weight (-) of the step in DAQP's proximal-point method. Of 300 min-weight programmes of random
 contacts 299 are proven optimal with it, 298 with 0.1, 44 with DAQP's own choice."""

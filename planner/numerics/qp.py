@@ -18,8 +18,6 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["run_daqp", "solve_qp", "violation"]
-
 ALLOWED_TOL = 1e-8
 """Largest violation (-) of a row or a bound by a solution, over the larger of its largest unknown
 and 1."""

@@ -3,7 +3,7 @@
 CasADi's virtual machine decides at every instruction what it is. A tape is the same instructions in
 another order: by depth, and within a depth by kind. Runs of one kind are plain loops, and results
 are the virtual machine's to the last bit. ``run_tape`` evaluates one set of arguments,
-``run_tape_on_lanes`` many of them side by side.
+``run_on_lanes`` many of them side by side.
 
 The work array holds arguments, then constants, then one result per instruction.
 """
@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 
 from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import FloatArray, IntArray
-
-__all__ = ["Program", "Tape", "run_tape", "run_tape_on_lanes", "tape_of"]
 
 
 class Program(NamedTuple):
@@ -189,28 +187,66 @@ def run_tape(program: Program, work: FloatArray) -> None:
         start = end
 
 
+class Programs(NamedTuple):
+    """The instructions of several tapes one behind the other, for kernels.
+
+    Attributes:
+        kinds, ends, left, right: As of ``Program``; ``ends`` count through all of them.
+        runs: Where the runs of each program begin, and the end (p + 1,).
+        first: Place of the first result of each (p,).
+    """
+
+    kinds: IntArray
+    ends: IntArray
+    left: NDArray[np.uint32]
+    right: NDArray[np.uint32]
+    runs: IntArray
+    first: IntArray
+
+
+def programs_of(tapes: Sequence[Tape]) -> Programs:
+    """The programs of tapes."""
+    programs = [tape.program for tape in tapes]
+    begins = np.cumsum([0, *(len(p.left) for p in programs)])[:-1].tolist()
+    none = np.zeros(0, dtype=np.int64)
+    ends = [p.ends + begin for p, begin in zip(programs, begins, strict=True)]
+    return Programs(
+        kinds=np.concatenate([none, *(p.kinds for p in programs)]),
+        ends=np.concatenate([none, *ends]),
+        left=np.concatenate([none, *(p.left for p in programs)]).astype(np.uint32),
+        right=np.concatenate([none, *(p.right for p in programs)]).astype(np.uint32),
+        runs=np.cumsum([0, *(len(p.kinds) for p in programs)]),
+        first=np.array([p.first for p in programs], dtype=np.int64),
+    )
+
+
 @loops_of_kernels
-def run_tape_on_lanes(program: Program, work: FloatArray) -> None:
-    """The same for many sets of arguments side by side: the columns of the work array (w, n)."""
-    left, right, first = program.left, program.right, program.first
-    start = 0
-    for g in range(len(program.kinds)):
-        kind, end = program.kinds[g], program.ends[g]
-        for k in range(start, end):
-            out, a, b = work[first + k], work[left[k]], work[right[k]]
+def run_on_lanes(programs: Programs, which: int, work: FloatArray, base: int, n: int) -> None:
+    """Compute a program for n sets of arguments side by side.
+
+    The set is entry ``base + place * n + lane`` of the work array, for each place and lane.
+    """
+    begin = programs.runs[which]
+    start = programs.ends[begin - 1] if begin > 0 else 0
+    out = base + programs.first[which] * n
+    for g in range(begin, programs.runs[which + 1]):
+        kind = programs.kinds[g]
+        for k in range(start, programs.ends[g]):
+            a, b = base + programs.left[k] * n, base + programs.right[k] * n
             if kind == 0:
-                for i in range(len(out)):
-                    out[i] = a[i] + b[i]
+                for i in range(n):
+                    work[out + i] = work[a + i] + work[b + i]
             elif kind == 1:
-                for i in range(len(out)):
-                    out[i] = a[i] - b[i]
+                for i in range(n):
+                    work[out + i] = work[a + i] - work[b + i]
             elif kind == 2:
-                for i in range(len(out)):
-                    out[i] = a[i] * b[i]
+                for i in range(n):
+                    work[out + i] = work[a + i] * work[b + i]
             else:
-                for i in range(len(out)):
-                    out[i] = compute(kind, a[i], b[i])
-        start = end
+                for i in range(n):
+                    work[out + i] = compute(kind, work[a + i], work[b + i])
+            out += n
+        start = programs.ends[g]
 
 
 @loops_of_kernels

@@ -31,8 +31,6 @@ from planner.errors import ModelError
 from planner.shapes.base import nearest_on_cylinder
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["FAILED", "DistancePair", "Proximity", "distance_request"]
-
 GJK_TOLERANCES = (1e-6, 1e-5)
 """Tolerances of coal's distance iteration, and what is tried next if it does not converge."""
 

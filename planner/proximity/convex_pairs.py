@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from planner.proximity.convex import FAILED, DistancePair, distance_request
 from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["GeometryPairs", "PairQuery"]
-
 Chosen = NDArray[np.bool_]
 """Which pairs, (n_pairs,)."""
 

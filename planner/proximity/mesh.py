@@ -9,21 +9,15 @@ its radius, exactly, except where it is in two surfaces at a time.
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any, Protocol
 
 import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.numerics.kernels import kernels_are_compiled
 from planner.proximity.convex import Proximity
 from planner.proximity.mesh_depth import TOLERANCE, Exit, Moved, Start, shortest_exit
-from planner.proximity.mesh_gaps import MeshGaps
-from planner.shapes.meshes.nearest_triangle import BallTree
-from planner.spatial import SE3, FloatArray, IntArray
-
-__all__ = ["CROSSING", "ClosedMesh", "MeshPair", "maybe_within"]
+from planner.spatial import SE3, FloatArray
 
 
 class ClosedMesh(Protocol):
@@ -37,11 +31,6 @@ class ClosedMesh(Protocol):
     @property
     def hull_planes(self) -> FloatArray:
         """Planes (k, 4) of the convex hull."""
-        ...
-
-    @property
-    def ball_tree(self) -> BallTree:
-        """Balls around ever fewer triangles."""
         ...
 
     def coal_geometry(self) -> Any:
@@ -69,9 +58,6 @@ CROSSING = 1e-6
 """Distance (m) up to which coal's word that two surfaces are apart is not believed: its accuracy.
 It gives 0 for some that cross."""
 
-ONE: IntArray = np.zeros(1, dtype=np.int64)
-"""The number of the only geometry."""
-
 UNIT = 1e-3
 """How far (-) the length of coal's normals may be from 1."""
 
@@ -97,14 +83,6 @@ class MeshPair:
         self._exit: Exit | None = None
         self.inner = np.array(geometry.computeCOM())
 
-    @property
-    def _gaps(self) -> MeshGaps | None:
-        return self._loops if kernels_are_compiled() else None
-
-    @cached_property
-    def _loops(self) -> MeshGaps | None:
-        return MeshGaps.of([self.geometry], self.mesh)
-
     def distance(self, pose: SE3, pose_mesh: SE3) -> float:
         """Signed distance, m; negative where they share a point.
 
@@ -112,32 +90,6 @@ class MeshPair:
             pose: ``T_world_geometry``.
             pose_mesh: ``T_world_mesh``.
         """
-        if self._gaps is not None:
-            apart = self._quick_distance(self._gaps, pose_mesh.actInv(pose))
-            if apart is not None:
-                return apart
-        return self._distance(pose, pose_mesh)
-
-    def _quick_distance(self, gaps: MeshGaps, pose: SE3) -> float | None:
-        """Signed distance, m, at a pose in the mesh's frame; None if it takes more to tell."""
-        inner = pose.act(self.inner)[None]
-        if maybe_within(self.mesh, inner)[0]:
-            return None
-        turn = pose.rotation[None]
-        row = gaps.at(ONE, turn, pose.translation[None])[0]
-        distance = float(row[0])
-        if distance > CROSSING:
-            return distance
-        if self._radius is None or distance <= -self._radius:
-            return None
-        # a ball: so far outwards, it is out of all triangles if it was in no second surface
-        outward = (row[1:4] - row[4:7]) / (distance + self._radius)
-        left = pose.translation + (TOLERANCE / 2 - distance) * outward
-        if gaps.at(ONE, turn, left[None])[0, 0] <= 0.0 or maybe_within(self.mesh, left[None])[0]:
-            return None
-        return distance
-
-    def _distance(self, pose: SE3, pose_mesh: SE3) -> float:
         inner = pose_mesh.actInv(pose.act(self.inner))[None]
         maybe_inside = bool(maybe_within(self.mesh, inner)[0])
         at = coal.Transform3s(pose), coal.Transform3s(pose_mesh)
@@ -193,34 +145,20 @@ class MeshPair:
         middle = begin + rotation @ self.inner
         surface, outward = mesh.closest_point(middle[None])
         identity, at = coal.Transform3s.Identity(), coal.Transform3s(pose)
-        turn = np.array(rotation)[None]
 
         def moved(way: FloatArray, bound: float) -> Moved:
-            if self._gaps is not None:
-                row = self._gaps.at(ONE, turn, (begin + way)[None])[0]
-                if row[0] + reach > 0.0:
-                    normal = row[1:4] - row[4:7]
-                    normal /= np.linalg.norm(normal)
-                    return outside_or_in(way, float(row[0]), normal, row[4:7])
             at.setTranslation(begin + way)
             result.clear()
             if bound < np.inf:
                 result.min_distance = bound + reach
             distance = float(self._compute(at, identity, self._request, result))
             on_mesh, normal = np.array(result.getNearestPoint2()), -np.array(result.normal)
-            if distance > 0.0:
-                return outside_or_in(way, distance - reach, normal, on_mesh)
-            return Moved(distance=distance - reach, normal=normal, on_mesh=on_mesh)
-
-        def outside_or_in(
-            way: FloatArray, distance: float, normal: FloatArray, on_mesh: FloatArray
-        ) -> Moved:
             inner = (middle + way)[None]
-            if maybe_within(mesh, inner)[0]:
+            if distance > 0.0 and maybe_within(mesh, inner)[0]:
                 within = float(mesh.signed_distance(inner)[0])
                 if within < 0.0:
-                    distance, normal = within - reach, -normal
-            return Moved(distance=distance, normal=normal, on_mesh=on_mesh)
+                    distance, normal = within, -normal
+            return Moved(distance=distance - reach, normal=normal, on_mesh=on_mesh)
 
         def start_of(along: FloatArray) -> Start:
             beyond = coal.Halfspace(along, float(along @ surface[0]))
@@ -263,7 +201,7 @@ class MeshPair:
             pose: ``T_world_geometry``.
             pose_mesh: ``T_world_mesh``.
         """
-        distance = self._distance(pose, pose_mesh)
+        distance = self.distance(pose, pose_mesh)
         if self._radius is not None and self._exit is None:
             return self._from_sphere(distance, pose, pose_mesh, self._radius)
         row = self.last_points(distance, pose_mesh)

@@ -27,8 +27,6 @@ import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["TOLERANCE", "Exit", "Moved", "Movement", "Start", "shortest_exit"]
-
 TOLERANCE = 2e-6
 """Distance (m) at which a geometry counts as having just left: twice coal's accuracy."""
 

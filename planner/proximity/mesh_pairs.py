@@ -1,27 +1,21 @@
 """Many convex geometries and one closed mesh, at one placement after the other.
 
 Each geometry is asked for no more than what can still matter: less than the smallest so far, than
-the smallest few, or than a limit. Where kernels are compiled, one call of ``MeshGaps`` tells how
-far all are from the triangles; what meets them, or may be inside, is left to ``MeshPair``. Where
-they are not, coal is asked for each: 60 to 500 us, but only 4 us to see that it is above a limit.
+the smallest few, or than a limit. coal takes 60 to 500 us for a distance, but only 4 us to see that
+it is above a limit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import coal
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.numerics.kernels import kernels_are_compiled
-from planner.proximity.mesh import CROSSING, ClosedMesh, MeshPair, maybe_within
-from planner.proximity.mesh_gaps import MeshGaps
+from planner.proximity.mesh import ClosedMesh, MeshPair, maybe_within
 from planner.spatial import SE3, FloatArray, IntArray
-
-__all__ = ["FEW", "LEAST_LIMIT", "MeshPairs"]
 
 LEAST_LIMIT = 1e-5
 """Smallest limit (m) that coal is given: its accuracy. Told 0, it would not look for a touch."""
@@ -45,14 +39,6 @@ class MeshPairs:
         self._local_covers = np.array([centers for centers, _ in covers])  # (n, BALLS, 3)
         self._radii = np.array([radius for _, radius in covers])
 
-    @property
-    def _gaps(self) -> MeshGaps | None:
-        return self._loops if kernels_are_compiled() else None
-
-    @cached_property
-    def _loops(self) -> MeshGaps | None:
-        return MeshGaps.of([p.geometry for p in self._pairs], self._mesh)
-
     def place(self, poses: Any, T_mesh: SE3) -> None:
         """Put everything somewhere.
 
@@ -70,12 +56,6 @@ class MeshPairs:
 
     def nearest(self, which: IntArray, limit: float) -> tuple[int, float] | None:
         """The geometry of least signed distance (m) among ``which``, if that is below a limit."""
-        if self._gaps is not None:
-            known = np.array([max(limit, LEAST_LIMIT)])
-            values = self._measured(self._gaps, which, floor=LEAST_LIMIT, known=known)
-            k = int(np.argmin(values)) if len(values) > 0 else 0
-            below = len(values) > 0 and values[k] < limit
-            return (int(which[k]), float(values[k])) if below else None
         best = None
         if len(which) > FEW:
             bounds = self._lower_bounds(which)
@@ -90,8 +70,6 @@ class MeshPairs:
     def distances(self, which: IntArray, limit: float) -> FloatArray:
         """Signed distances (m) of geometries ``which`` (k,), at least the limit where not below."""
         least = max(limit, LEAST_LIMIT)
-        if self._gaps is not None:
-            return np.minimum(self._measured(self._gaps, which, limit=least), least)
         out = np.full(len(which), least)
         near = np.flatnonzero(self._lower_bounds(which) < limit)
         for place, (_, below) in zip(near, self._queries(which[near]), strict=True):
@@ -105,9 +83,6 @@ class MeshPairs:
         ``known`` among them, are told to be infinite.
         """
         least = np.sort(known)[:count]
-        if self._gaps is not None:
-            least = np.append(least, np.full(count - len(least), np.inf))
-            return self._measured(self._gaps, which, floor=LEAST_LIMIT, known=least)
         bounds = self._field_bounds(which)
         out = np.full(len(which), np.inf)
         order = np.argsort(bounds)
@@ -161,8 +136,6 @@ class MeshPairs:
 
         And rows (k, 9): nearest points of geometry and mesh, and the normal from one to the other.
         """
-        if self._gaps is not None:
-            return self._near(self._gaps, which, limit)
         places, distances, rows = [], [], []
         near = np.flatnonzero(self._lower_bounds(which) < limit)
         for place, (i, below) in zip(near, self._queries(which[near]), strict=True):
@@ -172,72 +145,6 @@ class MeshPairs:
                 distances.append(distance)
                 rows.append(self._pairs[i].last_points(distance, self._T_mesh))
         return np.array(places, dtype=int), np.array(distances), np.array(rows).reshape(-1, 9)
-
-    def _near(
-        self, gaps: MeshGaps, which: IntArray, limit: float
-    ) -> tuple[IntArray, FloatArray, FloatArray]:
-        """``near`` by compiled loops."""
-        lying, inner, inside = self._lie(gaps, which, limit=max(limit, LEAST_LIMIT))
-        distances, rows = lying[:, 0].copy(), np.empty((len(which), 9))
-        normals = lying[:, 4:7] - lying[:, 1:4]
-        apart = np.isfinite(distances) & (distances > CROSSING) & ~inside
-        normals[apart] /= np.linalg.norm(normals[apart], axis=1, keepdims=True)
-        radii = gaps.bodies.sizes[which, 3]
-        on_body = lying[:, 1:4] + radii[:, None] * normals
-        turn, shift = self._T_mesh.rotation, self._T_mesh.translation
-        rows[:, :3], rows[:, 3:6] = on_body @ turn.T + shift, lying[:, 4:7] @ turn.T + shift
-        rows[:, 6:] = normals @ turn.T
-        for place in np.flatnonzero(inside | (distances <= CROSSING)):
-            i = int(which[place])
-            distances[place] = self._by_coal(i, limit, inner[place], inside[place])
-            rows[place] = self._pairs[i].last_points(distances[place], self._T_mesh)
-        places = np.flatnonzero(distances < limit)
-        return places, distances[places], rows[places]
-
-    def _measured(
-        self,
-        gaps: MeshGaps,
-        which: IntArray,
-        *,
-        limit: float = np.inf,
-        floor: float = 0.0,
-        known: FloatArray | None = None,
-    ) -> FloatArray:
-        """Signed distances (k,), m, of geometries as far as they are of interest, else infinite.
-
-        Arguments as of ``MeshGaps.at``.
-        """
-        rows, inner, inside = self._lie(gaps, which, limit=limit, floor=floor, known=known)
-        out = rows[:, 0].copy()
-        for place in np.flatnonzero(inside | (out <= CROSSING)):
-            out[place] = self._by_coal(int(which[place]), np.inf, inner[place], inside[place])
-        return out
-
-    def _lie(
-        self, gaps: MeshGaps, which: IntArray, **wanted: Any
-    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """How geometries lie to the triangles (k, 7), see ``MeshGaps.at``; their inner points.
-
-        And which of those points are inside the mesh, (k,).
-        """
-        turns, shifts = self._placed(which)
-        turns, shifts = self._T_mesh.rotation.T @ turns, self._seen_by_mesh(shifts)
-        rows = gaps.at(which, turns, shifts, **wanted)
-        inner = shifts + np.einsum("nij,nj->ni", turns, self._inner[which])
-        inside = maybe_within(self._mesh, inner)
-        if inside.any():
-            inside[inside] = self._mesh.signed_distance(inner[inside]) < 0.0
-        return rows, inner, inside
-
-    def _by_coal(self, i: int, limit: float, inner: FloatArray, inside: bool) -> float:
-        """Signed distance, m, of one geometry whose inner point (3,) is where it is."""
-        return self._pairs[i].distance_below(
-            coal.Transform3s(self._poses[i]),
-            self._pose_mesh,
-            limit,
-            inner[None],
-            maybe_inside=bool(inside),
-        )
 
     def _queries(self, which: IntArray) -> Iterator[tuple[int, Callable[[float], float]]]:
         """Each geometry told, and its distance (m) as a function of a limit."""

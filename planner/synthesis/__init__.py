@@ -1,5 +1,6 @@
 """Grasp synthesis: the problem with its terms, its starts, and its objectives."""
 
+from planner.synthesis.link_spheres import hull_spheres, link_spheres
 from planner.synthesis.objectives.registry import OBJECTIVES
 from planner.synthesis.objectives.task_wrenches import gravity_any_direction, tool_torque
 from planner.synthesis.options import SynthesisOptions
@@ -7,7 +8,7 @@ from planner.synthesis.problem import GraspProblem, Start, build_problem
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.symbols import GraspPoint, GraspSymbols
 from planner.synthesis.terms.registry import TERMS, register_term
-from planner.synthesis.terms.term import Role, Rows, Term
+from planner.synthesis.terms.term import Role, Rows, SphereClearance, Term
 
 __all__ = [
     "OBJECTIVES",
@@ -18,11 +19,14 @@ __all__ = [
     "Role",
     "Rows",
     "Seeder",
+    "SphereClearance",
     "Start",
     "SynthesisOptions",
     "Term",
     "build_problem",
     "gravity_any_direction",
+    "hull_spheres",
+    "link_spheres",
     "register_term",
     "tool_torque",
 ]

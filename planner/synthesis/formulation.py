@@ -17,6 +17,7 @@ from planner.spatial import FloatArray
 from planner.synthesis.objectives.registry import objective_rows
 from planner.synthesis.options import OPTION_NAMES
 from planner.synthesis.symbols import GraspSymbols
+from planner.synthesis.terms.clearance import SurfaceRows, surface_rows
 from planner.synthesis.terms.registry import STANDARD, TERMS
 from planner.synthesis.terms.resistance import RESISTANCE_WEIGHT
 from planner.synthesis.terms.term import Role, Rows, Term, WrittenTerm
@@ -31,11 +32,15 @@ class Formulation:
         symbols: The grasp in symbols.
         parameters: Symbols of the parameters, by name in the order of ``p``.
         written: Terms that are written as expressions: equalities, inequalities, costs.
+        clearances: Terms that are clearances of spheres.
+        surfaces: Their rows, surface by surface.
     """
 
     symbols: GraspSymbols
     parameters: dict[str, Any]
     written: tuple[WrittenTerm, ...]
+    clearances: tuple[Term, ...]
+    surfaces: tuple[SurfaceRows, ...]
 
     @property
     def unknowns(self) -> Unknowns:
@@ -98,8 +103,12 @@ def formulate(
     pairs += [(_objective_term(name), [Rows(expression=e)]) for name, e in rows.items()]
     written = [WrittenTerm.of(term, rows) for term, rows in pairs]
     order = list(Role)
+    clearances = tuple(term for term in asked if term.clearance is not None)
+    surfaces = surface_rows(symbols, clearances)  # before the parameters: it may add some
     return Formulation(
         symbols=symbols,
+        clearances=clearances,
+        surfaces=surfaces,
         parameters={**symbols.parameters, "objectives": parameters},
         written=tuple(
             sorted((w for w in written if w.rows), key=lambda w: order.index(w.term.role))

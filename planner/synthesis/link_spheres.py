@@ -41,7 +41,7 @@ _PAD_OVERLAP = 1e-6
 """A sphere closer (m) to a pad's centre than this is the pad itself."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LinkSphere:
     """A sphere fixed in a joint's frame.
 

@@ -37,12 +37,11 @@ from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.field_points import Field
 from planner.synthesis.formulation import Formulation, formulate
-from planner.synthesis.loops.build import LoopProblem, loop_problem
-from planner.synthesis.loops.solver import LoopResiduals
+from planner.synthesis.loops.solver import LoopProblem, LoopResiduals, loop_problem
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals
-from planner.synthesis.table_and_obstacles import obstacles_in_object, table_in_object
+from planner.synthesis.symbols import obstacles_in_object, table_in_object
 from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.term import Term, WrittenTerm, table_of
 from planner.system.threads import built

@@ -2,7 +2,7 @@
 
 CasADi differentiates the written terms once; each call writes into the same arrays, without
 conversion of matrices. Further rows come in numbers from sources
-(``planner.synthesis.terms.source``): clearances, true distances of links, resistance. Every row
+(``planner.synthesis.terms.term``): clearances, true distances of links, resistance. Every row
 has a name: ``row_names`` gives those of the last call.
 """
 
@@ -22,10 +22,10 @@ from planner.spatial import FloatArray
 from planner.synthesis.field_points import COEFFICIENTS, Field
 from planner.synthesis.formulation import Formulation
 from planner.synthesis.terms.clearance import Clearances
-from planner.synthesis.terms.link_distance import LINKS, LinkDistances, TrueLinks
+from planner.synthesis.terms.fingers import FingerCapsules
+from planner.synthesis.terms.link_distance import LinkDistances, TrueLinks
 from planner.synthesis.terms.resistance import Resistance
-from planner.synthesis.terms.source import ActiveRows, RowSource, names_of
-from planner.synthesis.terms.term import Row, WrittenTerm
+from planner.synthesis.terms.term import ActiveRows, Row, RowSource, Term, WrittenTerm, names_of
 from planner.system.threads import BUILDING, built, stage
 
 
@@ -45,7 +45,7 @@ class Residuals:
         rows: Their names.
         both: Whether each counts on both sides of zero (m,).
         n_required: So many of them must hold, the first.
-        clearances, resistance: Rows that come in numbers.
+        clearances, fingers, resistance: Rows that come in numbers.
         n_terms: After a call: how many of the first rows belong to terms that must hold.
     """
 
@@ -56,7 +56,8 @@ class Residuals:
             formulation: The written terms.
         """
         self.formulation, symbols = formulation, formulation.symbols
-        self.clearances = Clearances(symbols)
+        self.clearances = Clearances(symbols, formulation.clearances, formulation.surfaces)
+        self.fingers = FingerCapsules(symbols)
         self._true_links = TrueLinks(symbols.hand)
         self.resistance = Resistance(symbols)
         points = symbols.surface.field
@@ -71,7 +72,7 @@ class Residuals:
         self.both: NDArray[np.bool_] = np.array([not r.term.role.one_sided for r in self.rows])
         row, column = (np.array(v) for v in jacobian.sparsity().get_triplet())
         written_terms = (r.term for r in self.rows[: self.n_required])
-        required = (*written_terms, *self.clearances.rows, LINKS)
+        required = (*written_terms, *self.in_numbers)
         self.required = {term.name: term for term in required}
         self._at, self._width = row * symbols.x.numel() + column, symbols.x.numel()
         outputs = {
@@ -89,7 +90,17 @@ class Residuals:
 
     @property
     def _sources(self) -> tuple[RowSource, ...]:
-        return self.clearances, self._true_links, self.resistance
+        return *self._first_sources, self.resistance
+
+    @property
+    def _first_sources(self) -> tuple[Clearances, FingerCapsules, TrueLinks]:
+        """Sources of terms that must hold."""
+        return self.clearances, self.fingers, self._true_links
+
+    @property
+    def in_numbers(self) -> tuple[Term, ...]:
+        """Terms that must hold and whose rows come in numbers, in the order of their rows."""
+        return tuple(term for source in self._first_sources for term in source.rows)
 
     def _make_room(self) -> Callable[[], None]:
         """Arrays for arguments and results, and the call that reads and writes them."""
@@ -108,7 +119,7 @@ class Residuals:
     def clone(self) -> Residuals:
         """The same expressions with parameters and results of their own."""
         other = copy(self)
-        other.clearances = self.clearances.clone()
+        other.clearances, other.fingers = self.clearances.clone(), self.fingers.clone()
         other._true_links = self._true_links.clone()
         other.resistance = self.resistance.clone()
         other._p, other._call = np.zeros_like(self._p), None
@@ -179,7 +190,7 @@ class Residuals:
         self._call()
         self._jacobian.ravel()[self._at] = self._entries
         counts = self.both | (self._values < 0.0)
-        before = [*self.clearances(x), *self._true_links(x)]
+        before = [rows for source in self._first_sources for rows in source(x)]
         after = self.resistance(x)
         self._active = before, counts, after
         self.n_terms = sum(len(a.values) for a in before)
@@ -216,14 +227,14 @@ class Residuals:
         Resistance, true distances of links and clearances from a mesh have no expression.
         """
         with BUILDING:
-            expressions = self.clearances.expressions
+            expressions = {**self.clearances.expressions, **self.fingers.expressions}
         before, after = (
             [
                 WrittenTerm(term=term, rows=rows, expression=expressions.get(term))
                 for source in sources
                 for term, rows in source.rows.items()
             ]
-            for sources in ((self.clearances, self._true_links), (self.resistance,))
+            for sources in (self._first_sources, (self.resistance,))
         )
         return (*before, *self.formulation.written, *after)
 

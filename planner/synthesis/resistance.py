@@ -1,6 +1,6 @@
 """Resistance of a grasp in given directions of wrench, with derivatives by contact points.
 
-The formula is ``support`` of ``planner.synthesis.contact_wrenches``, here in numbers for many
+The formula is ``support`` of ``planner.synthesis.symbols``, here in numbers for many
 directions at once; only the contact that resists most in a direction has derivatives:
 
     h = a + mu |t|,   g = u_f + u_t x p / length,   a = -g . n,   t = g + a n,
@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.contact_wrenches import TINY
+from planner.synthesis.symbols import TINY
 
 
 def missing_resistance(

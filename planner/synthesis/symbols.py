@@ -1,4 +1,7 @@
-"""A grasp in symbols, in which terms and objectives are written, and a grasp in numbers."""
+"""A grasp in symbols, in which terms and objectives are written, and a grasp in numbers.
+
+Wrenches of contacts and joint torques are expressions that terms and objectives share.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,49 @@ from planner.hands.hand import Hand
 from planner.kinematics.symbolic import SymbolicHand
 from planner.shapes.surface import CODE_DIM, SIZE_DIM, Surface
 from planner.spatial import FloatArray
-from planner.synthesis.contact_wrenches import contact_torque
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 from planner.task import GraspTask
+
+TINY = 1e-9
+"""Keeps the root of a sum of squares differentiable at zero."""
+
+
+def support(u: Any, points: list[Any], outward: list[Any], mu: Any, length: Any) -> Any:
+    """Support of the round cones' unit wrenches in direction u (6,), torques over ``length``.
+
+    max_i  g_i . n_i + mu |g_i - (g_i . n_i) n_i|,   g_i = u_f + u_t x p_i / length.
+    """
+    values = []
+    for p, n in zip(points, outward, strict=True):
+        g = u[:3] + ca.cross(u[3:], p) / length
+        normal = -ca.dot(g, n)
+        tangential = g + normal * n
+        values.append(normal + mu * ca.sqrt(ca.sumsqr(tangential) + TINY))
+    top = values[0]
+    for value in values[1:]:
+        top = ca.fmax(top, value)
+    return top
+
+
+def contact_torque(
+    symbolic: SymbolicHand, finger: Finger, rotation: Any, center: Any, normal: Any, force: Any
+) -> Any:
+    """Joint torques (nq,) with which a finger presses ``force`` (object frame) at its contact.
+
+    Args:
+        symbolic: Kinematics.
+        finger: The finger.
+        rotation: Of the base in the object's frame (3, 3).
+        center: Centre of the pad in the base (3,).
+        normal: Outward normal, object frame (3,).
+        force: On the object (3,).
+    """
+    point = center - finger.pad.radius * (rotation.T @ normal)
+    local = rotation.T @ force
+    out = ca.SX.zeros(symbolic.hand.nq)
+    for name, index in zip(finger.joints, finger.q_index, strict=True):
+        out[int(index)] = symbolic.joint_torque(name, point, local)
+    return out
 
 
 class GraspSymbols:
@@ -173,3 +216,26 @@ class GraspPoint:
     def length(self) -> float:
         """Characteristic length, m."""
         return self.task.object.shape.bounding_radius
+
+
+NO_TABLE = 10.0
+"""Distance (m) at which problems put the table when there is none: beyond any hand."""
+
+
+def table_in_object(task: GraspTask) -> FloatArray:
+    """Numbers (4,) for the table: unit normal in the object's frame, and offset, m."""
+    inverse = task.T_world_object.inverse()
+    normal = inverse.rotation @ np.array([0.0, 0.0, 1.0])
+    if task.table_height is None:
+        return np.append(normal, -NO_TABLE)
+    on_table = inverse.act(np.array([0.0, 0.0, task.table_height]))
+    return np.append(normal, normal @ on_table)
+
+
+def obstacles_in_object(task: GraspTask) -> FloatArray:
+    """Numbers (15 k,) for the obstacles: from the object's frame into that of each."""
+    parts: list[FloatArray] = [np.zeros(0)]
+    for obstacle in task.obstacles:
+        inverse = obstacle.T_world_obstacle.inverse() * task.T_world_object
+        parts += [inverse.rotation.ravel(order="F"), inverse.translation, obstacle.size / 2]
+    return np.concatenate(parts)

@@ -26,6 +26,8 @@ class SplineTables(NamedTuple):
         centre: Of the box of each level (n, 3), m.
         reach: Its half extents (n, 3), m.
         far_radius: m.
+        weights: Of the coefficients by axis and derivative (36,), overwritten.
+        found: Place for a result (10,), overwritten.
     """
 
     flat: FloatArray
@@ -37,11 +39,17 @@ class SplineTables(NamedTuple):
     centre: FloatArray
     reach: FloatArray
     far_radius: float
+    weights: FloatArray
+    found: FloatArray
+
+
+def spline_tables(field: DistanceField) -> SplineTables:
+    """The levels of a field in flat arrays; for one run at a time."""
+    return _tables(field)._replace(weights=np.zeros(36), found=np.zeros(10))
 
 
 @lru_cache(maxsize=8)
-def spline_tables(field: DistanceField) -> SplineTables:
-    """The levels of a field in flat arrays."""
+def _tables(field: DistanceField) -> SplineTables:
     levels = field.levels
     shapes = np.array([level.coefficients.shape for level in levels])
     lower = np.array([level.lower for level in levels])
@@ -58,6 +66,8 @@ def spline_tables(field: DistanceField) -> SplineTables:
         centre=(lower + upper) / 2,
         reach=(upper - lower) / 2,
         far_radius=float(field.far_radius),
+        weights=np.zeros(0),
+        found=np.zeros(0),
     )
 
 
@@ -71,91 +81,97 @@ NO_FIELD = SplineTables(
     centre=np.zeros((0, 3)),
     reach=np.zeros((0, 3)),
     far_radius=0.0,
+    weights=np.zeros(0),
+    found=np.zeros(0),
 )
 """The tables of a shape that is an expression."""
 
 
 @loops_of_kernels
-def taylor_at(tables: SplineTables, p: FloatArray, order: int, out: FloatArray) -> None:
-    """Value and partial derivatives up to an order (1 or 2) at a point (3,), into ``out`` (10,)."""
-    n = len(tables.inverse)
-    level = n
-    for k in range(n):
-        inside = True
-        for i in range(3):
-            inside &= abs(p[i] - tables.centre[k, i]) <= tables.reach[k, i]
-        if inside:
-            level = k
-            break
+def taylor_at(
+    tables: SplineTables, x: float, y: float, z: float, order: int, out: FloatArray, begin: int
+) -> None:
+    """Value and partial derivatives up to an order (1 or 2) at a point, m, into ``out`` (10).
+
+    They begin at ``begin``.
+    """
+    level, n = 0, len(tables.inverse)
+    while level < n and not (
+        abs(x - tables.centre[level, 0]) <= tables.reach[level, 0]
+        and abs(y - tables.centre[level, 1]) <= tables.reach[level, 1]
+        and abs(z - tables.centre[level, 2]) <= tables.reach[level, 2]
+    ):
+        level += 1
     if level == n:
-        far_taylor(p, tables.far_radius, out)
+        far_taylor(x, y, z, tables.far_radius, out, begin)
         return
-    w = np.empty((3, 3, 4))  # axis, derivative, coefficient
-    inverse = tables.inverse[level]
+    w, inverse = tables.weights, tables.inverse[level]
     base = tables.start[level]
     for i in range(3):
-        u = p[i] * inverse - tables.first[level, i]
+        p = x if i == 0 else (y if i == 1 else z)
+        u = p * inverse - tables.first[level, i]
         cell = min(int(max(u, 0.0)), tables.last_cell[level, i])
         base += cell * tables.strides[level, i]
         t = u - cell
         s = 1.0 - t
-        w[i, 0, 0] = s * s * s / 6.0
-        w[i, 0, 1] = (4.0 + t * t * (3.0 * t - 6.0)) / 6.0
-        w[i, 0, 2] = (1.0 + t * (3.0 + t * (3.0 - 3.0 * t))) / 6.0
-        w[i, 0, 3] = t * t * t / 6.0
-        w[i, 1, 0] = -0.5 * s * s
-        w[i, 1, 1] = t * (1.5 * t - 2.0)
-        w[i, 1, 2] = 0.5 + t * (1.0 - 1.5 * t)
-        w[i, 1, 3] = 0.5 * t * t
-        w[i, 2, 0] = s
-        w[i, 2, 1] = 3.0 * t - 2.0
-        w[i, 2, 2] = 1.0 - 3.0 * t
-        w[i, 2, 3] = t
+        o = 12 * i
+        w[o] = s * s * s / 6.0
+        w[o + 1] = (4.0 + t * t * (3.0 * t - 6.0)) / 6.0
+        w[o + 2] = (1.0 + t * (3.0 + t * (3.0 - 3.0 * t))) / 6.0
+        w[o + 3] = t * t * t / 6.0
+        w[o + 4] = -0.5 * s * s
+        w[o + 5] = t * (1.5 * t - 2.0)
+        w[o + 6] = 0.5 + t * (1.0 - 1.5 * t)
+        w[o + 7] = 0.5 * t * t
+        w[o + 8] = s
+        w[o + 9] = 3.0 * t - 2.0
+        w[o + 10] = 1.0 - 3.0 * t
+        w[o + 11] = t
     for i in range(10):
-        out[i] = 0.0
-    stride_x, stride_y = tables.strides[level, 0], tables.strides[level, 1]
+        out[begin + i] = 0.0
     for a in range(4):
         # along y of: value, slope and curvature along z; slopes along y
         v = vz = vzz = vy = vyz = vyy = 0.0
         for b in range(4):
-            at = base + a * stride_x + b * stride_y
-            c0, c1 = tables.flat[at], tables.flat[at + 1]
-            c2, c3 = tables.flat[at + 2], tables.flat[at + 3]
-            f = c0 * w[2, 0, 0] + c1 * w[2, 0, 1] + c2 * w[2, 0, 2] + c3 * w[2, 0, 3]
-            fz = c0 * w[2, 1, 0] + c1 * w[2, 1, 1] + c2 * w[2, 1, 2] + c3 * w[2, 1, 3]
-            v += w[1, 0, b] * f
-            vy += w[1, 1, b] * f
-            vz += w[1, 0, b] * fz
-            if order == 2:
-                fzz = c0 * w[2, 2, 0] + c1 * w[2, 2, 1] + c2 * w[2, 2, 2] + c3 * w[2, 2, 3]
-                vyy += w[1, 2, b] * f
-                vyz += w[1, 1, b] * fz
-                vzz += w[1, 0, b] * fzz
-        out[0] += w[0, 0, a] * v
-        out[1] += w[0, 1, a] * v
-        out[2] += w[0, 0, a] * vy
-        out[3] += w[0, 0, a] * vz
+            at = base + a * tables.strides[level, 0] + b * tables.strides[level, 1]
+            f = fz = fzz = 0.0
+            for c in range(4):
+                coefficient = tables.flat[at + c]
+                f += coefficient * w[24 + c]
+                fz += coefficient * w[28 + c]
+                fzz += coefficient * w[32 + c]
+            v += w[12 + b] * f
+            vy += w[16 + b] * f
+            vz += w[12 + b] * fz
+            vyy += w[20 + b] * f
+            vyz += w[16 + b] * fz
+            vzz += w[12 + b] * fzz
+        out[begin] += w[a] * v
+        out[begin + 1] += w[4 + a] * v
+        out[begin + 2] += w[a] * vy
+        out[begin + 3] += w[a] * vz
         if order == 2:
-            out[4] += w[0, 2, a] * v
-            out[5] += w[0, 1, a] * vy
-            out[6] += w[0, 1, a] * vz
-            out[7] += w[0, 0, a] * vyy
-            out[8] += w[0, 0, a] * vyz
-            out[9] += w[0, 0, a] * vzz
+            out[begin + 4] += w[8 + a] * v
+            out[begin + 5] += w[4 + a] * vy
+            out[begin + 6] += w[4 + a] * vz
+            out[begin + 7] += w[a] * vyy
+            out[begin + 8] += w[a] * vyz
+            out[begin + 9] += w[a] * vzz
     for i in range(1, 4):
-        out[i] *= inverse
+        out[begin + i] *= inverse
     for i in range(4, 10):
-        out[i] *= inverse * inverse
+        out[begin + i] *= inverse * inverse
 
 
 @loops_of_kernels
-def far_taylor(p: FloatArray, radius: float, out: FloatArray) -> None:
+def far_taylor(x: float, y: float, z: float, radius: float, out: FloatArray, begin: int) -> None:
     """The same of |p| - radius, away from the origin."""
-    r = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
-    out[0] = r - radius
-    k = 4
-    for i in range(3):
-        out[1 + i] = p[i] / r
-        for j in range(i, 3):
-            out[k] = ((1.0 if i == j else 0.0) - p[i] / r * (p[j] / r)) / r
+    r = math.sqrt(x * x + y * y + z * z)
+    out[begin] = r - radius
+    out[begin + 1], out[begin + 2], out[begin + 3] = x / r, y / r, z / r
+    k = begin + 4
+    for i in range(1, 4):
+        for j in range(i, 4):
+            square = out[begin + i] * out[begin + j]
+            out[k] = ((1.0 if i == j else 0.0) - square) / r
             k += 1

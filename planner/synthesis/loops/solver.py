@@ -1,40 +1,112 @@
 """``LoopResiduals``: a run of least squares in compiled loops, with the numbers of ``Residuals``.
 
 Where kernels are compiled, ``GraspProblem.least_squares`` gives these in place of ``Residuals``.
-Both read the same expressions and tables; here CasADi's functions are tapes
-(``planner.numerics.tape``), and clearances come from the placements of the joints.
+Both read the same terms; here CasADi's functions are tapes (``planner.numerics.tape``), and
+clearances come from the placements of the joints.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 from planner.numerics.kernels import compile_loops
 from planner.numerics.levenberg_marquardt import PATIENCE, SLOW, STALLED, LMResult
+from planner.numerics.tape import Tape, tape_of
 from planner.shapes.field.distance_field import DistanceField
-from planner.shapes.surface import SIZE_DIM
 from planner.spatial import FloatArray
 from planner.synthesis.field_points import Field
-from planner.synthesis.loops.build import LoopProblem
 from planner.synthesis.loops.field import NO_FIELD, spline_tables
-from planner.synthesis.loops.least_squares import STATUS, minimise
-from planner.synthesis.loops.tables import (
-    SOURCES,
+from planner.synthesis.loops.least_squares import (
+    STATUS,
     Kept,
-    ObjectRoom,
-    Rows,
+    ProblemTables,
     RunTables,
-    Sources,
-    Surroundings,
+    Scratch,
+    Written,
+    minimise,
 )
-from planner.synthesis.terms.clearance import OBSTACLE_DIM
-from planner.synthesis.terms.link_distance import LinkDistances
-from planner.synthesis.terms.resistance import N_DIRECTIONS, checked_directions
+from planner.synthesis.residuals import Residuals
+from planner.synthesis.terms.clearance import CompiledClearances
+from planner.synthesis.terms.fingers import capsule_run, capsule_tables
+from planner.synthesis.terms.hand_points import Rows, hand_at, joint_outputs, joints_of
+from planner.synthesis.terms.link_distance import LINKS, LinkDistances, link_run
+from planner.synthesis.terms.resistance import (
+    N_DIRECTIONS,
+    ContactTables,
+    ResistanceRun,
+    checked_directions,
+)
+from planner.synthesis.terms.term import Term
 
 LINK_ROWS = 64
 """True distances for which there is room at first."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopProblem:
+    """What all runs of a problem share.
+
+    Attributes:
+        residuals: The rows and their names.
+        places: Of terms that must hold and whose rows are numbers, see ``Rows``.
+        tables: For the loops.
+        tape: Written terms and kinematics; of unknowns, parameters and Taylor rows.
+        clearances: The clearances.
+    """
+
+    residuals: Residuals
+    places: Mapping[Term, int]
+    tables: ProblemTables
+    tape: Tape
+    clearances: CompiledClearances
+
+
+def loop_problem(residuals: Residuals) -> LoopProblem | None:
+    """Tapes and tables of a problem; None where a term has instructions that loops do not know."""
+    g, jacobian, contacts = (
+        residuals.formulation.symbols,
+        residuals.jacobian,
+        residuals.resistance.outputs,
+    )
+    results = [*joint_outputs(g), contacts["normals"], contacts["normal_jacobians"]]
+    dense = [residuals.residual, jacobian, *(ca.densify(r) for r in results)]
+    tape = tape_of(ca.Function("residuals", residuals.inputs, dense))
+    places = {term: place for place, term in enumerate(residuals.in_numbers)}
+    clearances = CompiledClearances.of(residuals.clearances, places)
+    if tape is None or clearances is None:
+        return None
+    values, entries, twists, rotation, frames, normals, slopes = tape.results
+    row, column = (np.array(v, dtype=np.int64) for v in jacobian.sparsity().get_triplet())
+    by_rows, n = np.lexsort((column, row)), len(g.fingers)
+    (fingers,) = residuals.fingers.rows
+    tables = ProblemTables(
+        program=tape.program,
+        written=Written(
+            values_at=values,
+            entries_at=entries[by_rows],
+            entry_columns=column[by_rows],
+            entry_ends=np.cumsum(np.bincount(row, minlength=len(values))),
+            both=residuals.both,
+            n_required=residuals.n_required,
+        ),
+        joints=joints_of(g.hand, twists, rotation, frames),
+        contacts=ContactTables(
+            normals_at=normals.reshape(n, 3),
+            slopes_at=slopes.reshape(n, 9),
+            first=residuals.formulation.unknowns.point_columns.start,
+            taylor=tape.arguments[2] if g.surface.field is not None else -1,
+        ),
+        clearances=clearances.tables,
+        capsules=capsule_tables(residuals.fingers, places[fingers]),
+    )
+    return LoopProblem(
+        residuals=residuals, places=places, tables=tables, tape=tape, clearances=clearances
+    )
 
 
 class LoopResiduals:
@@ -50,19 +122,12 @@ class LoopResiduals:
         """
         self._problem = problem
         self._run = _run_tables(problem, p, field)
-        n = len(self._run.kept.x)
-        self._sources = Sources(
-            link_values=np.zeros(0),
-            link_rows=np.zeros((0, n)),
-            link_x=np.zeros(n),
-            directions=np.zeros((0, 6)),
-            target=0.0,
-        )
 
     def set_directions(self, directions: FloatArray, target: float = 0.0) -> None:
         """See ``Residuals.set_directions``."""
         kept = np.ascontiguousarray(checked_directions(directions))
-        self._sources = self._sources._replace(directions=kept, target=float(target))
+        resistance = self._run.resistance._replace(directions=kept, target=float(target))
+        self._run = self._run._replace(resistance=resistance)
 
     def set_objectives(self, values: FloatArray) -> None:
         """See ``Residuals.set_objectives``."""
@@ -76,15 +141,10 @@ class LoopResiduals:
 
     def keep_apart(self, distances: LinkDistances | None) -> None:
         """See ``Residuals.keep_apart``."""
-        n = len(self._run.kept.x)
-        d = distances
-        self._sources = self._sources._replace(
-            link_values=np.zeros(0) if d is None else d.values,
-            link_rows=np.zeros((0, n)) if d is None else np.ascontiguousarray(d.rows),
-            link_x=np.zeros(n) if d is None else d.x,
-        )
-        if d is not None and len(d.values) > LINK_ROWS:
-            rows = _rows(self._problem, len(self._run.around.lanes), len(d.values))
+        links = link_run(distances, len(self._run.kept.x), self._problem.places[LINKS])
+        self._run = self._run._replace(links=links)
+        if len(links.values) > LINK_ROWS:
+            rows = _rows(self._problem, len(links.values))
             rows.least[:] = self._run.rows.least
             self._run = self._run._replace(rows=rows)
             self._run.kept.counts[0] = -1
@@ -102,19 +162,10 @@ class LoopResiduals:
     ) -> LMResult:
         """A run of ``levenberg_marquardt``."""
         x = x.copy()
+        first = math.nan if damping is None else damping
+        limits = np.array([max_iterations, first, slow, STALLED, PATIENCE], dtype=np.float64)
         worst, status, iterations, damping_next = compile_loops(minimise)(
-            self._problem.tables,
-            self._run,
-            self._sources,
-            x,
-            lower,
-            upper,
-            scale,
-            max_iterations,
-            math.nan if damping is None else damping,
-            float(slow),
-            STALLED,
-            PATIENCE,
+            self._problem.tables, self._run, x, lower, upper, scale, limits
         )
         return LMResult(
             x=x,
@@ -128,62 +179,53 @@ class LoopResiduals:
         """See ``Residuals.violations``."""
         values = self._run.work[self._problem.tables.written.values_at]
         out = self._problem.residuals.written_violations(values)
-        for term, least in zip(SOURCES, self._run.rows.least.tolist(), strict=True):
-            out[term.name] = max(out[term.name], -least)
+        for term, place in self._problem.places.items():
+            out[term.name] = max(out[term.name], -float(self._run.rows.least[place]))
         return out
 
 
 def _run_tables(problem: LoopProblem, p: FloatArray, field: Field | None) -> RunTables:
     """The numbers of a task; no rows yet."""
-    clearances = problem.residuals.clearances
-    values = problem.residuals.formulation.unpack(p)
-    on_mesh = problem.tables.contacts.taylor >= 0
-    if on_mesh != isinstance(field, DistanceField):
+    residuals, tables = problem.residuals, problem.tables
+    values = residuals.formulation.unpack(p)
+    if (tables.contacts.taylor >= 0) != isinstance(field, DistanceField):
         raise TypeError("these residuals need a distance field, or have no place for one")
-    n = len(clearances.radii)
+    n = residuals.formulation.unknowns.size
     work = problem.tape.work.copy()
     work[problem.tape.arguments[1] :][: len(p)] = p
-    boxes = values["obstacles"].reshape(-1, OBSTACLE_DIM)
-    lanes = np.repeat(problem.clearance.work[:, None], n, axis=1)
-    if not on_mesh:
-        lanes[:SIZE_DIM] = values["size"][:, None]
-    box_lanes = np.tile(problem.box.work[None, :, None], (len(boxes), 1, n))
-    box_lanes[:, :OBSTACLE_DIM] = boxes[:, :, None]
-    root = values["root"] if len(values["root"]) else np.zeros(12)
     return RunTables(
         work=work,
-        object=ObjectRoom(
-            reach=clearances.reach(values),
-            known=clearances.unknown_gaps(),
-            seen=np.full((n, 3), np.inf),
-            lanes=lanes,
-            field=spline_tables(field) if isinstance(field, DistanceField) else NO_FIELD,
+        field=spline_tables(field) if isinstance(field, DistanceField) else NO_FIELD,
+        hand=hand_at(tables.joints, values["root"]),
+        clearances=problem.clearances.run(values),
+        capsules=capsule_run(residuals.fingers, values, residuals.formulation.symbols.hand.nq),
+        links=link_run(None, n, problem.places[LINKS]),
+        resistance=ResistanceRun(
+            directions=np.zeros((0, 6)),
+            target=0.0,
+            mu=float(values["mu"][0]),
+            length=float(values["length"][0]),
+            resisted=np.zeros(len(tables.contacts.normals_at)),
+            work=np.zeros((2, 3)),
         ),
-        around=Surroundings(
-            lanes=box_lanes,
-            reach=clearances.radii + values["clear_table"][0],
-            normal=values["table"][:3].copy(),
-            height=clearances.heights(values),
-            apart=clearances.squared_distances(values),
-            root=np.ascontiguousarray(root[:9].reshape(3, 3, order="F")),
-            root_origin=root[9:].copy(),
+        rows=_rows(problem, LINK_ROWS),
+        kept=Kept(x=np.zeros(n), counts=np.full(2, -1), worst=np.zeros(1)),
+        scratch=Scratch(
+            normal=np.zeros((n, n)),
+            damped=np.zeros((n, n)),
+            columns=np.zeros((7, n)),
+            to=np.zeros(n),
+            numbers=np.zeros((3, n), dtype=np.int64),
+            held=np.zeros(n, dtype=np.bool_),
         ),
-        rows=_rows(problem, len(boxes), LINK_ROWS),
-        kept=Kept(
-            x=np.zeros(problem.residuals.formulation.unknowns.size),
-            counts=np.full(2, -1),
-            worst=np.zeros(1),
-        ),
-        mu=float(values["mu"][0]),
-        length=float(values["length"][0]),
     )
 
 
-def _rows(problem: LoopProblem, n_obstacles: int, n_links: int) -> Rows:
+def _rows(problem: LoopProblem, n_links: int) -> Rows:
     """Room for all rows that there can be."""
     t, size = problem.tables, problem.residuals.formulation.unknowns.size
-    n_joints, n_pairs = len(t.joints.twists_at), len(t.capsules.pairs)
-    points = len(t.spheres.joint) * (1 + n_obstacles) + len(t.hull.joint)
+    n_joints, n_pairs = len(t.joints.twists_at) // 6, len(t.capsules.pairs)
+    points = int(t.clearances.first[-1])
     rows = points + n_pairs + len(t.written.values_at) + n_links + N_DIRECTIONS
     entries = points * (6 + n_joints) + n_pairs * n_joints + len(t.written.entries_at)
     entries += n_links * size + 3 * N_DIRECTIONS
@@ -192,5 +234,7 @@ def _rows(problem: LoopProblem, n_obstacles: int, n_links: int) -> Rows:
         ends=np.empty(rows, dtype=np.int64),
         columns=np.empty(entries, dtype=np.int64),
         entries=np.empty(entries),
-        least=np.zeros(len(SOURCES)),
+        least=np.zeros(len(problem.places)),
+        weights=np.array([term.weight for term in problem.places]),
+        count=np.zeros(2, dtype=np.int64),
     )

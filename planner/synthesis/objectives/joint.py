@@ -22,8 +22,7 @@ import numpy as np
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.contact_wrenches import contact_torque
-from planner.synthesis.symbols import GraspPoint, GraspSymbols
+from planner.synthesis.symbols import GraspPoint, GraspSymbols, contact_torque
 
 MANIPULABILITY_TARGET = 0.15
 """Target of manipulability, more than fingers reach, m/rad."""

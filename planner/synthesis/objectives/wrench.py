@@ -27,8 +27,7 @@ import numpy as np
 
 from planner.quality.weakest import first_apart, wrench_faces
 from planner.spatial import FloatArray
-from planner.synthesis.contact_wrenches import support
-from planner.synthesis.symbols import GraspPoint, GraspSymbols
+from planner.synthesis.symbols import GraspPoint, GraspSymbols, support
 
 CUTS = 12
 """Directions of wrench in which a round works on one objective. Those of the hull with 4 edges do

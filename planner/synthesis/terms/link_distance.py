@@ -14,18 +14,19 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from planner.collision.pad_contact import pad_contact_queries
 from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
+from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.synthesis.field_points import Field
 from planner.synthesis.terms.contact import PER_METRE
-from planner.synthesis.terms.source import ActiveRows
-from planner.synthesis.terms.term import Role, Row, Term
+from planner.synthesis.terms.hand_points import Rows, end_row
+from planner.synthesis.terms.term import ActiveRows, Role, Row, Term
 from planner.synthesis.unknowns import Unknowns, mrp_rates
 
 LEAST_DISTANCE = 0.0015
@@ -180,3 +181,46 @@ def find_link_distances(
         joints=joints,
         urgent=bool((values[short] < -asked[short] / 2).any()),
     )
+
+
+class LinkRun(NamedTuple):
+    """Distances that are kept at present, for compiled loops.
+
+    Attributes:
+        values: Less those asked for (k,), m.
+        rates: Their derivatives by the unknowns (k, n).
+        x: Where they were measured (n,).
+        place: Of the term, see ``Rows``.
+    """
+
+    values: FloatArray
+    rates: FloatArray
+    x: FloatArray
+    place: int
+
+
+def link_run(distances: LinkDistances | None, size: int, place: int) -> LinkRun:
+    """The distances, or none, of ``size`` unknowns."""
+    if distances is None:
+        return LinkRun(np.zeros(0), np.zeros((0, size)), np.zeros(size), place)
+    rates = np.ascontiguousarray(distances.rows)
+    return LinkRun(distances.values, rates, distances.x, place)
+
+
+@loops_of_kernels
+def link_rows(run: LinkRun, x: FloatArray, rows: Rows) -> None:
+    """Append the linearised distances of true links that are too small."""
+    weight, place = rows.weights[run.place], run.place
+    rows.least[place] = 0.0
+    for k in range(len(run.values)):
+        value = run.values[k]
+        for j in range(len(x)):
+            value += run.rates[k, j] * (x[j] - run.x[j])
+        if value < -ROUNDING:
+            rows.least[place] = min(rows.least[place], value)
+            at = rows.count[1]
+            for j in range(len(x)):
+                if run.rates[k, j] != 0.0:
+                    rows.columns[at], rows.entries[at] = j, weight * run.rates[k, j]
+                    at += 1
+            end_row(rows, weight * value, at)

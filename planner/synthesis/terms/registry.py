@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from planner.errors import NotFoundError, TaskError, shown
 from planner.synthesis.objectives.registry import OBJECTIVES
-from planner.synthesis.terms.clearance import FINGERS, OBJECT, OBSTACLE, TABLE
+from planner.synthesis.terms.clearance import OBJECT, OBSTACLE, TABLE
 from planner.synthesis.terms.contact import CENTER, EDGE, FACING, SURFACE, TOUCH
+from planner.synthesis.terms.fingers import FINGERS
 from planner.synthesis.terms.forces import BALANCE, CONE, FORCES, LEVEL, PRESS, STOP
 from planner.synthesis.terms.joints import ARM, COUPLING, POSTURE
 from planner.synthesis.terms.link_distance import LINKS
 from planner.synthesis.terms.resistance import RESISTANCE
-from planner.synthesis.terms.term import Term
+from planner.synthesis.terms.term import Role, Term
 
 _STANDARD: tuple[Term, ...] = (
     TOUCH,
@@ -57,9 +58,15 @@ def register_term(term: Term) -> Term:
         raise TaskError(f"the name {term.name!r} is taken; give the term another one")
     if not term.name.isidentifier():
         raise TaskError(f"the name of the term is {term.name!r}; give one word of letters")
-    if term.write is None:
+    if (term.write is None) == (term.clearance is None):
         raise TaskError(
-            f"term {term.name!r} has no rows; give it write=, a function of GraspSymbols"
+            f"term {term.name!r} has no rows, or two kinds of them; give it write=, a function of "
+            "GraspSymbols, or clearance="
+        )
+    if term.clearance is not None and term.role is not Role.INEQUALITY:
+        raise TaskError(
+            f"term {term.name!r} has clearances and the role {term.role.name}; give it "
+            "role=Role.INEQUALITY"
         )
     if not (term.weight > 0 and term.margin >= 0):
         raise TaskError(

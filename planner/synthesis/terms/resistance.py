@@ -6,18 +6,20 @@ A round of least squares works on up to ``N_DIRECTIONS`` directions
 
 from __future__ import annotations
 
+import math
 from copy import copy
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from planner.spatial import FloatArray
+from planner.numerics.kernels import loops_of_kernels
+from planner.spatial import FloatArray, IntArray
 from planner.synthesis.field_points import Field
-from planner.synthesis.resistance import missing_resistance
-from planner.synthesis.symbols import GraspSymbols
-from planner.synthesis.terms.source import ActiveRows
-from planner.synthesis.terms.term import Role, Row, Term
+from planner.synthesis.resistance import TIE, missing_resistance
+from planner.synthesis.symbols import TINY, GraspSymbols
+from planner.synthesis.terms.hand_points import Rows, end_row
+from planner.synthesis.terms.term import ActiveRows, Role, Row, Term
 
 N_DIRECTIONS = 64
 """Most directions of wrench in one round: with few of them a round makes other directions weak."""
@@ -115,3 +117,108 @@ def checked_directions(directions: FloatArray) -> FloatArray:
 
 
 _NONE = np.zeros((0, 6))
+
+
+class ContactTables(NamedTuple):
+    """The contacts for compiled loops.
+
+    Attributes:
+        normals_at: Where outward normals are in the work array (n, 3).
+        slopes_at: Their Jacobians by the contacts, by rows (n, 9).
+        first: First unknown of the contact points.
+        taylor: Where the Taylor rows of a mesh begin in the work array; -1 without a mesh.
+    """
+
+    normals_at: IntArray
+    slopes_at: IntArray
+    first: int
+    taylor: int
+
+
+class ResistanceRun(NamedTuple):
+    """What is to be resisted, for compiled loops.
+
+    Attributes:
+        directions: Directions of wrench (d, 6).
+        target: Resistance to reach in each (-).
+        mu: Friction (-).
+        length: Characteristic length, m.
+        resisted: Resistance of each contact (n,), overwritten.
+        work: Force, and its part across the normal, (2, 3), overwritten.
+    """
+
+    directions: FloatArray
+    target: float
+    mu: float
+    length: float
+    resisted: FloatArray
+    work: FloatArray
+
+
+@loops_of_kernels
+def resistance_rows(
+    t: ContactTables, run: ResistanceRun, work: FloatArray, x: FloatArray, rows: Rows
+) -> None:
+    """Append the directions of wrench in which resistance falls short of its target."""
+    u, f, mu, length = run.directions, run.work, run.mu, run.length
+    for k in range(len(u)):
+        highest = -math.inf
+        for i in range(len(run.resisted)):
+            pressed, across = _part(t, run, work, x, k, i)
+            run.resisted[i] = pressed + mu * across
+            highest = max(highest, run.resisted[i])
+        best, size = 0, 0.0
+        while run.resisted[best] < highest - TIE:
+            best += 1
+        for i in range(6):
+            size += u[k, i] * u[k, i]
+        value = run.resisted[best] - run.target * math.sqrt(size)
+        if value >= 0.0:
+            continue
+        pressed, across = _part(t, run, work, x, k, best)
+        n0, n1, n2 = (
+            work[t.normals_at[best, 0]],
+            work[t.normals_at[best, 1]],
+            work[t.normals_at[best, 2]],
+        )
+        along = mu / across
+        c = 1.0 + along * (f[1, 0] * n0 + f[1, 1] * n1 + f[1, 2] * n2)
+        w0, w1, w2 = along * f[1, 0] - c * n0, along * f[1, 1] - c * n1, along * f[1, 2] - c * n2
+        z0 = pressed * (along * f[1, 0]) - c * f[0, 0]
+        z1 = pressed * (along * f[1, 1]) - c * f[0, 1]
+        z2 = pressed * (along * f[1, 2]) - c * f[0, 2]
+        at, first = rows.count[1], t.first + 3 * best
+        for j in range(3):
+            a, b = (j + 1) % 3, (j + 2) % 3
+            wa = w0 if a == 0 else (w1 if a == 1 else w2)
+            wb = w0 if b == 0 else (w1 if b == 1 else w2)
+            slope = (wa * u[k, 3 + b] - wb * u[k, 3 + a]) / length
+            slope += z0 * work[t.slopes_at[best, j]]
+            slope += z1 * work[t.slopes_at[best, 3 + j]]
+            slope += z2 * work[t.slopes_at[best, 6 + j]]
+            rows.columns[at + j], rows.entries[at + j] = first + j, RESISTANCE_WEIGHT * slope
+        end_row(rows, RESISTANCE_WEIGHT * value, at + 3)
+
+
+@loops_of_kernels
+def _part(
+    t: ContactTables, run: ResistanceRun, work: FloatArray, x: FloatArray, k: int, i: int
+) -> tuple[float, float]:
+    """The force of wrench k at contact i, and its part across the normal, into ``run.work``.
+
+    Returns:
+        Their sizes: along the normal, and across.
+    """
+    u, f, at = run.directions, run.work, t.first + 3 * i
+    f[0, 0] = u[k, 0] + (u[k, 4] * x[at + 2] - u[k, 5] * x[at + 1]) / run.length
+    f[0, 1] = u[k, 1] + (u[k, 5] * x[at] - u[k, 3] * x[at + 2]) / run.length
+    f[0, 2] = u[k, 2] + (u[k, 3] * x[at + 1] - u[k, 4] * x[at]) / run.length
+    n0, n1, n2 = work[t.normals_at[i, 0]], work[t.normals_at[i, 1]], work[t.normals_at[i, 2]]
+    pressed = -(f[0, 0] * n0 + f[0, 1] * n1 + f[0, 2] * n2)
+    f[1, 0], f[1, 1], f[1, 2] = (
+        f[0, 0] + pressed * n0,
+        f[0, 1] + pressed * n1,
+        f[0, 2] + pressed * n2,
+    )
+    across = f[1, 0] * f[1, 0] + f[1, 1] * f[1, 1] + f[1, 2] * f[1, 2]
+    return pressed, math.sqrt(across + TINY)

@@ -1,20 +1,30 @@
 """``Term``: one named residual of the grasp or motion problem.
 
 A term has a meaning, a unit, a role (equality, inequality or cost), a weight per unit, rows, and a
-verdict after the solver has finished. It is added by
-``planner.synthesis.register_term``; nothing else has to know of it.
+verdict after the solver has finished. It is added by ``planner.synthesis.register_term``; nothing
+else has to know of it.
+
+Rows are expressions (``write``), or clearances of spheres of the hand from surfaces
+(``clearance``). NumPy and compiled loops evaluate both from what is said here. Rows that are
+neither come from a ``RowSource``: of some hundreds of clearances few are violated at a time, and in
+each direction of wrench only one contact has derivatives; as expressions all of them would be
+differentiated at every evaluation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 
 from planner.failure import Failure
+from planner.hands.hand import Hand
+from planner.spatial import FloatArray, IntArray
+from planner.synthesis.field_points import Field
+from planner.synthesis.link_spheres import LinkSphere
 from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
 
@@ -51,6 +61,33 @@ class Rows:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SphereClearance:
+    """Spheres of the hand that keep away from surfaces: the rows of a term.
+
+    One row per sphere and surface: the signed distance of the sphere's centre from the surface less
+    what that must be at least. It counts while it is negative.
+
+    Attributes:
+        spheres: The spheres: ``link_spheres`` fill the links, ``hull_spheres`` span them.
+        numbers: What each surface depends on at a grasp in symbols: a column (k,) of expressions of
+            parameters for each surface; all of one length.
+        distance: Signed distance (m) of a point (3,), object frame, from the surface with numbers
+            (k,), as an expression of the two alone.
+        least: What the distance of a sphere's centre must be at least, m: one or two expressions of
+            parameters that are taken off it one after the other, usually the radius and a margin.
+            None for a sphere that has no row.
+        of_object: Whether the surface is that of the object. On a mesh its distance is looked up in
+            the field of the mesh, in place of ``distance``.
+    """
+
+    spheres: Callable[[Hand], tuple[LinkSphere, ...]]
+    numbers: Callable[[GraspSymbols], Sequence[Any]]
+    distance: Callable[[GraspSymbols, Any, Any], Any]
+    least: Callable[[GraspSymbols, LinkSphere], tuple[Any, ...] | None]
+    of_object: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Term:
     """One named residual.
 
@@ -63,8 +100,8 @@ class Term:
             some 0.05 of a normal force, of a cosine or of a radian weighs as much.
         margin: Added to the requirement for the solver, in the unit: least squares end slightly on
             the wrong side of an inequality.
-        write: The rows at a grasp in symbols. None for terms whose rows come from a ``RowSource``
-            (``planner.synthesis.terms.source``).
+        write: The rows at a grasp in symbols. None for terms whose rows come from a ``RowSource``.
+        clearance: The rows as clearances of spheres, in place of ``write``; of an inequality.
         wording: One row in words; ``{}`` stands for what it concerns, ``elsewhere`` if nothing.
         elsewhere: See ``wording``.
         lacking: What it says of hand and object if no attempt satisfies it, and what to change: a
@@ -81,6 +118,7 @@ class Term:
     weight: float
     margin: float = 0.0
     write: Callable[[GraspSymbols], Iterable[Rows]] | None = None
+    clearance: SphereClearance | None = None
     wording: str = ""
     elsewhere: str = "the grasp"
     lacking: str = ""
@@ -177,3 +215,61 @@ def first_failure(terms: Iterable[Term], point: GraspPoint) -> Failure | None:
 def table_of(terms: Iterable[WrittenTerm]) -> str:
     """Terms as a table, one line each."""
     return "\n".join(f"  {line}" for line in (HEADER, *terms))
+
+
+class ActiveRows(NamedTuple):
+    """Active rows of one term.
+
+    Attributes:
+        term: The term.
+        values: (k,), in the term's unit, without its weight.
+        jacobian: (k, n), their derivatives by the unknowns.
+        numbers: Which rows of the term they are (k,).
+    """
+
+    term: Term
+    values: FloatArray
+    jacobian: FloatArray
+    numbers: IntArray
+
+
+class RowSource(Protocol):
+    """Computes rows of one or more terms.
+
+    Attributes:
+        outputs: Expressions of the unknowns and parameters whose values it needs, by name.
+    """
+
+    outputs: dict[str, Any]
+
+    @property
+    def rows(self) -> Mapping[Term, tuple[Row, ...]]:
+        """The terms, and the names of all rows that each has at present."""
+        ...
+
+    def clone(self) -> RowSource:
+        """The same with parameters and results of its own."""
+        ...
+
+    def receive(self, results: dict[str, FloatArray]) -> None:
+        """Arrays that hold the transposed ``outputs`` after every evaluation, row by row."""
+        ...
+
+    def set_parameters(self, values: dict[str, FloatArray], field: Field | None) -> None:
+        """Numbers for the calls that follow.
+
+        Args:
+            values: Parameters by name, see ``Formulation``.
+            field: The distance field of a mesh.
+        """
+        ...
+
+    def __call__(self, x: FloatArray) -> list[ActiveRows]:
+        """The rows that count at x (n,), for which the outputs have been computed."""
+        ...
+
+
+def names_of(active: ActiveRows, rows: Mapping[Term, tuple[Row, ...]]) -> list[Row]:
+    """The names of rows that count, of a source with these rows."""
+    by_number = {row.number: row for row in rows[active.term]}
+    return [by_number[k] for k in active.numbers.tolist()]
