@@ -54,7 +54,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from scipy.optimize import nnls
+from planner.system.scipy_parts import nnls
 from scipy.spatial.transform import Rotation
 
 from planner.certify.robust import closure_survives, weakest_motion

@@ -30,7 +30,7 @@ def wrench_reach(
     Raises:
         ContactError: The contacts have no force closure, so that the hull does not hold 0.
     """
-    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import ConvexHull, QhullError  # here: SciPy loads slowly
 
     check_hull(len(contacts), edges)
     wrenches = primitive_wrenches(contacts, edges, length=length)

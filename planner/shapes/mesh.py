@@ -258,7 +258,7 @@ class Mesh(Shape):
 
     @cached_property
     def _hull(self) -> ConvexHull:
-        from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+        from planner.system.scipy_parts import ConvexHull  # here: SciPy loads slowly
 
         return ConvexHull(self.vertices)
 
