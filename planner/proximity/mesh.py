@@ -10,7 +10,7 @@ its radius, exactly, except where it is in two surfaces at a time.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import coal
 import numpy as np
@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from planner.numerics.kernels import kernels_are_compiled
 from planner.proximity.convex import Proximity
 from planner.proximity.mesh_depth import TOLERANCE, Exit, Moved, Start, shortest_exit
-from planner.proximity.mesh_gaps import MeshGaps
 from planner.shapes.meshes.nearest_triangle import BallTree
 from planner.spatial import SE3, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from planner.proximity.mesh_gaps import MeshGaps
 
 __all__ = ["CROSSING", "ClosedMesh", "MeshPair", "maybe_within"]
 
@@ -103,6 +105,8 @@ class MeshPair:
 
     @cached_property
     def _loops(self) -> MeshGaps | None:
+        from planner.proximity.mesh_gaps import MeshGaps  # here: where kernels are compiled
+
         return MeshGaps.of([self.geometry], self.mesh)
 
     def distance(self, pose: SE3, pose_mesh: SE3) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import coal
 import numpy as np
@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 
 from planner.numerics.kernels import kernels_are_compiled
 from planner.proximity.mesh import CROSSING, ClosedMesh, MeshPair, maybe_within
-from planner.proximity.mesh_gaps import MeshGaps
 from planner.spatial import SE3, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from planner.proximity.mesh_gaps import MeshGaps
 
 __all__ = ["FEW", "LEAST_LIMIT", "MeshPairs"]
 
@@ -51,6 +53,8 @@ class MeshPairs:
 
     @cached_property
     def _loops(self) -> MeshGaps | None:
+        from planner.proximity.mesh_gaps import MeshGaps  # here: where kernels are compiled
+
         return MeshGaps.of([p.geometry for p in self._pairs], self._mesh)
 
     def place(self, poses: Any, T_mesh: SE3) -> None:

@@ -20,8 +20,6 @@ from planner.shapes.base import ON_SURFACE, Shape, checked_points, unit
 from planner.shapes.field.distance_field import DistanceField
 from planner.shapes.field.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
 from planner.shapes.hulls import convex_geometry, hull_of
-from planner.shapes.meshes.io import read_mesh
-from planner.shapes.meshes.mending import check_solid, checked_once
 from planner.shapes.meshes.nearest_triangle import BallTree, NearestTriangles
 from planner.shapes.meshes.triangles import (
     Polyhedron,
@@ -139,6 +137,8 @@ class Mesh(Shape):
         Raises:
             ObjectError: The triangles do not bound a solid; says what is wrong, where, what to do.
         """
+        from planner.shapes.meshes.mending import check_solid
+
         v, f = checked_triangles(name, vertices, faces)
         mending = check_solid(name, v, f, repair=repair, strict=strict)
         if mending is None:
@@ -165,6 +165,9 @@ class Mesh(Shape):
             ObjectError: The file cannot be read, or bounds no solid; says what is wrong and what
                 to do.
         """
+        from planner.shapes.meshes.io import read_mesh
+        from planner.shapes.meshes.mending import check_solid, checked_once
+
         file = Path(path)
         vertices, faces = read_mesh(file, scale)
         source = MeshSource(path=file.resolve(), scale=scale, repair=repair)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
@@ -63,10 +64,8 @@ class _EmptyPackages(MetaPathFinder, Loader):
 
 
 def _load_empty(name: str) -> None:
-    try:
+    with suppress(_Loaded):
         import_module(name)
-    except _Loaded:
-        pass
 
 
 def _load_parts() -> None:

@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 
 from planner.errors import ModelError, ObjectError
-from planner.shapes.meshes.simplify import simplified
-from planner.shapes.meshes.soundness import MOST_TRIANGLES
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
 
@@ -63,6 +61,8 @@ def read_mesh(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
         raise ObjectError(f"there is no mesh file {str(path)!r}; check the path")
     if not (np.isfinite(scale) and scale > 0):
         raise ObjectError(f"{path.name}: scale is {scale}; give metres per unit of the file, > 0")
+    from planner.shapes.meshes.soundness import MOST_TRIANGLES
+
     vertices, faces = _read(path)
     if len(faces) == 0:
         raise ObjectError(f"{path.name} holds no triangles; give a mesh of a closed surface")
@@ -191,6 +191,8 @@ def converted_mesh(path: Path, most: int = 0) -> tuple[FloatArray, IntArray]:
         return known["vertices"], known["faces"].astype(np.int64)
     vertices, faces = _read_link(path)
     if most:
+        from planner.shapes.meshes.simplify import simplified
+
         vertices, faces, _ = simplified(vertices, faces, most)
     write_arrays(CONVERTED, key, {"vertices": vertices, "faces": faces})
     return vertices, faces

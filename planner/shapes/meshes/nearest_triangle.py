@@ -24,7 +24,6 @@ import coal
 import numpy as np
 
 from planner.numerics.kernels import kernels_are_compiled
-from planner.shapes.meshes.nearest_kernels import nearest_triangles, triangles_within
 from planner.shapes.meshes.triangles import COVERED, FACE, cover, nearest_on_triangles
 from planner.spatial import FloatArray, IntArray
 
@@ -204,6 +203,8 @@ class NearestTriangles:
             points: (n, 3), m, finite.
         """
         if kernels_are_compiled():
+            from planner.shapes.meshes.nearest_kernels import nearest_triangles
+
             surface, triangle, feature = nearest_triangles(
                 np.ascontiguousarray(points, dtype=np.float64), *self._tree
             )
@@ -246,6 +247,8 @@ class NearestTriangles:
         Sorted by point, then by triangle.
         """
         if kernels_are_compiled():
+            from planner.shapes.meshes.nearest_kernels import triangles_within
+
             points = np.ascontiguousarray(points, dtype=np.float64)
             owner, triangle = triangles_within(points, float(radius), *self._tree)
             order = np.argsort(owner * len(self.faces) + triangle)
