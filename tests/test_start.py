@@ -29,7 +29,10 @@ SLOW = {
 }
 """What a plan of a known hand and a known object has no use for."""
 
-TOO_MUCH_TO_RUN = {"sim.learning", "sim.tactile", "sim.manipulation", "matplotlib", "numba"}
+TOO_MUCH_TO_RUN = {
+    *("sim.learning", "sim.tactile", "sim.manipulation", "sim.estimation"),
+    *("planner.motion", "planner.batch", "planner.shapes.decomposition", "matplotlib", "numba"),
+}
 """What a trial has no use for."""
 
 MOST_TO_PLAN, MOST_TO_RUN = 185, 260
