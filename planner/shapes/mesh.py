@@ -60,6 +60,12 @@ OPPOSITE = -0.5
 PLANE_DIGITS = 9
 """Decimal digits to which planes of the hull are equal: a nanometre."""
 
+HULL_VERSION = "v1"
+"""Part of the key of hulls and stable poses in the cache; changes whenever the results do."""
+
+STANDS = 1e-9
+"""By how much (m, and entries of a rotation) stored poses may differ from those of this mesh."""
+
 
 class Mesh(Shape):
     """A solid bounded by triangles; axes as in the file, origin at the centre of mass.
@@ -266,21 +272,44 @@ class Mesh(Shape):
         return ConvexHull(self.vertices)
 
     @cached_property
+    def _kept_hull(self) -> tuple[FloatArray, FloatArray]:
+        """Vertices and planes of the convex hull, kept on disk: of a scan Qhull takes a second."""
+        key = f"{HULL_VERSION}-{self.digest}"
+        stored = read_arrays("hull", key)
+        if stored is not None and self._is_hull(stored):
+            return self.vertices[stored["corners"].astype(np.int64)], stored["planes"]
+        planes = np.unique(np.round(self._hull.equations, PLANE_DIGITS), axis=0)
+        planes[:, 3] -= 10.0**-PLANE_DIGITS  # rounding leaves nothing of the hull outside
+        write_arrays("hull", key, {"corners": self._hull.vertices, "planes": planes})
+        return self.vertices[self._hull.vertices], planes
+
+    def _is_hull(self, stored: dict[str, FloatArray]) -> bool:
+        """Whether stored corners and planes are of a hull that reaches as far as this mesh."""
+        corners, planes = stored.get("corners"), stored.get("planes")
+        if corners is None or planes is None or corners.dtype.kind not in "iu":
+            return False
+        if corners.ndim != 1 or planes.ndim != 2 or planes.shape[1:] != (4,) or len(corners) < 4:
+            return False
+        if corners.min() < 0 or corners.max() >= len(self.vertices):
+            return False
+        points = self.vertices[corners]
+        lower, upper = self.bounds
+        return bool((points.min(axis=0) == lower).all() and (points.max(axis=0) == upper).all())
+
+    @cached_property
     def hull_vertices(self) -> FloatArray:
         """Vertices (k, 3) of the convex hull, m, read-only."""
-        points: FloatArray = self.vertices[self._hull.vertices]
+        points = self._kept_hull[0]
         points.flags.writeable = False
         return points
 
-    @cached_property
+    @property
     def hull_planes(self) -> FloatArray:
         """Planes (k, 4) of the convex hull: unit normal out of it and d, n . x + d <= 0 inside, m.
 
         Triangles of one plane share it.
         """
-        planes: FloatArray = np.unique(np.round(self._hull.equations, PLANE_DIGITS), axis=0)
-        planes[:, 3] -= 10.0**-PLANE_DIGITS  # rounding leaves nothing of the hull outside
-        return planes
+        return self._kept_hull[1]
 
     def coal_geometry(self) -> Any:
         """``coal.BVHModelOBBRSS``: a triangle soup without an inside."""
@@ -411,9 +440,33 @@ class Mesh(Shape):
 
     @cached_property
     def _resting_poses(self) -> tuple[StablePose, ...]:
+        key = f"{HULL_VERSION}-{self.digest}"
+        stored = read_arrays("poses", key)
+        if stored is not None and self._are_poses(stored.get("poses")):
+            return tuple(
+                StablePose(
+                    rotation=row[:9].reshape(3, 3),
+                    height=float(row[9]),
+                    margin_deg=float(row[10]),
+                    probability=float(row[11]),
+                )
+                for row in stored["poses"]
+            )
         hull = self._hull
         of_all = np.array_equal(hull.vertices, np.arange(len(self.vertices)))
-        return stable_poses(self.hull_vertices, hull if of_all else None)
+        poses = stable_poses(self.hull_vertices, hull if of_all else None)
+        rows = [[*p.rotation.ravel(), p.height, p.margin_deg, p.probability] for p in poses]
+        write_arrays("poses", key, {"poses": np.array(rows)})
+        return poses
+
+    def _are_poses(self, rows: FloatArray | None) -> bool:
+        """Whether stored rows are rotations with the heights that this mesh has in them."""
+        if rows is None or rows.dtype != np.float64 or rows.ndim != 2 or rows.shape[1] != 12:
+            return False
+        turns = rows[:, :9].reshape(-1, 3, 3)
+        square = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0) < STANDS
+        heights = -(turns[:, 2] @ self.hull_vertices.T).min(axis=1)
+        return bool(len(rows) and square and (np.abs(heights - rows[:, 9]) < STANDS).all())
 
     def resting_poses(self) -> tuple[StablePose, ...]:
         """Stable poses on a horizontal table, the one that can be tilted farthest first.
