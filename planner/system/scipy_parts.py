@@ -16,7 +16,6 @@ import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
-from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
 from typing import Any
@@ -33,8 +32,8 @@ class _Loaded(ImportError):
     """Ends the import of an empty package: Python forgets it, and keeps its modules."""
 
 
-class _EmptyPackages(MetaPathFinder, Loader):
-    """Imports packages as empty ones for one thread, and modules inside them."""
+class _EmptyPackages:
+    """A finder and loader of packages: for one thread they are empty, and hold their modules."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names, self._thread = list(names), threading.get_ident()

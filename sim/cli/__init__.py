@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import ModuleType
 from typing import Annotated, Any
@@ -43,7 +42,7 @@ class _Unopened(SourceFileLoader):
                 os.environ[SWITCH] = given
 
 
-class _WithoutOpenGL(MetaPathFinder):
+class _WithoutOpenGL:
     """Finds MuJoCo's module for ``_Unopened``; everything else is found as ever."""
 
     def find_spec(
