@@ -119,11 +119,21 @@ def _read_once(path: Path) -> tuple[FloatArray, IntArray]:
         return _read(path)
     key = _key_of(path, content)
     known = read_arrays(READ, key)
-    if known is not None and {"vertices", "faces"} <= set(known):
-        return known["vertices"], known["faces"].astype(np.int64)
+    if known is not None and _are_triangles(known):
+        return known["vertices"], known["faces"]
     vertices, faces = _read(path)
     write_arrays(READ, key, {"vertices": vertices, "faces": faces})
     return vertices, faces
+
+
+def _are_triangles(known: dict[str, FloatArray]) -> bool:
+    """Whether stored arrays are vertices and triangles of them."""
+    vertices, faces = known.get("vertices"), known.get("faces")
+    if vertices is None or faces is None or faces.dtype != np.int64 or not faces.size:
+        return False
+    if vertices.dtype != np.float64 or vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
+        return False
+    return bool(faces.min() >= 0 and faces.max() < len(vertices))
 
 
 def _key_of(path: Path, content: bytes, more: str = "") -> str:
