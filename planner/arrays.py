@@ -141,7 +141,8 @@ def checked_number(
     if type(value) is float and least <= value <= most and isfinite(value) and above is None:
         return value
     array, said = _NAN, ""
-    if value is None or isinstance(value, bool | np.bool_ | str | bytes | complex):
+    truth = isinstance(value, bool) or getattr(value, "dtype", None) == np.bool_
+    if value is None or truth or isinstance(value, str | bytes | complex):
         said = ", not a number"
     else:
         array = float_array(what, value, error=error, wanted=f"a number{unit and f' in {unit}'}")
@@ -186,8 +187,9 @@ def check_fields(
 ) -> None:
     """Check number fields of a dataclass by one range, each as what its annotation says.
 
-    ``float`` is a number, ``int`` a whole one, ``tuple[float, float]`` so many, ``FloatArray`` and
-    ``tuple[float, ...]`` any number of them; None where ``| None`` follows.
+    ``float`` is a number, ``int`` a whole one, ``tuple[float, float]`` so many in a row,
+    ``tuple[float, ...]`` any number of them in a row, ``FloatArray`` in any shape; None where
+    ``| None`` follows.
 
     Args:
         owner: The dataclass, in ``__post_init__``.
@@ -207,17 +209,21 @@ def check_fields(
         if value is None and kind.endswith("None"):
             continue
         if kind.startswith("int"):
-            low = 0 if least == -np.inf else int(least)
+            low = 0 if least == -np.inf else math.ceil(least)
+            low = low if above is None else max(low, math.floor(above) + 1)
             high = MOST_COUNT if most == np.inf else int(most)
             checked_count(called, value, least=low, most=high, error=error)
             continue
         if kind.startswith("float"):
             parts: Iterable[Any] = (value,)
+        elif kind.startswith("tuple"):
+            array = float_array(called, value, error=error)
+            length = "" if "..." in kind else f"{kind.count('float')} "
+            if array.ndim != 1 or (length and len(array) != int(length)):
+                raise error(f"{called} is {shown(value)}; give {length}numbers in a row")
+            parts = value
         else:
             parts = float_array(called, value, error=error).ravel().tolist()
-            length = kind.count("float")
-            if "..." not in kind and kind.startswith("tuple") and len(parts) != length:
-                raise error(f"{called} is {shown(value)}; give {length} numbers")
         for part in parts:
             checked_number(
                 called, part, least=least, most=most, above=above, infinite=infinite, unit=unit,

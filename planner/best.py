@@ -32,7 +32,6 @@ from planner.numerics.levenberg_marquardt import MAX_ITERATIONS
 from planner.plan import BestOf, GraspPlan
 from planner.plan_metrics import Measure
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.climb import climb, nearby_start, with_light_costs
 from planner.synthesis.objectives.registry import EPSILON
 from planner.synthesis.optimize import NEARLY, GraspRun
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
@@ -142,6 +141,8 @@ def _attempt(
     context: ClimbingContext, rng: np.random.Generator, measure: Measure, kept: list[_Kept]
 ) -> GraspPlan | Failure:
     """Draw or vary a start, solve, climb, and verify what would be the best; ``kept`` learns."""
+    from planner.synthesis.climb import nearby_start  # here: the first grasp needs none of it
+
     with stage("seed"):
         if kept and rng.random() < BESIDE:
             parent = kept[int(rng.integers(len(kept)))]
@@ -169,6 +170,8 @@ def _climbed(
     context: ClimbingContext, start: Start, measure: Measure, best: _Kept | None
 ) -> tuple[Candidate, float] | Failure:
     """The best grasp near a start, and its value; a failure if it would not beat the best."""
+    from planner.synthesis.climb import climb, with_light_costs
+
     task, problem, options = context.task, context.grasp_problem, context.options
     begin = planning_time()
     posture, margins = context.seeder.posture, with_room(options, task)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from planner.bridge import load_spec, spec_from_model
+from planner.bridge import load_spec
 from planner.hands.arm import read_mount
 from planner.hands.build import build_from_spec, build_hand, hand_on_arm
 from planner.hands.catalog import find_hand, hand_reference
@@ -94,4 +94,6 @@ def hand_from_model(model: Any, description: HandDescription | None = None) -> H
         ModelError: The model has parts that cannot be turned back into a spec; or as above.
         HandError: Description and model do not fit.
     """
+    from planner.bridge import spec_from_model
+
     return hand_from_spec(spec_from_model(model), description)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -28,7 +29,6 @@ from planner.arrays import checked_number
 from planner.bridge.object_body import object_body
 from planner.errors import NotFoundError, ObjectError, shown
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
-from planner.shapes.meshes.io import CONVERTIBLE, MESH_SUFFIXES
 from planner.spatial import SE3, FloatArray
 
 __all__ = [
@@ -160,9 +160,6 @@ DEFAULT_MASS = 0.1
 HEAVIEST = 100.0
 """Largest accepted mass (kg): more is too heavy to lift, or was given in grams."""
 
-_MESH_FILE = re.compile(
-    rf"(.*(?:{'|'.join(re.escape(s) for s in (*MESH_SUFFIXES, *CONVERTIBLE))}))(?:\*(.*))?", re.I
-)
 _MODEL_BODY = re.compile(r"(.*\.(?:xml|mjcf|urdf))#(.*)", re.I)
 
 
@@ -254,9 +251,18 @@ def parse_object(
     return GraspObject(name=name, shape=shape, mass=mass, touch=touch)
 
 
+@cache
+def _mesh_file() -> re.Pattern[str]:
+    """A mesh file and its scale."""
+    from planner.shapes.meshes.io import CONVERTIBLE, MESH_SUFFIXES
+
+    suffixes = "|".join(re.escape(s) for s in (*MESH_SUFFIXES, *CONVERTIBLE))
+    return re.compile(rf"(.*(?:{suffixes}))(?:\*(.*))?", re.I)
+
+
 def _parse_shape(spec: str, repair: bool, strict: bool) -> tuple[str, Shape, float]:
     """Name, shape, and mass (kg) if nothing else is said."""
-    mesh = _MESH_FILE.fullmatch(spec)
+    mesh = _mesh_file().fullmatch(spec)
     if mesh:
         path = Path(mesh[1])
         scale = _scale(spec, mesh[2])

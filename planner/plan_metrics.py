@@ -193,7 +193,7 @@ def robust_epsilon(
 
 def _faces(contacts: ContactSet, length: float) -> FloatArray:
     """Faces (k, 7) of the hull of primitive wrenches: unit normal, minus its distance."""
-    from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import ConvexHull  # here: SciPy loads slowly
 
     wrenches = primitive_wrenches(contacts, EDGES, length=length).T
     if len(wrenches) <= 6:  # a hull in six dimensions has seven corners or more: this one is flat

@@ -22,7 +22,7 @@ MOST_FAULTS = 5
 class StrictData(BaseModel):
     """Data without unknown fields, without NaN or infinity, and without numbers beyond a bound."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     @model_validator(mode="after")
     def _bounded(self) -> Self:

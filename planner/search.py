@@ -21,7 +21,6 @@ from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
 from planner.finishing import UNSOLVED, finished, true_geometry, true_links
 from planner.plan import GraspPlan
-from planner.refine import refine_grasp
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import NEARLY, optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions
@@ -208,6 +207,8 @@ def _near_start(
         )
     if not (isinstance(start, tuple) and len(start) == 2):
         raise TaskError(f"start is {shown(start)}; give a pair of base pose and joints")
+    from planner.refine import refine_grasp  # here: few searches start from a given grasp
+
     found = refine_grasp(task, *start, options=options)
     if progress is not None:
         for attempt in found.attempts:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 
-from planner.arrays import checked_count, checked_number, finite_array
+from planner.arrays import check_fields, checked_count, checked_number, finite_array
 from planner.contacts import Contact, ContactSet
 from planner.errors import ContactError, TaskError
 from planner.forces import distribute_forces
@@ -107,3 +108,44 @@ def test_the_error_may_be_another_of_the_family() -> None:
         checked_count("workers", 2**63, least=1, most=8, error=TaskError)
     assert checked_number("mass", 1, least=0) == 1.0
     assert checked_count("workers", np.int64(3), least=1, most=8) == 3
+
+
+@pytest.mark.parametrize("truth", [True, np.True_, np.array(True), np.array([True])[0]])
+def test_a_truth_value_is_no_number_in_any_form(truth: Any) -> None:
+    with pytest.raises(TaskError, match="not a number"):
+        checked_number("mass", truth, error=TaskError)
+
+
+@dataclass(frozen=True)
+class Sized:
+    """Fields of every kind that ``check_fields`` knows."""
+
+    count: int = 3
+    pair: tuple[float, float] = (1.0, 2.0)
+    many: tuple[float, ...] = (1.0, 2.0, 3.0)
+    grid: Any = None
+
+
+@pytest.mark.parametrize("above", [2.0, 2.5, 2])
+def test_a_whole_number_exceeds_what_it_has_to_exceed(above: float) -> None:
+    check_fields(Sized(count=3), ("count",), above=above)
+    with pytest.raises(TaskError, match="count is 2; give a whole number from 3"):
+        check_fields(Sized(count=2), ("count",), above=above)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"pair": ((1.0, 2.0),)},
+        {"pair": ((1.0,), (2.0,))},
+        {"pair": np.ones((2, 1))},
+        {"pair": (True, 2.0)},
+        {"many": ((1.0, 2.0), (3.0, 4.0))},
+        {"many": 1.0},
+    ],
+)
+def test_numbers_in_a_row_are_not_rows_of_numbers(given: dict[str, Any]) -> None:
+    (name,) = given
+    with pytest.raises(TaskError, match=f"{name} is "):
+        check_fields(Sized(**given), (name,))
+    check_fields(Sized(pair=np.ones(2), many=[4.0]), ("pair", "many"))  # type: ignore[arg-type]

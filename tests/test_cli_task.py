@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 from planner import plan_grasp
 from planner.errors import TaskError
 from planner.files import read_plan, write_plan
+from planner.objects import GraspObject
 from planner.task import GRAVITY as GRAVITY_OF_TASKS
 from planner.task import GraspTask
 from sim.cli import app
@@ -180,3 +182,19 @@ def test_a_batch_has_the_same_surroundings(tmp_path: Path) -> None:
     )
     task = read_plan(tmp_path / "plan.json").task
     assert (task.table_height, len(task.obstacles)) == (0.3, 1)
+
+
+def test_a_policy_is_told_of_the_object_that_is_grasped(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Met(Exception):
+        """The object that the policy is asked about."""
+
+    def meet(self: object, hand: object, item: Callable[[], GraspObject], degrees: object) -> None:
+        raise Met(item())
+
+    monkeypatch.setattr("sim.cli.execution.ExecutionOptions.check_policy", meet)
+    command = ["run", "allegro_hand", "box:0.1x0.1x0.1", "--density", "500", "--touch", "z>0"]
+    with pytest.raises(Met) as met:
+        RUN.invoke(app, command, catch_exceptions=False)
+    (item,) = met.value.args
+    assert item.mass == pytest.approx(0.5)
+    assert item.touch is not None

@@ -114,6 +114,15 @@ def test_an_equality_that_is_switched_off_ties_nothing() -> None:
     assert [c.name for c in couplings_from_mujoco(compiled(off))] == ["three"]
 
 
+def test_a_tie_between_parts_of_one_link_ties_nothing_more() -> None:
+    nail = '<body name="nail"><geom size="0.01" contype="0" conaffinity="0"/></body>'
+    weld = '<weld body1="nail" body2="c"/></equality>'
+    text = FINGER.replace('<site name="tip"', f'{nail}<site name="tip"')
+    model = text.replace("TIES", JOINTS.replace("</equality>", weld))
+    found = couplings_from_mujoco(mujoco.MjModel.from_xml_string(model))
+    assert [c.name for c in found] == ["two", "three"]
+
+
 @pytest.mark.parametrize(
     ("ties", "reason"),
     [

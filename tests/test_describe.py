@@ -418,6 +418,18 @@ def test_closed_loops_are_named_as_what_they_are(tmp_path: Path, base: str | Non
         propose(written(tmp_path, text), base_body=base)
 
 
+def test_a_weld_within_one_link_closes_no_loop(tmp_path: Path) -> None:
+    plain = propose(written(tmp_path, claw()))
+    body = re.search(r'<body name="thumb_b"[^>]*>', claw())
+    assert body is not None
+    nail = '<body name="nail"><geom size="0.001" mass="1e-6" contype="0" conaffinity="0"/></body>'
+    weld = '<equality><weld name="glue" body1="nail" body2="thumb_b"/></equality>'
+    text = claw().replace(body[0], body[0] + nail).replace("<actuator>", f"{weld}<actuator>")
+    proposal = propose(written(tmp_path, text))
+    assert proposal.description.fingers == plain.description.fingers
+    assert not load_hand(tmp_path / "claw.xml").couplings
+
+
 def test_joints_that_mimic_others_get_no_servo(tmp_path: Path) -> None:
     proposal = propose(written(tmp_path, urdf(mimic=True), "claw.urdf"))
     (servos,) = proposal.description.actuators

@@ -17,6 +17,7 @@ from conftest import of_trimesh
 from planner.errors import ObjectError
 from planner.objects import parse_object
 from planner.shapes import Mesh, Torus, shape_from_dict, shape_to_dict
+from planner.shapes.meshes.io import read_mesh
 from planner.system.disk_cache import CACHE_VARIABLE
 
 
@@ -42,6 +43,25 @@ def test_a_file_reads_back_the_same_solid(tmp_path: Path, name: str) -> None:
     assert len(mesh.faces) == len(torus.faces) and len(mesh.vertices) == len(torus.vertices)
     assert mesh.volume == pytest.approx(torus.volume, rel=1e-5)
     assert parse_object(mesh.spec).shape == mesh
+
+
+def test_a_file_that_is_known_is_not_read_again_and_a_changed_one_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = saved(Torus(), tmp_path / "ring.ply")
+    first = read_mesh(path, 1.0)
+    with monkeypatch.context() as patch:
+        patch.setattr("planner.shapes.meshes.io._read", None)  # not called
+        for a, b in zip(read_mesh(path, 1.0), first, strict=True):
+            np.testing.assert_array_equal(a, b)
+            assert a.dtype == b.dtype
+    vertices, _ = read_mesh(saved(Torus(), path, scale=2.0), 1.0)
+    np.testing.assert_array_equal(vertices, 2.0 * first[0])
+    monkeypatch.setattr(
+        "planner.shapes.meshes.io.read_arrays",
+        lambda kind, key: {"vertices": first[0], "faces": first[1] + len(first[0])},
+    )
+    np.testing.assert_array_equal(read_mesh(path, 1.0)[0], vertices)  # not of these vertices
 
 
 def test_millimetres_with_a_scale(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,9 +12,11 @@ from scipy.spatial import ConvexHull
 
 from planner.errors import ObjectError
 from planner.objects import GraspObject, parse_object
-from planner.shapes import Box, Hammer, Knot, LBracket, Mug, Shape, Sphere, Torus, stable
+from planner.shapes import Box, Hammer, Knot, LBracket, Mesh, Mug, Shape, Sphere, Torus, stable
+from planner.shapes.mesh import HULL_VERSION
 from planner.shapes.stable import stable_poses
 from planner.spatial import FloatArray, IntArray
+from planner.system.disk_cache import CACHE_VARIABLE, write_arrays
 
 SIZES = np.array([0.04, 0.06, 0.10])
 
@@ -167,3 +171,51 @@ def test_poses_on_a_known_hull_are_those_on_a_new_one() -> None:
         assert np.array_equal(one.rotation, other.rotation)
         assert (one.height, one.margin_deg) == (other.height, other.margin_deg)
         assert one.probability == other.probability
+
+
+def test_hull_and_poses_are_the_same_from_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    known = parse_object("mug").shape
+    assert isinstance(known, Mesh)
+
+    def fresh() -> Mesh:
+        return Mesh(known.vertices, known.faces)
+
+    made = fresh()
+    expected = made.hull_vertices, made.hull_planes, made.resting_poses()
+    monkeypatch.setattr(Mesh, "_hull", None)  # nothing is computed from here on
+    stored = fresh()
+    np.testing.assert_array_equal(stored.hull_vertices, expected[0])
+    np.testing.assert_array_equal(stored.hull_planes, expected[1])
+    for a, b in zip(stored.resting_poses(), expected[2], strict=True):
+        np.testing.assert_array_equal(a.rotation, b.rotation)
+        assert (a.height, a.margin_deg, a.probability) == (b.height, b.margin_deg, b.probability)
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        {"poses": np.ones((1, 12))},
+        {"poses": np.hstack([np.eye(3).reshape(1, 9), [[0.5, 10.0, 1.0]]])},
+        {"poses": np.ones(12)},
+        {"corners": np.arange(4), "planes": np.ones((3, 4))},
+        {"corners": np.array([-1, 0, 1, 2]), "planes": np.ones((3, 4))},
+        {"corners": np.arange(4)},
+    ],
+)
+def test_a_hull_of_another_mesh_is_not_believed(
+    spoilt: dict[str, FloatArray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    given = parse_object("mug").shape
+    assert isinstance(given, Mesh)
+    known = Mesh(given.vertices, given.faces)
+    expected = known.hull_vertices, known.hull_planes, known.resting_poses()
+    kind = "poses" if "poses" in spoilt else "hull"
+    write_arrays(kind, f"{HULL_VERSION}-{known.digest}", spoilt)
+    mesh = Mesh(given.vertices, given.faces)
+    np.testing.assert_array_equal(mesh.hull_vertices, expected[0])
+    np.testing.assert_array_equal(mesh.hull_planes, expected[1])
+    assert [p.height for p in mesh.resting_poses()] == [p.height for p in expected[2]]

@@ -7,16 +7,20 @@ of warnings per process. A handler that a user sets after this import, or
 """
 
 import logging
+from typing import TYPE_CHECKING
 
 import mujoco
 
 from planner.bridge.actuation import actuation_from_mujoco
-from planner.bridge.decompile import spec_from_model
-from planner.bridge.edit import mirror_spec, motorise_spec
 from planner.bridge.geometry import LinkGeometry, LinkSurface, hand_geometries, link_surfaces
 from planner.bridge.load import compile_spec, load_spec
 from planner.bridge.pinocchio_model import couplings_from_mujoco, pinocchio_from_mujoco
 from planner.bridge.prepare import add_described_parts, isolate_base, name_parts, prepare_spec
+from planner.system.package import lazy_names
+
+if TYPE_CHECKING:
+    from planner.bridge.decompile import spec_from_model
+    from planner.bridge.edit import mirror_spec, motorise_spec
 
 __all__ = [
     "LinkGeometry",
@@ -36,6 +40,15 @@ __all__ = [
     "prepare_spec",
     "spec_from_model",
 ]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "mirror_spec": "planner.bridge.edit",
+        "motorise_spec": "planner.bridge.edit",
+        "spec_from_model": "planner.bridge.decompile",
+    },
+)
 
 _logger = logging.getLogger("planner.bridge")
 

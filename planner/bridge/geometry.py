@@ -116,7 +116,7 @@ def _convex_hull(vertices: FloatArray, name: str) -> Any:
     Raises:
         ModelError: The points lie in a plane.
     """
-    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import ConvexHull, QhullError  # here: SciPy loads slowly
 
     try:
         hull = ConvexHull(vertices)  # coal crashes where this raises

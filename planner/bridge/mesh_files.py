@@ -19,7 +19,6 @@ import numpy as np
 
 from planner.bridge.numbers import MOST_LENGTH
 from planner.errors import ModelError
-from planner.shapes.meshes.io import converted_mesh, needs_conversion
 from planner.spatial import FloatArray
 
 HIDDEN_GROUP = 3
@@ -64,6 +63,8 @@ def convert_meshes(spec: Any) -> None:
     Raises:
         ModelError: A mesh cannot be converted.
     """
+    from planner.shapes.meshes.io import converted_mesh, needs_conversion
+
     folder = Path(spec.modelfiledir or "") / (spec.meshdir or "")
     for mesh in spec.meshes:
         file = folder / mesh.file
@@ -143,6 +144,8 @@ def _add_visual(
 
 def _add_visual_mesh(spec: Any, shape: Any, name: str, path: Path) -> str:
     """The mesh of a ``<visual>`` under a name that is free."""
+    from planner.shapes.meshes.io import converted_mesh
+
     file = Path(
         path.parent / (spec.meshdir or ""),
         _found(shape.get("filename", ""), path.parent / (spec.meshdir or ""), path),

@@ -34,6 +34,8 @@ _JOINTS = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _WRAP_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _EQ_JOINT = int(mujoco.mjtEq.mjEQ_JOINT)
+_EQ_CONNECT, _EQ_WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+_SITE = int(mujoco.mjtObj.mjOBJ_SITE)
 _EQ_TENDON = int(mujoco.mjtEq.mjEQ_TENDON)
 
 
@@ -92,6 +94,9 @@ def couplings_from_mujoco(model: Any) -> tuple[Coupling, ...]:
             continue
         name, kind = model.equality(i).name, int(model.eq_type[i])
         if kind not in (_EQ_JOINT, _EQ_TENDON):
+            tied = tied_bodies(model, i)
+            if tied is not None and len(links_of(model, tied)) == 1:
+                continue
             raise ModelError(
                 f"equality {name!r} closes a loop between bodies, and only couplings of joints and "
                 "fixed tendons are read; replace it by a <joint> or <tendon> equality, or write "
@@ -111,6 +116,24 @@ def couplings_from_mujoco(model: Any) -> tuple[Coupling, ...]:
             row, value = row - slope * other, value - slope * other_value
         out.append(Coupling(name=name, row=row, value=value, one_sided=False))
     return tuple(out)
+
+
+def tied_bodies(model: Any, equality: int) -> tuple[int, int] | None:
+    """The two bodies that an equality ties, at points or as a whole; None if it ties no bodies."""
+    if int(model.eq_type[equality]) not in (_EQ_CONNECT, _EQ_WELD):
+        return None
+    first, second = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+    if int(model.eq_objtype[equality]) == _SITE:
+        return int(model.site_bodyid[first]), int(model.site_bodyid[second])
+    return first, second
+
+
+def links_of(model: Any, tied: tuple[int, int]) -> set[int]:
+    """The links that two bodies are parts of: one where no joint is between them; 0 is the world.
+
+    Bodies of one link are tied already: another tie between them closes no loop.
+    """
+    return {int(model.body_weldid[body]) for body in tied}
 
 
 def _part(model: Any, kind: int, number: int) -> tuple[FloatArray, float]:

@@ -16,11 +16,17 @@ import numpy as np
 from planner.bridge.decompile import spec_from_model
 from planner.bridge.load import load_spec
 from planner.bridge.mesh_files import convert_meshes
-from planner.bridge.pinocchio_model import actuator_row, body_name, is_fixed_tendon, tendon_row
+from planner.bridge.pinocchio_model import (
+    actuator_row,
+    body_name,
+    is_fixed_tendon,
+    links_of,
+    tendon_row,
+    tied_bodies,
+)
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
 _BIAS_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
@@ -118,7 +124,7 @@ class TendonPart:
 class ModelStructure:
     """Everything above of one model, in the model's order; nv is the number of joints.
 
-    ``loops`` are the active equalities that tie two bodies and so close a loop: name, both bodies.
+    ``loops`` are the active equalities that tie two links and so close a loop: name, both bodies.
     """
 
     bodies: tuple[BodyPart, ...]
@@ -191,24 +197,11 @@ def structure_of(model: Any) -> ModelStructure:
         actuators=tuple(_actuator(model, i) for i in range(model.nu)),
         tendons=tuple(_tendon(model, t) for t in range(model.ntendon) if is_fixed_tendon(model, t)),
         loops=tuple(
-            _loop(model, e) for e in map(int, np.flatnonzero(model.eq_active0)) if _ties(model, e)
+            (model.equality(e).name or f"equality{e}", *tied)
+            for e in map(int, np.flatnonzero(model.eq_active0))
+            if (tied := tied_bodies(model, e)) and len(links_of(model, tied) - {0}) == 2
         ),
     )
-
-
-def _ties(model: Any, equality: int) -> bool:
-    """Whether an equality ties two bodies, or sites on them, none of them fixed to the world."""
-    if int(model.eq_type[equality]) not in (_CONNECT, _WELD):
-        return False
-    return all(model.body_weldid[b] for b in _loop(model, equality)[1:])
-
-
-def _loop(model: Any, equality: int) -> tuple[str, int, int]:
-    """Name of an equality and the bodies that it ties."""
-    first, second = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
-    if int(model.eq_objtype[equality]) == _SITE:
-        first, second = (int(model.site_bodyid[s]) for s in (first, second))
-    return model.equality(equality).name or f"equality{equality}", first, second
 
 
 def _joint(model: Any, j: int) -> JointPart:

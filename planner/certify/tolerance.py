@@ -54,7 +54,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from planner.certify.robust import closure_survives, weakest_motion
@@ -62,6 +61,7 @@ from planner.contacts import ContactSet
 from planner.quality import closure_of_wrenches, primitive_wrenches
 from planner.shapes import Shape
 from planner.spatial import FloatArray, contact_frames
+from planner.system.scipy_parts import nnls
 
 _SMALL = 1e-12
 """Lengths below this share of the others have no direction (-)."""

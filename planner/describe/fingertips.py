@@ -40,7 +40,7 @@ class ConvexLink:
 
     def __init__(self, geometry: LinkGeometry) -> None:
         """Read size and place of a geometry; a mesh counts as its convex hull."""
-        from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+        from planner.system.scipy_parts import ConvexHull  # here: SciPy loads slowly
 
         self.name, self.kind, self.body = geometry.name, geometry.kind, geometry.body
         self.center = np.array(geometry.T_joint_geometry.translation)

@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from planner.forces.build import (
     ForceArguments,
     LimitArguments,
     build_force_problem,
     gravity_wrench,
 )
-from planner.forces.compare import (
-    SolverComparison,
-    SolverRecord,
-    compare_solvers,
-    turning_wrenches,
-)
-from planner.forces.costs import QuadraticCost
-from planner.forces.gaps import PyramidGap, cone_gaps
-from planner.forces.grip import ExpectedLoad, grip_for_load
-from planner.forces.infeasible import Infeasibility, explain_infeasibility
-from planner.forces.loop import ForceLoop, ForceStep
 from planner.forces.problem import ForceProblem, ForceResiduals
 from planner.forces.solve import (
     ForceSolution,
@@ -27,8 +18,22 @@ from planner.forces.solve import (
     least_violation,
     solve_force_problem,
 )
-from planner.forces.workspace import turned_frames
-from planner.numerics.qp_workspace import DEFAULT_SOLVER, solver_names
+from planner.system.package import lazy_names
+
+if TYPE_CHECKING:
+    from planner.forces.compare import (
+        SolverComparison,
+        SolverRecord,
+        compare_solvers,
+        turning_wrenches,
+    )
+    from planner.forces.costs import QuadraticCost
+    from planner.forces.gaps import PyramidGap, cone_gaps
+    from planner.forces.grip import ExpectedLoad, grip_for_load
+    from planner.forces.infeasible import Infeasibility, explain_infeasibility
+    from planner.forces.loop import ForceLoop, ForceStep
+    from planner.forces.workspace import turned_frames
+    from planner.numerics.qp_workspace import DEFAULT_SOLVER, solver_names
 
 __all__ = [
     "DEFAULT_SOLVER",
@@ -59,3 +64,25 @@ __all__ = [
     "turned_frames",
     "turning_wrenches",
 ]
+
+_HOMES = {
+    "DEFAULT_SOLVER": "planner.numerics.qp_workspace",
+    "ExpectedLoad": "planner.forces.grip",
+    "ForceLoop": "planner.forces.loop",
+    "ForceStep": "planner.forces.loop",
+    "Infeasibility": "planner.forces.infeasible",
+    "PyramidGap": "planner.forces.gaps",
+    "QuadraticCost": "planner.forces.costs",
+    "SolverComparison": "planner.forces.compare",
+    "SolverRecord": "planner.forces.compare",
+    "compare_solvers": "planner.forces.compare",
+    "cone_gaps": "planner.forces.gaps",
+    "explain_infeasibility": "planner.forces.infeasible",
+    "grip_for_load": "planner.forces.grip",
+    "solver_names": "planner.numerics.qp_workspace",
+    "turned_frames": "planner.forces.workspace",
+    "turning_wrenches": "planner.forces.compare",
+}
+"""What a plan does not need -> the module that defines it."""
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

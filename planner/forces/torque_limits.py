@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.joints.actuation import STOP_TOL, Actuation
+from planner.joints.actuation import STOP_TOL, Actuation, connected
 from planner.spatial import FloatArray
 from planner.system.threads import built, made_once
 
@@ -165,8 +165,6 @@ class TorqueLimits:
 @made_once(CASES)
 def _case_of(a: Actuation, key: bytes) -> TorqueCase:
     """The rows in N m for a set of active stops."""
-    from scipy.sparse.csgraph import connected_components  # here, since SciPy loads slowly
-
     active = np.frombuffer(key, dtype=np.bool_)
     (nu, nv), ns = a.moment.shape, len(active)
     columns = np.vstack([a.moment, a.stop_rows])
@@ -174,7 +172,7 @@ def _case_of(a: Actuation, key: bytes) -> TorqueCase:
     order = [*range(nu), *(nu + np.flatnonzero(active & ties)).tolist()]
     order += (nu + np.flatnonzero(active & ~ties)).tolist()
     tied = (columns[order] != 0).T.astype(float)
-    label = connected_components(tied @ tied.T, directed=False)[1]
+    label = connected(tied @ tied.T > 0.0)
     rows, made, extra = [np.zeros((0, nv))], list[int](), list[int]()
     widened: list[tuple[int, int, float]] = []
     for group in range(label.max(initial=-1) + 1):

@@ -17,7 +17,6 @@ import pinocchio as pin
 from pydantic import Field
 
 from planner.bridge import LinkGeometry, load_spec
-from planner.bridge.edit import ARM_PREFIX, mount_spec
 from planner.errors import HandError, NotFoundError
 from planner.hands.description_toml import read_toml, validated
 from planner.joints.description import Finite, Vector
@@ -114,6 +113,8 @@ class Mount:
             ModelError: The arm's model is missing or not usable.
             NotFoundError: The arm has no such site.
         """
+        from planner.bridge.edit import mount_spec  # here: few hands have an arm
+
         arm = self.description.arm
         T_site_base = pose_from_wxyz(np.array(arm.position), np.array(arm.quaternion_wxyz))
         return mount_spec(
@@ -131,6 +132,8 @@ class Mount:
             NotFoundError: The ready posture names a joint that the arm does not have.
             HandError: It leaves a joint's range, or no joint of the arm moves the palm.
         """
+        from planner.bridge.edit import ARM_PREFIX
+
         names = tuple(pin_model.names)[1:]
         index = [k for k, name in enumerate(names) if name.startswith(ARM_PREFIX)]
         above = [int(j) - 1 for j in pin_model.supports[pin_model.frames[palm_frame].parentJoint]]

@@ -15,15 +15,12 @@ from planner.bridge import (
     add_described_parts,
     compile_spec,
     hand_geometries,
-    mirror_spec,
-    motorise_spec,
     pinocchio_from_mujoco,
     prepare_spec,
 )
 from planner.bridge.geometry import allowed_pairs
 from planner.bridge.load import model_bytes, model_files
 from planner.bridge.numbers import check_numbers
-from planner.bridge.structure import read_spec
 from planner.errors import HandError
 from planner.hands.arm import Mount
 from planner.hands.description_toml import MirrorAxis, reflection_signs
@@ -47,6 +44,8 @@ def build_from_spec(spec: Any, description: HandDescription) -> Hand:
         ModelError: The model is not usable.
         HandError: Description and model do not fit.
     """
+    from planner.bridge.structure import read_spec  # here: models in memory alone
+
     what = f"the model {spec.modelname!r}"
     return build_hand(
         read_spec(spec),
@@ -90,9 +89,13 @@ def build_hand(
     """
     prepare_spec(spec, description, model)
     if mirror_axis is not None:
+        from planner.bridge import mirror_spec
+
         mirror_spec(spec, reflection_signs(mirror_axis), model)
     add_described_parts(spec, description, model)
     if description.motors:
+        from planner.bridge import motorise_spec
+
         motorise_spec(spec, model)
     mj_model = compile_spec(spec, model)
     if mj_model.nq != mj_model.nv or mj_model.nq != mj_model.njnt:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import HandError, ModelError
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, IntArray
 
 __all__ = ["STOP_TOL", "Actuation"]
 
@@ -295,7 +295,7 @@ class Actuation:
 
         Columns enter by unit torque, so that of equal stops the best aligned one is taken.
         """
-        from scipy.optimize import nnls  # here, since SciPy loads slowly
+        from planner.system.scipy_parts import nnls  # here: SciPy loads slowly
 
         lam = np.zeros(len(self.stop_names))
         if active.any():
@@ -400,16 +400,36 @@ class _Tables:
         )
 
 
+def connected(linked: NDArray[np.bool_]) -> IntArray:
+    """Number (n,) of the component of each of n things, by its first thing.
+
+    Args:
+        linked: Which two are linked (n, n), in either order.
+    """
+    either = linked | linked.T
+    label: IntArray = np.full(len(either), -1, dtype=np.int64)
+    count = 0
+    for first in range(len(either)):
+        if label[first] >= 0:
+            continue
+        reached = np.zeros(len(either), dtype=bool)
+        grown = np.arange(len(either)) == first
+        while (grown > reached).any():
+            reached = grown
+            grown = reached | either[reached].any(axis=0)
+        label[reached] = count
+        count += 1
+    return label
+
+
 def _disjoint_basis(projector: FloatArray) -> FloatArray:
     """Orthonormal rows (k, nv) that span what a projector (nv, nv) keeps.
 
     Joints that it does not mix do not share a row, so that a tendon over two joints has its own.
     """
-    from scipy.sparse.csgraph import connected_components  # here, since SciPy loads slowly
-
-    count, label = connected_components(np.abs(projector) > _ALIGNED_TOL, directed=False)
+    label = connected(np.abs(projector) > _ALIGNED_TOL)
     rows = [np.zeros((0, len(projector)))]
-    for part in (np.flatnonzero(label == i) for i in range(count)):
+    for part in (np.flatnonzero(label == i) for i in range(label.max(initial=-1) + 1)):
         # A projector's eigenvalues are 0 and 1.
         values, vectors = np.linalg.eigh(projector[np.ix_(part, part)])
         kept = vectors[:, values > 0.5].T

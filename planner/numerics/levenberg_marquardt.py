@@ -184,7 +184,7 @@ def _step(
     Unknowns that would leave their bounds are put on them and the others solved for again. The
     matrix is positive definite, so Cholesky cannot fail.
     """
-    from scipy.linalg.lapack import dposv  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import dposv  # here: SciPy loads slowly
 
     damped = normal.copy()
     damped.ravel()[:: len(damped) + 1] += damping

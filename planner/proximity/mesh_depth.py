@@ -215,7 +215,7 @@ LEAST_PUSH = 0.02
 
 def _least_across(normals: FloatArray, rooms: FloatArray) -> FloatArray | None:
     """The shortest v (3,) with normals (k, 3) @ v >= rooms (k,), by Lawson and Hanson's LDP."""
-    from scipy.optimize import nnls  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import nnls  # here: SciPy loads slowly
 
     unit = float(np.abs(rooms).max())
     rows = np.vstack([normals.T, rooms / unit])

@@ -47,7 +47,7 @@ def wrench_reach(
     Raises:
         ContactError: The contacts have no force closure, so that the hull does not hold 0.
     """
-    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import ConvexHull, QhullError  # here: SciPy loads slowly
 
     check_hull(len(contacts), edges)
     wrenches = primitive_wrenches(contacts, edges, length=length)
@@ -211,7 +211,7 @@ def measure_hull(wrenches: FloatArray) -> HullMeasure:
     Raises:
         ContactError: The array is not of two dimensions, or a number is not finite.
     """
-    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import ConvexHull, QhullError  # here: SciPy loads slowly
 
     w = float_array("wrenches", wrenches)
     if w.ndim != 2 or len(w) < 2 or not np.isfinite(w).all():

@@ -180,7 +180,7 @@ def ball_interval(
     Returns:
         Bounds of the radius; [0, 0] where the origin is not inside the body.
     """
-    from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import ConvexHull  # here: SciPy loads slowly
 
     points, upper = _full_hull_points(support, seeds)
     if points is None or upper <= 0.0:

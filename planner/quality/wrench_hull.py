@@ -63,7 +63,7 @@ _NONE = np.zeros((0, 7))
 
 def _qhull_faces(wrenches: FloatArray) -> FloatArray:
     """Faces (k, 7), some of them many times; none where the wrenches span no volume."""
-    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import ConvexHull, QhullError  # here: SciPy loads slowly
 
     scatter = wrenches - wrenches.sum(axis=0) / len(wrenches)
     values = np.linalg.eigvalsh(scatter.T @ scatter)

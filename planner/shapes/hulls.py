@@ -76,7 +76,7 @@ def _blunted(corners: FloatArray) -> FloatArray:
 
 def _edges(corners: FloatArray) -> IntArray:
     """Both ways of every edge of a hull with these corners, (k, 2) numbers of corners."""
-    from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import ConvexHull  # here: SciPy loads slowly
 
     simplices = ConvexHull(corners, qhull_options="QJ").simplices
     ways = [simplices[:, [a, b]] for a in range(3) for b in range(3) if a != b]
@@ -149,7 +149,7 @@ class Hull:
 
 def hull_of(points: FloatArray) -> Hull | None:
     """The convex hull of points (n, 3), m; None if they span no solid."""
-    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import ConvexHull, QhullError  # here: SciPy loads slowly
 
     if len(points) < 4:
         return None

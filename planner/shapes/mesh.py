@@ -20,8 +20,6 @@ from planner.shapes.base import ON_SURFACE, Shape, checked_points, unit
 from planner.shapes.field.distance_field import DistanceField
 from planner.shapes.field.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
 from planner.shapes.hulls import convex_geometry, hull_of
-from planner.shapes.meshes.io import read_mesh
-from planner.shapes.meshes.mending import check_solid, checked_once
 from planner.shapes.meshes.nearest_triangle import BallTree, NearestTriangles
 from planner.shapes.meshes.triangles import (
     Polyhedron,
@@ -61,6 +59,12 @@ OPPOSITE = -0.5
 
 PLANE_DIGITS = 9
 """Decimal digits to which planes of the hull are equal: a nanometre."""
+
+HULL_VERSION = "v1"
+"""Part of the key of hulls and stable poses in the cache; changes whenever the results do."""
+
+STANDS = 1e-9
+"""By how much (m, and entries of a rotation) stored poses may differ from those of this mesh."""
 
 
 class Mesh(Shape):
@@ -139,6 +143,8 @@ class Mesh(Shape):
         Raises:
             ObjectError: The triangles do not bound a solid; says what is wrong, where, what to do.
         """
+        from planner.shapes.meshes.mending import check_solid
+
         v, f = checked_triangles(name, vertices, faces)
         mending = check_solid(name, v, f, repair=repair, strict=strict)
         if mending is None:
@@ -165,6 +171,9 @@ class Mesh(Shape):
             ObjectError: The file cannot be read, or bounds no solid; says what is wrong and what
                 to do.
         """
+        from planner.shapes.meshes.io import read_mesh
+        from planner.shapes.meshes.mending import check_solid, checked_once
+
         file = Path(path)
         vertices, faces = read_mesh(file, scale)
         source = MeshSource(path=file.resolve(), scale=scale, repair=repair)
@@ -258,26 +267,49 @@ class Mesh(Shape):
 
     @cached_property
     def _hull(self) -> ConvexHull:
-        from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+        from planner.system.scipy_parts import ConvexHull  # here: SciPy loads slowly
 
         return ConvexHull(self.vertices)
 
     @cached_property
+    def _kept_hull(self) -> tuple[FloatArray, FloatArray]:
+        """Vertices and planes of the convex hull, kept on disk: of a scan Qhull takes a second."""
+        key = f"{HULL_VERSION}-{self.digest}"
+        stored = read_arrays("hull", key)
+        if stored is not None and self._is_hull(stored):
+            return self.vertices[stored["corners"].astype(np.int64)], stored["planes"]
+        planes = np.unique(np.round(self._hull.equations, PLANE_DIGITS), axis=0)
+        planes[:, 3] -= 10.0**-PLANE_DIGITS  # rounding leaves nothing of the hull outside
+        write_arrays("hull", key, {"corners": self._hull.vertices, "planes": planes})
+        return self.vertices[self._hull.vertices], planes
+
+    def _is_hull(self, stored: dict[str, FloatArray]) -> bool:
+        """Whether stored corners and planes are of a hull that reaches as far as this mesh."""
+        corners, planes = stored.get("corners"), stored.get("planes")
+        if corners is None or planes is None or corners.dtype.kind not in "iu":
+            return False
+        if corners.ndim != 1 or planes.ndim != 2 or planes.shape[1:] != (4,) or len(corners) < 4:
+            return False
+        if corners.min() < 0 or corners.max() >= len(self.vertices):
+            return False
+        points = self.vertices[corners]
+        lower, upper = self.bounds
+        return bool((points.min(axis=0) == lower).all() and (points.max(axis=0) == upper).all())
+
+    @cached_property
     def hull_vertices(self) -> FloatArray:
         """Vertices (k, 3) of the convex hull, m, read-only."""
-        points: FloatArray = self.vertices[self._hull.vertices]
+        points = self._kept_hull[0]
         points.flags.writeable = False
         return points
 
-    @cached_property
+    @property
     def hull_planes(self) -> FloatArray:
         """Planes (k, 4) of the convex hull: unit normal out of it and d, n . x + d <= 0 inside, m.
 
         Triangles of one plane share it.
         """
-        planes: FloatArray = np.unique(np.round(self._hull.equations, PLANE_DIGITS), axis=0)
-        planes[:, 3] -= 10.0**-PLANE_DIGITS  # rounding leaves nothing of the hull outside
-        return planes
+        return self._kept_hull[1]
 
     def coal_geometry(self) -> Any:
         """``coal.BVHModelOBBRSS``: a triangle soup without an inside."""
@@ -289,10 +321,8 @@ class Mesh(Shape):
         return convex_geometry(self.hull_vertices)
 
     def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
-        """None fits: see ``planner.shapes.decomposition.pieces``."""
-        raise ObjectError(
-            "a mesh is no single MuJoCo geom; use planner.shapes.decomposition.pieces.solid_geoms"
-        )
+        """None fits: see ``planner.shapes.solid``."""
+        raise ObjectError("a mesh is no single MuJoCo geom; use planner.shapes.solid.solid_geoms")
 
     def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See ``Shape``; on the surface, the normal of the face, edge or vertex."""
@@ -410,9 +440,33 @@ class Mesh(Shape):
 
     @cached_property
     def _resting_poses(self) -> tuple[StablePose, ...]:
+        key = f"{HULL_VERSION}-{self.digest}"
+        stored = read_arrays("poses", key)
+        if stored is not None and self._are_poses(stored.get("poses")):
+            return tuple(
+                StablePose(
+                    rotation=row[:9].reshape(3, 3),
+                    height=float(row[9]),
+                    margin_deg=float(row[10]),
+                    probability=float(row[11]),
+                )
+                for row in stored["poses"]
+            )
         hull = self._hull
         of_all = np.array_equal(hull.vertices, np.arange(len(self.vertices)))
-        return stable_poses(self.hull_vertices, hull if of_all else None)
+        poses = stable_poses(self.hull_vertices, hull if of_all else None)
+        rows = [[*p.rotation.ravel(), p.height, p.margin_deg, p.probability] for p in poses]
+        write_arrays("poses", key, {"poses": np.array(rows)})
+        return poses
+
+    def _are_poses(self, rows: FloatArray | None) -> bool:
+        """Whether stored rows are rotations with the heights that this mesh has in them."""
+        if rows is None or rows.dtype != np.float64 or rows.ndim != 2 or rows.shape[1] != 12:
+            return False
+        turns = rows[:, :9].reshape(-1, 3, 3)
+        square = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0) < STANDS
+        heights = -(turns[:, 2] @ self.hull_vertices.T).min(axis=1)
+        return bool(len(rows) and square and (np.abs(heights - rows[:, 9]) < STANDS).all())
 
     def resting_poses(self) -> tuple[StablePose, ...]:
         """Stable poses on a horizontal table, the one that can be tilted farthest first.

@@ -63,7 +63,7 @@ def stable_poses(points: FloatArray, hull: ConvexHull | None = None) -> tuple[St
         hull: The hull of exactly these points, where it is known.
     """
     if hull is None:
-        from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+        from planner.system.scipy_parts import ConvexHull  # here: SciPy loads slowly
 
         hull = ConvexHull(points)
     normals, offsets = hull.equations[:, :3], -hull.equations[:, 3]

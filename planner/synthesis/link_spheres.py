@@ -84,7 +84,7 @@ def link_spheres(hand: Hand) -> tuple[LinkSphere, ...]:
 
 def hull_spheres(hand: Hand) -> tuple[LinkSphere, ...]:
     """Spheres whose convex hull, joint by joint, holds every link: for clearance from a plane."""
-    from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+    from planner.system.scipy_parts import ConvexHull  # here: SciPy loads slowly
 
     spheres = _spheres(hand, corners=True)
     inner: set[int] = set()

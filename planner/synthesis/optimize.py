@@ -14,6 +14,7 @@ apart in the next one (``planner.synthesis.terms.link_distance``), which saves a
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,7 +28,6 @@ from planner.numerics.levenberg_marquardt import (
 from planner.quality.weakest import wrench_faces
 from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray
-from planner.synthesis.loops.solver import LoopResiduals
 from planner.synthesis.objectives.registry import EPSILON, objective_parameters
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.options import SynthesisOptions
@@ -38,6 +38,9 @@ from planner.synthesis.terms.link_distance import find_link_distances
 from planner.synthesis.terms.resistance import N_DIRECTIONS
 from planner.system.threads import stage
 from planner.task import GraspTask
+
+if TYPE_CHECKING:
+    from planner.synthesis.loops.solver import LoopResiduals
 
 TURN_SCALE, SHIFT_SCALE, JOINT_SCALE, POINT_SCALE, FORCE_SCALE = 0.3, 0.02, 0.3, 0.01, 0.5
 """Steps that count as alike in least squares: Rodrigues parameters (-), base (m), joints (rad or

@@ -24,6 +24,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,6 @@ from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.field_points import Field
 from planner.synthesis.formulation import Formulation, formulate
-from planner.synthesis.loops.solver import LoopProblem, LoopResiduals, loop_problem
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals
@@ -46,6 +46,9 @@ from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.term import Term, WrittenTerm, table_of
 from planner.system.threads import built
 from planner.task import GraspTask
+
+if TYPE_CHECKING:
+    from planner.synthesis.loops.solver import LoopProblem, LoopResiduals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,6 +150,8 @@ class GraspProblem:
 
     @built
     def _loops(self) -> LoopProblem | None:
+        from planner.synthesis.loops.solver import loop_problem  # here: for what lasts
+
         return loop_problem(self.residuals)
 
     def least_squares(self, p: FloatArray, field: Field | None) -> Residuals | LoopResiduals:
@@ -155,6 +160,8 @@ class GraspProblem:
         As compiled loops where kernels are compiled (``planner.numerics.kernels``).
         """
         if kernels_are_compiled() and self._loops is not None:
+            from planner.synthesis.loops.solver import LoopResiduals  # here: for what lasts
+
             return LoopResiduals(self._loops, p, field)
         mine = self.residuals.clone()
         mine.set_parameters(p, field)

@@ -58,7 +58,7 @@ def run(
     if out_dir is not None:
         make_folder(out_dir)
     execute = trial.trial()
-    trial.check_policy(hand, lambda: parse_object(object), None)
+    trial.check_policy(hand, lambda: parse_object(object, **request.told_of_object()), None)
     plan = trial.reckoned(request).plan(hand, object)
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"

@@ -212,14 +212,7 @@ class TaskOptions:
         if isinstance(hand, str):
             _refuse_swapped(hand, object)
         loaded = load_hand(hand) if isinstance(hand, str) else hand
-        item = object_of(
-            object,
-            mass=self.mass,
-            density=self.density,
-            repair=self.repair,
-            strict=self.strict,
-            touch=self._touch_region(),
-        )
+        item = object_of(object, **self.told_of_object())
         height = table_of(self.table)
         obstacles = tuple(obstacle_of(text, k) for k, text in enumerate(self.obstacle or (), 1))
         task = GraspTask.create(
@@ -246,6 +239,16 @@ class TaskOptions:
 
         task = settled(on_stand(task, self.stand))
         return replace(task, obstacles=(*task.obstacles, *obstacles))
+
+    def told_of_object(self) -> dict[str, Any]:
+        """What is told of the object beside its name: arguments of ``parse_object``."""
+        return {
+            "mass": self.mass,
+            "density": self.density,
+            "repair": self.repair,
+            "strict": self.strict,
+            "touch": self._touch_region(),
+        }
 
     def _object_pose(self, item: GraspObject, table: float | None) -> SE3:
         """Where the object is, by ``--at``, ``--pose`` and the table's height (m)."""

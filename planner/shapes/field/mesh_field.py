@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from planner.shapes.base import Shape
 from planner.shapes.field.distance_field import DistanceField
-from planner.shapes.field.fit import finest_spacing, fit_field, grid_nodes
 from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.triangles import COVERED, FACE, cover
 from planner.spatial import FloatArray, IntArray
@@ -91,6 +90,8 @@ class Pyramid:
             spacing: m.
         """
         if not self.last.values.size:
+            from planner.shapes.field.fit import grid_nodes  # here: of meshes that are not known
+
             h = spacing * BEGIN
             begin = first // BEGIN
             x, y, z = ((first + np.array(shape) - 1) // BEGIN + 2 - begin).tolist()
@@ -366,6 +367,8 @@ def fit_mesh_field(
             a share of that.
         wall: Thickness (m) that the finest grid is to resolve.
     """
+    from planner.shapes.field.fit import finest_spacing, fit_field  # here: of unknown meshes
+
     corners = surface.corners.reshape(-1, 3)
     lower, upper = corners.min(axis=0), corners.max(axis=0)
     distance = _MeshDistance(surface, finest_spacing(lower, upper, wall)[0])

@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 
 from planner.errors import ModelError, ObjectError
-from planner.shapes.meshes.simplify import simplified
-from planner.shapes.meshes.soundness import MOST_TRIANGLES
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
 
@@ -63,7 +61,9 @@ def read_mesh(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
         raise ObjectError(f"there is no mesh file {str(path)!r}; check the path")
     if not (np.isfinite(scale) and scale > 0):
         raise ObjectError(f"{path.name}: scale is {scale}; give metres per unit of the file, > 0")
-    vertices, faces = _read(path)
+    from planner.shapes.meshes.soundness import MOST_TRIANGLES
+
+    vertices, faces = _read_once(path)
     if len(faces) == 0:
         raise ObjectError(f"{path.name} holds no triangles; give a mesh of a closed surface")
     if len(faces) > MOST_TRIANGLES:
@@ -102,6 +102,44 @@ def _is_whole_stl(path: Path) -> bool:
         return True
     announced = int.from_bytes(head[STL_HEAD - 4 :], "little")
     return len(head) == STL_HEAD and path.stat().st_size >= STL_HEAD + STL_TRIANGLE * announced
+
+
+READ = "read"
+"""Kind under which the disk cache keeps the triangles of files."""
+
+
+def _read_once(path: Path) -> tuple[FloatArray, IntArray]:
+    """As ``_read``, kept in the disk cache: loading trimesh alone takes 0.5 s of CPU.
+
+    A file of these formats holds all of its triangles, so its content is the key.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError:  # the reader says what is wrong
+        return _read(path)
+    key = _key_of(path, content)
+    known = read_arrays(READ, key)
+    if known is not None and _are_triangles(known):
+        return known["vertices"], known["faces"]
+    vertices, faces = _read(path)
+    write_arrays(READ, key, {"vertices": vertices, "faces": faces})
+    return vertices, faces
+
+
+def _are_triangles(known: dict[str, FloatArray]) -> bool:
+    """Whether stored arrays are vertices and triangles of them."""
+    vertices, faces = known.get("vertices"), known.get("faces")
+    if vertices is None or faces is None or faces.dtype != np.int64 or not faces.size:
+        return False
+    if vertices.dtype != np.float64 or vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
+        return False
+    return bool(faces.min() >= 0 and faces.max() < len(vertices))
+
+
+def _key_of(path: Path, content: bytes, more: str = "") -> str:
+    """The digest of a file's content, its format and the version that reads it."""
+    made_with = f"trimesh {metadata.version('trimesh')};{path.suffix.lower()};{more}"
+    return hashlib.sha256(made_with.encode() + content).hexdigest()
 
 
 def _read(path: Path) -> tuple[FloatArray, IntArray]:
@@ -181,16 +219,14 @@ def converted_mesh(path: Path, most: int = 0) -> tuple[FloatArray, IntArray]:
         ModelError: It cannot be read, holds no triangles, or Collada needs a package that is
             missing.
     """
-    content = path.read_bytes()
-    made_with = f"trimesh {metadata.version('trimesh')};{path.suffix.lower()};".encode()
-    if most:
-        made_with += f"{most};".encode()
-    key = hashlib.sha256(made_with + content).hexdigest()
+    key = _key_of(path, path.read_bytes(), f"{most};" if most else "")
     known = read_arrays(CONVERTED, key)
     if known is not None and {"vertices", "faces"} <= set(known):
         return known["vertices"], known["faces"].astype(np.int64)
     vertices, faces = _read_link(path)
     if most:
+        from planner.shapes.meshes.simplify import simplified
+
         vertices, faces, _ = simplified(vertices, faces, most)
     write_arrays(CONVERTED, key, {"vertices": vertices, "faces": faces})
     return vertices, faces

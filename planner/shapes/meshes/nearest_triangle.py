@@ -24,7 +24,6 @@ import coal
 import numpy as np
 
 from planner.numerics.kernels import kernels_are_compiled
-from planner.shapes.meshes.nearest_kernels import nearest_triangles, triangles_within
 from planner.shapes.meshes.triangles import COVERED, FACE, cover, nearest_on_triangles
 from planner.spatial import FloatArray, IntArray
 
@@ -143,8 +142,6 @@ class NearestTriangles:
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         """Build coal's tree and the normals of faces, edges and vertices."""
-        from scipy.spatial import cKDTree  # here, since SciPy loads slowly
-
         self.faces = faces
         self.corners = vertices[faces]
         cross = np.cross(
@@ -162,8 +159,14 @@ class NearestTriangles:
         self.tree, self._probe = coal_tree(vertices, faces), coal.Sphere(0.0)
         self._distance = coal.ComputeDistance(self.tree, self._probe)
         self._step = float(np.sqrt(self.areas.sum() / COVER_POINTS))
-        points, self._cover_owner = cover(self.corners, self._step)
-        self._cover_tree = cKDTree(points)
+
+    @cached_property
+    def _cover(self) -> tuple[Any, IntArray]:
+        """A k-d tree of points that cover the triangles, and the triangle (k,) of each."""
+        from scipy.spatial import cKDTree  # here, since SciPy loads slowly
+
+        points, owner = cover(self.corners, self._step)
+        return cKDTree(points), owner
 
     @cached_property
     def ball_tree(self) -> BallTree:
@@ -200,6 +203,8 @@ class NearestTriangles:
             points: (n, 3), m, finite.
         """
         if kernels_are_compiled():
+            from planner.shapes.meshes.nearest_kernels import nearest_triangles
+
             surface, triangle, feature = nearest_triangles(
                 np.ascontiguousarray(points, dtype=np.float64), *self._tree
             )
@@ -242,19 +247,49 @@ class NearestTriangles:
         Sorted by point, then by triangle.
         """
         if kernels_are_compiled():
+            from planner.shapes.meshes.nearest_kernels import triangles_within
+
             points = np.ascontiguousarray(points, dtype=np.float64)
             owner, triangle = triangles_within(points, float(radius), *self._tree)
             order = np.argsort(owner * len(self.faces) + triangle)
             return owner[order], triangle[order]
-        found = self._cover_tree.query_ball_point(points, radius + COVERED * self._step)
-        counts = [len(row) for row in found]
-        owner = np.repeat(np.arange(len(points)), counts)
-        covers = np.fromiter(chain.from_iterable(found), dtype=np.int64, count=sum(counts))
-        pairs = np.unique(owner * len(self.faces) + self._cover_owner[covers])
-        owner, candidate = np.divmod(pairs, len(self.faces))
+        if len(points) <= FEW:
+            owner, candidate = self._around_middles(points, radius)
+        else:
+            owner, candidate = self._around_covers(points, radius)
         q, _ = nearest_on_triangles(points[owner], self.corners[candidate])
         near = ((q - points[owner]) ** 2).sum(axis=1) <= radius**2
         return owner[near], candidate[near]
+
+    @cached_property
+    def _middles(self) -> tuple[FloatArray, FloatArray]:
+        """Centre (m, 3) of each triangle, m, and how far its corners are from it (m,), m."""
+        middles = self.corners.mean(axis=1)
+        squares = ((self.corners - middles[:, None]) ** 2).sum(axis=2).max(axis=1)
+        return middles, np.sqrt(squares)
+
+    def _around_middles(self, points: FloatArray, radius: float) -> tuple[IntArray, IntArray]:
+        """Pairs of a point and a triangle (k,) each that may be near, each triangle looked at."""
+        middles, reach = self._middles
+        most = ((reach + radius) * ROUNDING) ** 2
+        found = [np.flatnonzero(((middles - p) ** 2).sum(axis=1) <= most) for p in points]
+        owner = np.repeat(np.arange(len(points)), [len(row) for row in found])
+        return owner, np.concatenate([np.zeros(0, dtype=np.int64), *found])
+
+    def _around_covers(self, points: FloatArray, radius: float) -> tuple[IntArray, IntArray]:
+        """The same by the tree of covering points."""
+        tree, cover_owner = self._cover
+        found = tree.query_ball_point(points, radius + COVERED * self._step)
+        counts = [len(row) for row in found]
+        owner = np.repeat(np.arange(len(points)), counts)
+        covers = np.fromiter(chain.from_iterable(found), dtype=np.int64, count=sum(counts))
+        pairs = np.unique(owner * len(self.faces) + cover_owner[covers])
+        return np.divmod(pairs, len(self.faces))
+
+
+FEW = 16
+"""Points for which every triangle is looked at: 1 ms a point on 200,000 triangles, where the tree
+takes as long as some hundred of them, and SciPy's 0.3 s to load."""
 
 
 def coal_tree(vertices: FloatArray, faces: IntArray) -> Any:
