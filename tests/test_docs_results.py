@@ -47,9 +47,16 @@ def test_every_file_that_a_page_shows_is_there() -> None:
     assert shown == {path.name for path in FILES}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: p.name)
-def test_the_command_that_stands_in_a_file_is_one_of_today(path: Path) -> None:
-    words = shlex.split(result(path)["command"])[3:]
+COMMANDS = [result(path)["command"] for path in FILES] + re.findall(
+    r"^\$ (python -m benchmarks .*)$",
+    (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8"),
+    re.MULTILINE,
+)
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_commands_of_files_and_of_the_list_are_those_of_today(line: str) -> None:
+    words = shlex.split(line)[3:]
     group: Any = typer.main.get_command(app(words[:1]))
     name, command, rest = group.resolve_command(group.make_context("x", words), words)
     context = command.make_context(name, [], resilient_parsing=True)
