@@ -63,7 +63,7 @@ def _command(name: str) -> Callable[..., None]:
     def command(*, options: Options) -> None:
         carry_out(bench, options)
 
-    command.__doc__ = bench.__doc__
+    command.__doc__ = (bench.__doc__ or "").partition("\n\n")[0]
     command.__annotations__["options"] = bench.Options
     return errors_for_people()(with_options(command))
 
