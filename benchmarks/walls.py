@@ -107,13 +107,13 @@ def measure(case: Row) -> Row:
 def tables(result: Row) -> Iterator[Row | str]:
     """Figures by hand and object, and why trials failed."""
     rows = [row for row in result["rows"] if not row["error"]]
-    percent = ratio("met", "requested", 0, 100.0)
+    percent, wall = ratio("met", "requested", 0, 100.0), of("wall_mm", digits=1)
     yield summary(
         f"found within {SOON:g} s of CPU after preparation; found per CPU second; held in trials",
         rows,
         ("hand", "object"),
         {
-            "wall mm": of("wall_mm", digits=1),
+            "wall mm": lambda frame: wall(frame) if frame["object"].nunique() == 1 else "",
             "found": lambda frame: f"{parts('met', 'requested')(frame)} = {percent(frame)} %",
             "tries": ratio("attempts", "met"),
             "found/s": ratio("met", "cpu_s", 1),
