@@ -95,9 +95,10 @@ def tables(result: Row) -> Iterator[Row]:
         name = row["objective"]
         before = plain.get((row["hand"], row["object"], row["k"]))
         if name in METRICS and before is not None:
-            with_, without = row.get(name), before.get(name)
-            both = with_ is not None and without is not None
-            better = 100.0 * (with_ > without) if both else None
+            with_, without = (r.get(name) for r in (row, before))
+            better = None
+            if with_ is not None and without is not None:
+                better = 100.0 * (with_ > without)
             pairs.append({**row, "without": without, "with": with_, "better": better})
     yield summary(
         "its own measure: without objective, with it, and % of paired seeds that are better",

@@ -55,7 +55,7 @@ def summary(
         groups = frame.groupby(names, sort=False, dropna=False) if names else whole
         for values, group in groups:
             left = iter(values)
-            first = [str(next(left)) if text is None else text for text in shown]
+            first = [_head(next(left)) if text is None else text for text in shown]
             lines.append([*first, *(cell(group) for cell in columns.values())])
     return table_data(title, list(heads.values()), list(columns), lines)
 
@@ -66,6 +66,11 @@ def table_data(
     """A table as plain data: columns of text, then columns of numbers."""
     lines = [list(row) for row in rows]
     return {"title": title, "left": list(texts), "columns": [*texts, *numbers], "rows": lines}
+
+
+def _head(value: Any) -> str:
+    """What a group is called."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def flat(rows: Iterable[Row], name: str) -> list[Row]:

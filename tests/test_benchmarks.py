@@ -266,6 +266,7 @@ def test_rows_are_grouped_and_summed_up_in_their_order() -> None:
     made = summary("t", ROWS, {"hand": "Hand"}, {"n": of("n", "sum", 0)}, [("all",)])
     assert made["columns"] == ["Hand", "n"]
     assert made["rows"] == [["a", "5"], ["b", "1"], ["all", "6"]]
+    assert summary("t", ROWS[:1], ("t",), {"n": of("n", digits=0)})["rows"] == [["1", "2"]]
     assert summary("t", [], ("hand",), {"n": of("n")})["rows"] == []
     both = flat([{"hand": "a", "trips": [{"x": 1}, {"x": 2}]}, {"hand": "b"}], "trips")
     assert [(one["hand"], one["x"]) for one in both] == [("a", 1), ("a", 2)]
