@@ -1,187 +1,95 @@
-"""``run_grasps``: plan and execute hands x objects x seeds."""
+"""Plan and execute hands x objects x seeds; the table of the README."""
 
 from __future__ import annotations
 
 import math
-import statistics
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, ClassVar
+from collections.abc import Iterator
+from dataclasses import dataclass
 
-from rich.table import Table
-
-from benchmarks.objects import BenchObject
-from benchmarks.requests import Setting, check_tasks, task_for
-from benchmarks.run import ObjectJob, measure, stated
-from planner.errors import NoGraspFoundError, PlannerError
+from benchmarks.bench import HandOptions, ObjectsOption
+from benchmarks.common import PRIMITIVES, Setting, cells_of, task_of
+from benchmarks.summary import Columns, of, share, summary
+from planner.errors import NoGraspFoundError
 from planner.search import plan_grasp
 from planner.synthesis.problem_cache import problems_for
-from sim.physics import PhysicsOptions
-from sim.reality import Reality
-from sim.runner import Check, Runner
-from sim.tables import Row, grouped, share, table_of
+from sim.cli.execution import physics_of, reality_of
+from sim.cli.options import PhysicsOption, RealityOption, SimMuOption
+from sim.tables import Row
 from sim.trial import simulate
-
-FORMAT = "opposable-bench-grasps"
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraspJob(ObjectJob):
-    """One seed of a hand and an object.
+class Options(HandOptions):
+    """Seeds count from ``--seed``."""
 
-    Attributes:
-        seed: Seed of planning.
-        physics: How MuJoCo computes.
-        reality: Errors of sensors, drives and object; drawn from the seed.
+    objects: ObjectsOption = PRIMITIVES
+    sim_mu: SimMuOption = None
+    physics: PhysicsOption = "ours"
+    reality: RealityOption = "ideal"
+
+
+def cases(options: Options) -> Iterator[Row]:
+    """Seeds of every hand and object."""
+    reality = reality_of(options.reality)
+    given = {"physics": physics_of(options.physics, options.sim_mu)}
+    for cell in cells_of(options.hand_names, options.objects):
+        for seed in range(options.seed, options.seed + options.n):
+            yield {**cell, "seed": seed, **given, "reality": reality}
+
+
+def measure(case: Row) -> Row:
+    """Plan and execute one seed.
+
+    CPU time (s) of planning without building the problem and of building it; largest movement of
+    the object in the hand after the squeeze; planned against measured contact position and normal
+    force, per finger.
     """
-
-    SHOWN: ClassVar = ("hand", "label", "seed")
-    NOTHING: ClassVar[Row] = {"found": False, "attempts": 0, "cpu_s": 0.0, "build_s": 0.0} | {
-        "epsilon": None,
-        "held": False,
-        "reason": "",
-        "slip_mm": None,
-        "slip_deg": None,
-        "position_errors_mm": (),
-        "force_errors_percent": (),
-    }
-    """CPU time of planning without building the problem and of building it, s; planned epsilon;
-    largest movement and turn of the object in the hand after the squeeze; planned against measured
-    contact position and normal force, per finger."""
-
-    seed: int
-    physics: PhysicsOptions
-    reality: Reality = field(default_factory=Reality)
-
-    def row(self, **values: Any) -> Row:
-        """The row: what is not given stands for a grasp that was not found."""
-        return super().row(**{**self.NOTHING, **values})
-
-    def lost(self, reason: str) -> Row:
-        """The row of a seed that could not be tried."""
-        return self.row(reason=reason)
-
-
-def plan_and_execute(job: GraspJob, check: Check) -> Row:
-    """Plan and execute one seed; ``check`` is called between attempts and may raise."""
-    task = task_for(job.hand, job.spec, Setting(joint_error=job.reality.encoder_offset))
-    if isinstance(task, str):
-        return job.lost(task)
-    build_s = problems_for(task).build_s
+    task = task_of(case["hand"], case["spec"], Setting(joint_error=case["reality"].encoder_offset))
+    row: Row = {"build_s": problems_for(task).build_s, "found": False}
     try:
-        plan = plan_grasp(task, seed=job.seed, progress=lambda _: check())
-    except PlannerError as error:
-        made = error.attempts if isinstance(error, NoGraspFoundError) else ()
-        cpu_s = sum(a.cpu_s for a in made)
-        return job.row(attempts=len(made), cpu_s=cpu_s, build_s=build_s, reason=str(error))
-    report = simulate(plan, physics=job.physics, reality=job.reality.seeded(job.seed))
-    check()
+        plan = plan_grasp(task, seed=case["seed"])
+    except NoGraspFoundError as error:
+        cpu_s = sum(a.cpu_s for a in error.attempts)
+        return row | {"attempts": len(error.attempts), "cpu_s": cpu_s, "reason": str(error)}
+    report = simulate(plan, physics=case["physics"], reality=case["reality"].seeded(case["seed"]))
     slip_mm, slip_deg = report.largest_slip
-    return job.row(
-        found=True,
-        attempts=plan.record.attempts,
-        cpu_s=plan.record.cpu_s,
-        build_s=build_s,
-        epsilon=plan.quality.epsilon,
-        held=report.success,
-        reason=report.reason,
-        slip_mm=slip_mm,
-        slip_deg=slip_deg,
-        position_errors_mm=_known(c.position_error_mm for c in report.comparison),
-        force_errors_percent=_known(c.force_error_percent for c in report.comparison),
-    )
-
-
-def _known(values: Iterable[float]) -> tuple[float, ...]:
-    """Without those that were not measured: a finger that lost its contact has no error."""
-    return tuple(v for v in values if math.isfinite(v))
-
-
-def run_grasps(
-    hands: Sequence[str],
-    objects: Sequence[BenchObject],
-    seeds: int,
-    *,
-    physics: PhysicsOptions,
-    file: Path,
-    runner: Runner,
-    reality: Reality | None = None,
-) -> Row:
-    """Plan and execute the seeds, from 0, that the file does not have yet (``benchmarks``)."""
-    check_tasks(hands, objects)
-    cells = [(hand, item, seed) for hand in hands for item in objects for seed in range(seeds)]
-    reality = reality or Reality()
-    jobs = [
-        GraspJob(
-            index=k,
-            hand=hand,
-            spec=item.spec,
-            label=item.label,
-            seed=seed,
-            physics=physics,
-            reality=reality,
-        )
-        for k, (hand, item, seed) in enumerate(cells)
-    ]
-    asked = {
-        "format": f"{FORMAT}-outcomes",
-        "version": 1,
-        "hands": list(hands),
-        "objects": [item.spec for item in objects],
-        "seeds": seeds,
-        "mu_simulation": physics.mu,
-        "physics": {k: v for k, v in physics.to_dict().items() if k not in ("name", "mu")},
+    off = report.comparison  # a finger that lost its contact has no error
+    return row | {
+        "found": True,
+        "attempts": plan.record.attempts,
+        "cpu_s": plan.record.cpu_s,
+        "epsilon": plan.quality.epsilon,
+        "held": report.success,
+        "reason": report.reason,
+        "slip_mm": slip_mm,
+        "slip_deg": slip_deg,
+        "off_mm": [c.position_error_mm for c in off if math.isfinite(c.position_error_mm)],
+        "force_off": [c.force_error_percent for c in off if math.isfinite(c.force_error_percent)],
     }
-    asked |= stated(reality)
-    return measure(
-        runner,
-        plan_and_execute,
-        jobs,
-        kind=FORMAT,
-        title="plan and execute",
-        lost=GraspJob.lost,
-        version=3,
-        file=file,
-        asked=asked,
-        mu_simulation=physics.mu,
-        physics=physics.to_dict(),
-    )
 
 
-COLUMNS = ("found", "held", "tries", "CPU s", "slip mm", "slip deg", "off mm", "force %", "epsilon")
+def _columns(small: str, large: str) -> Columns:
+    """How what should be small, and what should be large, is summed up."""
+    return {
+        "found": share("found"),
+        "held": share("held", where="found"),
+        "tries": of("attempts", small, 1),
+        "CPU s": of("cpu_s", small, 3, where="found"),
+        "slip mm": of("slip_mm", small, 2, where="held"),
+        "slip deg": of("slip_deg", small, 2, where="held"),
+        "off mm": of("off_mm", small, 2, where="held"),
+        "force %": of("force_off", small, 1, where="held"),
+        "epsilon": of("epsilon", large, 3, where="found"),
+    }
 
 
-def grasps_table(result: Row) -> Table:
-    """Medians per hand and object, over all, and the worst of all."""
+def tables(result: Row) -> Iterator[Row]:
+    """Medians per hand and object and over all, and the worst of all."""
     title = "medians; CPU without building; off: planned to measured contact; force: its error"
-    table = table_of(title, ("hand", "object"), COLUMNS)
     rows = sorted(result["rows"], key=lambda r: (r["hand"], r["object"]))
-    for cell, members in grouped(rows, "hand", "object").items():
-        table.add_row(*cell, *_cells(members, statistics.median, statistics.median))
-    table.add_section()
-    table.add_row("all", "median", *_cells(rows, statistics.median, statistics.median))
-    table.add_row("all", "worst", *_cells(rows, max, min))
-    return table
-
-
-def _cells(rows: list[Row], small: Callable[..., float], large: Callable[..., float]) -> list[str]:
-    """Cells of a line; ``small`` sums up what should be small, ``large`` what should be large."""
-    found = [r for r in rows if r["found"]]
-    held = [r for r in found if r["held"]]
-
-    def cell(values: Iterable[float | None], digits: int, sum_up: Callable[..., float]) -> str:
-        known = [v for v in values if v is not None]
-        return f"{sum_up(known):.{digits}f}" if known else "-"
-
-    return [
-        share(r["found"] for r in rows),
-        share(r["held"] for r in found),
-        cell((r["attempts"] for r in rows), 1, small),
-        cell((r["cpu_s"] for r in found), 3, small),
-        cell((r["slip_mm"] for r in held), 2, small),
-        cell((r["slip_deg"] for r in held), 2, small),
-        cell((e for r in held for e in r["position_errors_mm"]), 2, small),
-        cell((e for r in held for e in r["force_errors_percent"]), 1, small),
-        cell((r["epsilon"] for r in found), 3, large),
-    ]
+    table = summary(
+        title, rows, ("hand", "object"), _columns("median", "median"), [("all", "median")]
+    )
+    worst = summary(title, rows, ("hand",), _columns("max", "min"), [("all",)])
+    table["rows"] += [["all", "worst", *cells[1:]] for cells in worst["rows"][-1:]]
+    yield table

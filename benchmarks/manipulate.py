@@ -1,25 +1,26 @@
-"""``run_manipulate``: pick, turn, place, under conditions that the planner ignores.
+"""Pick, turn or move in the hand, place: randomised trials, rates of success and closure.
 
-A trial draws what there is: size, mass, friction, where the object really stands, and a push while
-it is turned or moved. The planner knows the size. Of mass and friction it knows the bounds, the
-largest mass and the least friction less a margin, of the pose where the object ought to stand; the
-controller measures the pose once it holds the object.
+A trial draws what there is: size, mass, friction (whatever --physics says), where the object really
+stands, and a push while it is turned or moved. The planner knows the size. Of mass and friction it
+knows the bounds, the largest mass and the least friction less a margin, of the pose where the
+object ought to stand; the controller measures the pose once it holds the object.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated, TypeAlias
 from zlib import crc32
 
 import numpy as np
 import pinocchio as pin
+import typer
 
-from benchmarks.cases import not_found, row_of, run_cases
+from benchmarks.bench import HandOptions, NumberOption
+from benchmarks.common import objects_of
 from benchmarks.conditions import (
     BELIEVED_MU,
     KINDS,
@@ -30,10 +31,10 @@ from benchmarks.conditions import (
     REGRASP_MASS,
     REGRASP_RATE,
     Conditions,
+    HeightOption,
+    standing,
 )
-from benchmarks.meshes import standing
-from benchmarks.objects import BenchObject, bench_objects
-from benchmarks.run import stated
+from benchmarks.summary import of, share, summary
 from planner.errors import NotFoundError, PlannerError
 from planner.motion.manipulation import (
     ManipulationPlan,
@@ -46,17 +47,27 @@ from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.objects import object_names, parse_object
 from planner.spatial import SE3
 from planner.task import GraspTask
+from sim.cli.execution import estimate_of, physics_of, reality_of
+from sim.cli.options import (
+    NO_SHIFT,
+    EstimateOption,
+    FingersOption,
+    PhysicsOption,
+    RealityOption,
+    RotateOption,
+    ShiftOption,
+    StandOption,
+    movement,
+    names,
+)
 from sim.controllers.follow import RATE, SPEED
 from sim.learning import PolicyMaker, named_driver
 from sim.manipulation import ManipulationReport, Push, manipulate, rests, settled
 from sim.manipulation.in_hand import AnyTurningController
 from sim.physics import PhysicsOptions
 from sim.reality import Reality
-from sim.runner import Check, Runner
 from sim.simulation import Simulation
 from sim.tables import Row
-
-FORMAT = "opposable-bench-manipulate"
 
 ANGLE = np.pi / 2
 """Turn that is asked for, rad, if nothing else is."""
@@ -66,23 +77,47 @@ Vector: TypeAlias = tuple[float, float, float]
 VERTICAL: Vector = (0.0, 0.0, 1.0)
 """Axis of turns if no other is asked for, world."""
 
-NO_SHIFT: Vector = (0.0, 0.0, 0.0)
+STILL: Vector = (0.0, 0.0, 0.0)
 """No translation, m."""
 
+OURS, EXACT = PhysicsOptions(), Reality()
+"""How MuJoCo computes if nothing else is asked for; no errors beside the drawn conditions."""
 
-OURS = PhysicsOptions()
-"""How MuJoCo computes if nothing else is asked for."""
 
-EXACT = Reality()
-"""No errors beside the drawn conditions."""
+@dataclass(frozen=True, kw_only=True)
+class Options(HandOptions):
+    """Trials of every hand and object."""
+
+    n: NumberOption = 50
+    objects: Annotated[
+        str,
+        typer.Option(
+            help="Comma separated: cylinder, block, sphere, ellipsoid; superquadric or another "
+            "mesh by name, as wide as those; mesh files, folders of them or sizes, as they are."
+        ),
+    ] = "cylinder"
+    height: HeightOption = 0.08
+    rotate: RotateOption = None
+    shift: ShiftOption = NO_SHIFT
+    fingers: FingersOption = None
+    stand: StandOption = 0.0
+    physics: PhysicsOption = "ours"
+    reality: RealityOption = "ideal"
+    estimate: EstimateOption = None
+    controller: Annotated[
+        str,
+        typer.Option(
+            help="feedforward, impedance, or policy:FILE; the closed loop if not given.",
+            metavar="NAME",
+        ),
+    ] = ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """One trial, as it is sent to a worker.
+    """One trial.
 
     Attributes:
-        index: Its number among all.
         hand: Name or path of the hand.
         kind: Kind of object, or what another one is called.
         number: Its number in its cell.
@@ -102,7 +137,6 @@ class Turn:
             loop if "".
     """
 
-    index: int
     hand: str
     kind: str
     number: int
@@ -112,7 +146,7 @@ class Turn:
     seed: int
     axis: Vector = VERTICAL
     angle: float = ANGLE
-    shift: Vector = NO_SHIFT
+    shift: Vector = STILL
     spec: str = ""
     physics: PhysicsOptions = OURS
     reality: Reality = EXACT
@@ -198,39 +232,6 @@ def execute_turn(
     )
 
 
-def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
-    """Plan and execute one trial; its row, as plain data."""
-    task = believed(turn)
-    try:
-        plan = plan_turn(turn, task)
-    except PlannerError as error:
-        return not_found(turn, str(error))
-    check()
-    begin = time.process_time()
-    report = execute_turn(turn, plan, named_driver(turn.controller))
-    check()
-    last = report.results[-1].numbers
-    return row_of(
-        turn,
-        found=True,
-        attempts=plan.attempts,
-        planning_cpu_s=plan.cpu_s,
-        simulation_cpu_s=time.process_time() - begin,
-        success_with_closure=report.success_with_closure,
-        success=report.success,
-        complete=report.complete,
-        dropped=report.dropped,
-        reason=report.reason,
-        faults=report.faults,
-        collided=report.collision is not None,
-        regrasps=plan.gait is not None,
-        place_off_mm=last.get("off_mm") if report.complete else None,
-        place_heading_deg=last.get("heading_deg") if report.complete else None,
-        events=[f"{e.time:.2f} {e.kind} {e.finger} {e.detail}" for e in report.events],
-        **report.numbers(),
-    )
-
-
 def believed(turn: Turn) -> GraspTask:
     """The task as the planner has it."""
     item = parse_object(turn.draw().spec, mass=REGRASP_MASS if turn.regrasps else MASS[1])
@@ -242,120 +243,121 @@ def believed(turn: Turn) -> GraspTask:
     return settled(on_stand(task, turn.stand) if turn.stand else task)
 
 
-def _objects(given: str) -> list[BenchObject]:
-    """What is called so: a kind, or other objects, which are looked at once."""
-    if given in KINDS:
-        return [BenchObject(label=given, spec=given)]
-    found = bench_objects([given])
-    for item in found:
-        try:
-            parse_object(item.spec)
-        except NotFoundError as error:
-            raise NotFoundError("object", given, (*KINDS, *object_names())) from error
-    return found
-
-
-def run_manipulate(
-    hands: Sequence[str],
-    kinds: Sequence[str],
-    n: int,
-    *,
-    height: float,
-    fingers: tuple[str, ...] | None,
-    stand: float,
-    seed: int,
-    file: Path,
-    runner: Runner,
-    axis: Vector = VERTICAL,
-    angle: float = ANGLE,
-    shift: Vector = NO_SHIFT,
-    physics: PhysicsOptions = OURS,
-    reality: Reality = EXACT,
-    estimator: str | None = None,
-    controller: str = "",
-) -> dict[str, Any]:
-    """Run the trials that the file does not have yet.
-
-    Args:
-        hands: Names or paths.
-        kinds: Kinds of objects out of ``KINDS``, and specifications, mesh files and folders.
-        n: Trials for each hand and kind.
-        height: Height of cylinder, block and ellipsoid, m.
-        fingers: Fingers that take part; each hand's default set if None.
-        stand: Height of the stand that carries the object, m; 0 for none.
-        seed: Of all that is drawn.
-        file: Of the rows; made if it is not there.
-        runner: Who works on them.
-        axis: Axis of the turn (3,), world.
-        angle: Turn that is asked for, rad.
-        shift: Translation in the hand that is asked for with it (3,), m, world.
-        physics: How MuJoCo computes; friction is drawn.
-        reality: Errors of sensors, drives and object; see ``Turn``.
-        estimator: What tells the controller where the object is; see ``Turn``.
-        controller: What drives the fingers; see ``Turn``.
-
-    Returns:
-        Plain data: all rows that the file has then, and what they were made with.
+def cases(options: Options) -> Iterator[Row]:
+    """Draws of every hand and object.
 
     Raises:
-        FileFormatError: The file is not one of these, or was begun with other arguments.
         HandError: A hand that a policy was not trained for.
         NotFoundError: A kind, an object, a hand or a controller that does not exist.
         ObjectError: A mesh that cannot be read, or sizes that are none.
         TaskError: Neither a turn nor a translation, or a translation with more than half a turn.
     """
+    axis, degrees, shift = movement(options.rotate, options.shift)
+    angle = math.radians(degrees)
     if any(shift) or not abs(angle) > LARGEST_TURN:
         ObjectPath(axis=np.array(axis), angle=angle, shift=np.array(shift))  # tells what is wrong
-    objects = [item for kind in kinds for item in _objects(kind)]
-    driver = named_driver(controller)
-    for hand in hands:
+    try:
+        objects = objects_of(options.objects, KINDS)
+    except NotFoundError as error:
+        raise NotFoundError("object", options.objects, (*KINDS, *object_names())) from error
+    fingers = None if options.fingers is None else tuple(names(options.fingers))
+    driver = named_driver(options.controller)
+    for hand in options.hand_names:
         task = GraspTask.create(hand, "cylinder", fingers=fingers)
         if isinstance(driver, PolicyMaker):
             driver.policy.about.check(task.hand)
-    cells = [(hand, item, k) for hand in hands for item in objects for k in range(n)]
-    jobs = [
-        Turn(
-            index=i,
-            hand=hand,
-            kind=item.label,
-            number=k,
-            height=height,
-            fingers=fingers,
-            stand=stand,
-            seed=seed,
-            axis=axis,
-            angle=angle,
-            shift=shift,
-            spec="" if item.label in KINDS else item.spec,
-            physics=physics,
-            reality=reality,
-            estimator=estimator,
-            controller=controller,
-        )
-        for i, (hand, item, k) in enumerate(cells)
-    ]
-    asked: Row = {
-        "hands": list(hands),
-        "kinds": list(kinds),
-        "n": n,
-        "height": height,
-        "fingers": None if fingers is None else list(fingers),
-        "stand": stand,
-        "seed": seed,
-        "angle_deg": math.degrees(angle),
+        for label, spec in objects:
+            for k in range(options.n):
+                turn = Turn(
+                    hand=hand,
+                    kind=label,
+                    number=k,
+                    height=options.height,
+                    fingers=fingers,
+                    stand=options.stand,
+                    seed=options.seed,
+                    axis=axis,
+                    angle=angle,
+                    shift=shift,
+                    spec=spec,
+                    physics=physics_of(options.physics),
+                    reality=reality_of(options.reality),
+                    estimator=estimate_of(options.estimate),
+                    controller=options.controller,
+                )
+                yield {"hand": hand, "object": label, "number": k, "turn": turn}
+
+
+def measure(case: Row) -> Row:
+    """Plan and execute one trial."""
+    turn: Turn = case["turn"]
+    row: Row = {"conditions": asdict(turn.draw()), "found": False}
+    try:
+        plan = plan_turn(turn, believed(turn))
+    except PlannerError as error:
+        return row | {"reason": str(error)}
+    begin = time.process_time()
+    report = execute_turn(turn, plan, named_driver(turn.controller))
+    last, numbers = report.results[-1].numbers if report.complete else {}, report.numbers()
+    heading, turned = last.get("heading_deg"), numbers.get("turned_deg")
+    return row | {
+        "found": True,
+        "attempts": plan.attempts,
+        "planning_cpu_s": plan.cpu_s,
+        "simulation_cpu_s": time.process_time() - begin,
+        "success_with_closure": report.success_with_closure,
+        "success": report.success,
+        "complete": report.complete,
+        "dropped": report.dropped,
+        "reason": report.reason,
+        "faults": report.faults,
+        "collided": report.collision is not None,
+        "regrasps": plan.gait is not None,
+        "place_off_mm": last.get("off_mm"),
+        "place_heading_deg": None if heading is None else abs(heading),
+        "angle_off_deg": None if turned is None else abs(turned - math.degrees(turn.angle)),
+        "events": [f"{e.time:.2f} {e.kind} {e.finger} {e.detail}" for e in report.events],
+        **numbers,
     }
-    # left out where none is asked for, so that files go on that were begun before there were any
-    if axis != VERTICAL:
-        asked["axis"] = list(axis)
-    if any(shift):
-        asked["shift"] = list(shift)
-    if physics != OURS:
-        asked["physics"] = {k: v for k, v in physics.to_dict().items() if k != "mu"}
-    asked |= stated(reality, estimator)
-    if controller:
-        asked["controller"] = controller
-        if isinstance(driver, PolicyMaker):
-            asked["policy"] = driver.policy.digest
-    return run_cases(
-        runner, run_turn, jobs, kind=FORMAT, asked=asked, file=file, title="pick, turn, place"
+
+
+def tables(result: Row) -> Iterator[Row]:
+    """Counts out of all trials, and medians, per hand and kind of object."""
+    setting = result["setting"]
+    axis, degrees, shift = movement(setting["rotate"], setting["shift"])
+    moved = any(shift)
+    columns = {
+        "planned": share("found"),
+        "closed": share("success_with_closure"),
+        "success": share("success"),
+        "complete": share("complete"),
+        "drops": share("dropped"),
+        "hits": share("collided"),
+        "turned in s": of("time_to_angle_s", where="success"),
+        "error deg": of("angle_off_deg", where="success"),
+        "tilt deg": of("largest_tilt_deg", digits=1, where="success"),
+        "off path mm": of("largest_off_path_mm", digits=1, where="success"),
+        "fingers": of("least_fingers", "min", 0, where="success"),
+        "force N": of("largest_force_N", "max", 1, where="success"),
+        "placed mm": of("place_off_mm", digits=1),
+        "placed deg": of("place_heading_deg", digits=1),
+        "planning s": of("planning_cpu_s", where="found"),
+        **({"shift off mm": of("shift_off_mm", where="success")} if moved else {}),
+    }
+    asked = []
+    if degrees:
+        about = "" if axis == VERTICAL else f" about ({', '.join(f'{v:g}' for v in axis)})"
+        asked.append(f"turns by {degrees:g} degrees{about}")
+    if moved:
+        asked.append(f"translations by ({', '.join(f'{1e3 * v:g}' for v in shift)}) mm")
+    yield summary(
+        f"{' with '.join(asked)}: counts out of all trials (closed: successes with closure; a turn "
+        "counts from the asked angle on, complete runs are off by 5 degrees at most); medians of "
+        "successes: time until they had turned, how far the turn was off, largest tilt off the "
+        "planned attitude, largest distance off the path; fewest fingers and largest force (N) of "
+        "a finger in any; then of those placed; hits are runs in which the hand collided"
+        + ("; last, how far the translation was off, of successes" if moved else ""),
+        result["rows"],
+        ("hand", "object"),
+        columns,
     )

@@ -1,57 +1,96 @@
-"""``run_physics``: what default grasps do under named physics, and how fast they creep.
+"""Measure physics: which default grasps hold under which preset, and how fast they creep.
 
-Four parts. ``holds`` and ``closed`` execute every grasp under every preset, in the open and the
-closed loop. ``remedies`` executes it under MuJoCo's defaults with one change each, sized by
-``sim.creep``. ``creep`` holds it for a second under variants of one number and compares its speed
-in the palm with the formula there.
+holds     every preset, in the open loop
+closed    every preset, in the closed loop
+remedies  MuJoCo's defaults with one change each, sized by ``sim.creep``
+creep     speed of the held object while one number changes, beside the formula of ``sim.creep``
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from types import MappingProxyType
-from typing import ClassVar, TypeAlias
+from typing import Annotated, TypeAlias
 
-from rich.table import Table
+import typer
 
-from benchmarks.objects import BenchObject
-from benchmarks.physics_variants import SOFT, VARIANTS
-from benchmarks.planned import PlannedJob, ask, run_parts
-from benchmarks.run import stated
-from benchmarks.statistics import median_of, quantile_of
-from planner.errors import NotFoundError
+from benchmarks.bench import HandOptions, ObjectsOption
+from benchmarks.common import MESHES, PRIMITIVES, cells_of, known, plan_of
+from benchmarks.summary import counted, of, share, summary, table_data
+from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.verification.grasp import plan_forces
+from sim.cli.execution import reality_of
+from sim.cli.options import RealityOption
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.physics import PRESETS, PhysicsOptions
 from sim.protocols.creep import measure_creep
 from sim.reality import Reality
-from sim.runner import Check, Runner
 from sim.scene import build_scene
-from sim.tables import Row, grouped, number, share, summary_table, table_of
+from sim.tables import Row, number
 from sim.trial import simulate
 
 Measure: TypeAlias = Callable[[GraspPlan, str, Reality], Row]
-"""Measures a case with a grasp, under a reality."""
+"""Measures a variant with a grasp, under a reality."""
 
-NO_SUCH_GRIP = "the hand cannot press so hard"
-"""Why there is no creep to measure with a firmer grip."""
+SOFT = PRESETS["mujoco-default"]
+"""The physics of which one number is varied."""
+
+ROUND = replace(SOFT, cone="elliptic")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhysicsJob(PlannedJob):
-    """One grasp under one physics.
+class Variant:
+    """Physics and grip under which creep is measured.
 
     Attributes:
-        case: What is done in this part: a preset, a remedy or a variant.
+        physics: How MuJoCo computes.
+        grip: Factor on the least normal forces of the plan (-).
     """
 
-    SHOWN: ClassVar = ("part", "hand", "label", "case")
+    physics: PhysicsOptions
+    grip: float = 1.0
 
-    case: str
+
+VARIANTS: Mapping[str, Variant] = MappingProxyType(
+    {
+        "mujoco-default": Variant(physics=SOFT),
+        "condim 4": Variant(physics=replace(SOFT, condim=4)),
+        "mu 0.6": Variant(physics=replace(SOFT, mu=0.6)),
+        "elliptic": Variant(physics=ROUND),
+        "impratio 10": Variant(physics=replace(SOFT, impratio=10.0)),
+        "elliptic, impratio 10": Variant(physics=replace(ROUND, impratio=10.0)),
+        "elliptic, impratio 100": Variant(physics=replace(ROUND, impratio=100.0)),
+        "solref 0.01": Variant(physics=replace(SOFT, solref=(0.01, 1.0))),
+        "solref 0.005": Variant(physics=replace(SOFT, solref=(0.005, 1.0))),
+        "solimp 0.95 0.95": Variant(physics=replace(SOFT, solimp=(0.95, 0.95, 1e-3, 0.5, 2.0))),
+        "solimp 0.99 0.99": Variant(physics=replace(SOFT, solimp=(0.99, 0.99, 1e-3, 0.5, 2.0))),
+        "solimp 0.999 0.999": Variant(physics=replace(SOFT, solimp=(0.999, 0.999, 1e-3, 0.5, 2))),
+        "noslip 1": Variant(physics=replace(SOFT, noslip_iterations=1)),
+        "noslip 3": Variant(physics=replace(SOFT, noslip_iterations=3)),
+        "noslip 10": Variant(physics=replace(SOFT, noslip_iterations=10)),
+        "grip x 1.5": Variant(physics=SOFT, grip=1.5),
+        "grip x 2": Variant(physics=SOFT, grip=2.0),
+        "elliptic, grip x 2": Variant(physics=ROUND, grip=2.0),
+        "menagerie": Variant(physics=PRESETS["menagerie"]),
+        "menagerie, grip x 2": Variant(physics=PRESETS["menagerie"], grip=2.0),
+        "ours without noslip": Variant(physics=replace(PRESETS["ours"], noslip_iterations=0)),
+        "ours": Variant(physics=PRESETS["ours"]),
+    }
+)
+"""By what differs from MuJoCo's defaults."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(HandOptions):
+    """The grasp of the seed, of every hand and object; -n does not count."""
+
+    objects: ObjectsOption = f"{PRIMITIVES},{MESHES},knot"
+    parts: Annotated[str, typer.Option(help="Comma separated: holds, closed, remedies, creep.")] = (
+        "all"
+    )
+    reality: RealityOption = "ideal"
 
 
 def _hold(plan: GraspPlan, case: str, reality: Reality) -> Row:
@@ -89,23 +128,26 @@ def _creep(plan: GraspPlan, case: str, reality: Reality) -> Row:
     del reality
     variant = VARIANTS[case]
     pressed = _gripped(plan, variant.grip)
-    if pressed is None:
-        return {"error": NO_SUCH_GRIP}
     seen = measure_creep(pressed, variant.physics)
     if seen.lost:
-        return {"error": "lost"}
+        raise TaskError("lost")
     speeds = {"creep": seen.measured, "predicted": seen.predicted, "least": seen.least}
-    return {f"{name}_mm_s": 1e3 * speed for name, speed in speeds.items()}
+    row = {f"{name}_mm_s": 1e3 * speed for name, speed in speeds.items()}
+    return row | {"over": seen.measured / seen.predicted if seen.predicted else None}
 
 
-def _gripped(plan: GraspPlan, factor: float) -> GraspPlan | None:
-    """The plan with forces of a firmer grip; None if there are none."""
+def _gripped(plan: GraspPlan, factor: float) -> GraspPlan:
+    """The plan with forces of a firmer grip.
+
+    Raises:
+        TaskError: There are none.
+    """
     if factor == 1.0:
         return plan
     task = replace(plan.task, grip_force=factor * plan.task.grip_force)
     forces = plan_forces(task, plan.contacts, plan.T_world_base, plan.q)
     if not forces.found:
-        return None
+        raise TaskError("the hand cannot press so hard")
     return replace(plan, task=task, forces=forces, contacts=forces.contacts)
 
 
@@ -117,70 +159,24 @@ PARTS: Mapping[str, tuple[Measure, tuple[str, ...]]] = MappingProxyType(
         "creep": (_creep, tuple(VARIANTS)),
     }
 )
-"""Name -> function that measures a case, and the cases."""
+"""Name -> function that measures a variant, and the variants."""
 
 
-def physics_jobs(
-    hands: Sequence[str],
-    objects: Sequence[BenchObject],
-    parts: Iterable[str],
-    reality: Reality | None = None,
-) -> list[PhysicsJob]:
-    """The jobs, grasp by grasp, numbered whatever parts are asked for.
-
-    Raises:
-        NotFoundError: There is no such part.
-    """
-    asked = list(parts)
-    for part in asked:
-        if part not in PARTS:
-            raise NotFoundError("part", part, PARTS)
-    cells = [(hand, item) for hand in hands for item in objects]
-    every = [(*c, part, case) for c in cells for part in PARTS for case in PARTS[part][1]]
-    return [
-        PhysicsJob(
-            index=k,
-            part=part,
-            hand=hand,
-            spec=item.spec,
-            label=item.label,
-            case=case,
-            reality=reality or Reality(),
-        )
-        for k, (hand, item, part, case) in enumerate(every)
-        if part in asked
-    ]
+def cases(options: Options) -> Iterator[Row]:
+    """Every variant of every part with every hand and object, grasp by grasp."""
+    reality = reality_of(options.reality)
+    parts = known("part", options.parts, list(PARTS))
+    for cell in cells_of(options.hand_names, options.objects):
+        for part in parts:
+            for variant in PARTS[part][1]:
+                asked = {"part": part, "case": variant, "seed": options.seed}
+                yield {**cell, **asked, "reality": reality}
 
 
-def physics_row(job: PhysicsJob, check: Check) -> Row:
-    """The row of a job; the arguments are those of ``ask``."""
-    return ask(job, check, lambda plan: PARTS[job.part][0](plan, job.case, job.reality))
-
-
-def run_physics(
-    hands: Sequence[str],
-    objects: Sequence[BenchObject],
-    parts: Sequence[str],
-    *,
-    file: Path,
-    runner: Runner,
-    reality: Reality | None = None,
-) -> Row:
-    """Measure the grasp of seed 0 of every hand and object, part by part (``benchmarks``)."""
-    reality = reality or Reality()
-    return run_parts(
-        runner,
-        physics_row,
-        physics_jobs(hands, objects, parts, reality),
-        hands,
-        objects,
-        kind="opposable-bench-physics",
-        title="physics",
-        file=file,
-        drawn=stated(reality),
-        physics={name: preset.to_dict() for name, preset in PRESETS.items()},
-        **stated(reality),
-    )
+def measure(case: Row) -> Row:
+    """One grasp under one variant."""
+    plan = plan_of(case["hand"], case["spec"], case["seed"])
+    return PARTS[case["part"]][0](plan, case["case"], case["reality"])
 
 
 TITLES = {
@@ -189,70 +185,41 @@ TITLES = {
     "remedies": "held under mujoco-default with one change",
 }
 
-CREEP_TITLE = (
-    "creep of the held object, medians in mm/s: measured; by the formula; by it however firm the "
-    "grip; noslip is not in it"
-)
 
-
-def physics_tables(result: Row) -> list[Table]:
+def tables(result: Row) -> Iterator[Row]:
     """Of each part that has rows: how many grasps held and why others did not, and every grasp."""
-    parts = {part: rows for (part,), rows in grouped(result["rows"], "part").items()}
-    out = []
     for part, title in TITLES.items():
-        if rows := parts.get(part):
-            columns = {
-                "held": lambda rows: share(r["held"] for r in _tried(rows)),
-                "slip mm": lambda rows: number(median_of(_slips(rows)), 2),
-                "p90": lambda rows: number(quantile_of(_slips(rows), 0.9), 2),
-                "reasons": _reasons,
-            }
-            out += [summary_table(title, rows, {"case": "physics"}, columns), _each(title, rows)]
-    if rows := parts.get("creep"):
+        rows = [row for row in result["rows"] if row["part"] == part]
+        if not rows:
+            continue
+        tried = [row for row in rows if not row["error"]]
         columns = {
-            "n": lambda rows: str(len(_tried(rows))),
-            "measured": lambda rows: _speed(rows, "creep"),
-            "formula": lambda rows: _speed(rows, "predicted"),
-            "least": lambda rows: _speed(rows, "least"),
-            "measured / formula": _agreement,
-            "lost": lambda rows: str(sum(r["error"] not in ("", NO_SUCH_GRIP) for r in rows)),
-            "no such grip": lambda rows: str(sum(r["error"] == NO_SUCH_GRIP for r in rows)),
+            "held": share("held"),
+            "slip mm": of("slip_mm", where="held"),
+            "p90": of("slip_mm", 0.9, where="held"),
+            "reasons": counted("reason"),
         }
-        out.append(summary_table(CREEP_TITLE, rows, {"case": "physics"}, columns))
-    return out
-
-
-def _tried(rows: list[Row]) -> list[Row]:
-    return [r for r in rows if not r["error"]]
-
-
-def _slips(rows: list[Row]) -> list[float]:
-    return [r["slip_mm"] for r in _tried(rows) if r["held"]]
-
-
-def _reasons(rows: list[Row]) -> str:
-    counts = Counter(r["reason"] for r in _tried(rows) if not r["held"])
-    return ", ".join(f"{n} {reason}" for reason, n in counts.most_common())
-
-
-def _speed(rows: list[Row], name: str) -> str:
-    known = (r[f"{name}_mm_s"] for r in _tried(rows))
-    return number(median_of(v for v in known if v is not None), 3)
-
-
-def _agreement(rows: list[Row]) -> str:
-    known = [r for r in _tried(rows) if r["predicted_mm_s"]]
-    return number(median_of(r["creep_mm_s"] / r["predicted_mm_s"] for r in known), 2)
-
-
-def _each(title: str, rows: list[Row]) -> Table:
-    """Every grasp: its slip in mm where it is held, why not where it is not."""
-    cases = list(dict.fromkeys(r["case"] for r in rows))
-    table = table_of(f"{title}: slip in mm, or why not", ("hand", "object"), cases)
-    for cell, members in grouped(rows, "hand", "object").items():
-        told = {
-            r["case"]: r["error"] or (number(r["slip_mm"], 2) if r["held"] else r["reason"])
-            for r in members
-        }
-        table.add_row(*cell, *(told.get(case, "-") for case in cases))
-    return table
+        yield summary(title, tried, {"case": "physics"}, columns)
+        told: dict[tuple[str, str], dict[str, str]] = {}
+        for r in rows:
+            shown = number(r["slip_mm"], 2) if r.get("held") else r["error"] or r["reason"]
+            told.setdefault((r["hand"], r["object"]), {})[r["case"]] = shown
+        variants = list(dict.fromkeys(r["case"] for r in rows))
+        lines = [[*cell, *(of_.get(v, "-") for v in variants)] for cell, of_ in told.items()]
+        yield table_data(f"{title}: slip in mm, or why not", ("hand", "object"), variants, lines)
+    crept = [row for row in result["rows"] if row["part"] == "creep"]
+    if crept:
+        yield summary(
+            "creep of the held object, medians in mm/s: measured; by the formula; by it however "
+            "firm the grip; noslip is not in it",
+            crept,
+            {"case": "physics"},
+            {
+                "n": of("creep_mm_s", "count", 0),
+                "measured": of("creep_mm_s", digits=3),
+                "formula": of("predicted_mm_s", digits=3),
+                "least": of("least_mm_s", digits=3),
+                "measured / formula": of("over"),
+                "not measured": counted("error"),
+            },
+        )

@@ -1,194 +1,154 @@
-"""One plan of a grade, executed under a condition: a sample of ``bench metrics``.
+"""Time trials: CPU beside MuJoCo's steps alone with the same commands.
 
-Grades make plans of mixed quality, conditions make trials in which some fail. Both are fixed
-tables, so that every metric is asked the same questions.
+The steps alone are the same model from the same state with the commands of the trial, so that the
+contacts are the same; a row says whether they end in the same state. Trial and steps alternate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+import statistics
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import mujoco
 import numpy as np
+import typer
 
-from benchmarks.predictors import predictors_of
-from benchmarks.requests import Setting, task_for
-from benchmarks.run import ObjectJob
-from planner.errors import NoGraspFoundError, PlannerError
+from benchmarks.bench import HandOptions, ObjectsOption
+from benchmarks.common import cells_of, plan_of
+from benchmarks.summary import counted, of, summary
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
-from planner.spatial import FloatArray
-from planner.synthesis.options import SynthesisOptions
-from planner.task import DEFAULT_MU
-from sim.physics import PhysicsOptions
+from sim.cli.execution import reality_of
+from sim.cli.options import RealityOption, names
 from sim.reality import Reality
-from sim.report import TrialReport
 from sim.simulation import Simulation
 from sim.tables import Row
-from sim.trial import Timeline, Trial
+from sim.trial import Trial
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grade:
-    """How a plan is made.
+class Options(HandOptions):
+    """Plans of the seed, under every controller; -n does not count."""
+
+    objects: ObjectsOption = "sphere,box,cylinder"
+    controllers: Annotated[str, typer.Option(help="Controllers, comma separated.")] = (
+        "feedforward,impedance"
+    )
+    repeats: Annotated[int, typer.Option(min=1, help="Timings per cell; medians count.")] = 3
+    reality: RealityOption = "ideal"
+
+
+def cases(options: Options) -> Iterator[Row]:
+    """Every controller with every hand and object."""
+    given = {"seed": options.seed, "repeats": options.repeats}
+    reality = reality_of(options.reality)
+    for controller in names(options.controllers):
+        for cell in cells_of(options.hand_names, options.objects):
+            yield {"controller": controller, **cell, **given, "reality": reality}
+
+
+class Replay:
+    """The commands of a trial, and the steps with them alone.
 
     Attributes:
-        options: Of the search.
-        mu: Friction that planning relies on (-).
+        inputs: Commands and active equalities of every step.
+        same: Whether the steps alone have always ended in the state in which the trial ended.
     """
 
-    options: SynthesisOptions
-    mu: float = DEFAULT_MU
+    def __init__(self, simulation: Simulation) -> None:
+        """Begin at the state that a simulation is in; be called after each of its steps."""
+        self._model = simulation.scene.model
+        self._start = self._copy(simulation.data)
+        self.inputs: list[tuple[Any, ...]] = []
+        self._end = np.zeros(0)
+        self.same = True
+
+    def __call__(self, simulation: Simulation) -> None:
+        """Keep what the step was given."""
+        data = simulation.data
+        self.inputs.append((data.ctrl.copy(), data.eq_active.copy()))
+        self._end = data.qpos.copy()
+
+    def cpu_s(self) -> float:
+        """CPU time of the steps alone, s."""
+        model, data = self._model, self._copy(self._start)
+        begin = time.process_time()
+        for ctrl, active in self.inputs:
+            data.ctrl[:] = ctrl
+            data.eq_active[:] = active
+            mujoco.mj_step(model, data)
+        spent = time.process_time() - begin
+        self.same &= np.array_equal(data.qpos, self._end)
+        return spent
+
+    def __len__(self) -> int:
+        """Number of steps."""
+        return len(self.inputs)
+
+    def _copy(self, data: Any) -> Any:
+        made = mujoco.MjData(self._model)
+        mujoco.mj_copyData(made, self._model, data)
+        return made
 
 
-_LOOSE = SynthesisOptions(rounds=0, cone_share=0.95, weight_center=0.0)
+def time_trial(
+    plan: GraspPlan, controller: str, repeats: int = 3, reality: Reality | None = None
+) -> Row:
+    """Medians of CPU times, s: building, the trial, MuJoCo's steps alone, and the report's data.
 
-GRADES = {
-    "best": Grade(options=SynthesisOptions()),
-    "plain": Grade(options=SynthesisOptions(rounds=0)),
-    "loose": Grade(options=_LOOSE),
-    "reckless": Grade(options=_LOOSE, mu=1.0),
-}
-"""From the planner's best to plans that accept any contacts and rely on a friction of 1, where the
-trials have 0.6 or less."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Condition:
-    """How a trial differs from the plan.
-
-    Attributes:
-        mu: Friction in simulation (-).
-        mass_factor: True over planned mass (-).
-        shift: Position error of the object in a random horizontal direction, m.
-        push: Force that pushes the held object along six directions in turn, over its weight (-).
+    The first trial, which is not counted, warms up and gives the commands. The report's data are
+    those of its file: closure, epsilon and min-weight of every sample are computed for it.
     """
-
-    mu: float = 0.6
-    mass_factor: float = 1.0
-    shift: float = 0.0
-    push: float = 0.0
-
-
-CONDITIONS = {
-    "as planned": Condition(),
-    "slippery": Condition(mu=0.27),
-    "heavy": Condition(mass_factor=3.0),
-    "displaced": Condition(shift=0.015),
-    "pushed": Condition(push=2.3),
-}
-"""All but the first make part of the grasps fail, each for another reason."""
-
-TIMELINE = Timeline.quick(settle=0.1, hold=1.2)
-"""Shorter than the default timeline: 2.8 s of simulated time instead of 5.3 s."""
-
-RECORD_EVERY = 0.05
-"""Time between samples, s: four samples for each direction of the push."""
-
-DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])
-"""Directions of the push, world axes; each for a sixth of the hold."""
-
-MAX_ATTEMPTS = 20
-"""Attempts at a plan; a sample without one is not counted."""
+    first = Trial(plan, controller=controller, reality=reality)
+    replay = Replay(first.simulation)
+    report = first.run(on_step=replay)
+    spent: dict[str, list[float]] = {"build_s": [], "trial_s": [], "steps_s": [], "report_s": []}
+    for _ in range(repeats):
+        begin = time.process_time()
+        trial = Trial(plan, controller=controller, reality=reality)
+        built = time.process_time()
+        again = trial.run()
+        ran = time.process_time()
+        again.to_dict()
+        spent["build_s"].append(built - begin)
+        spent["trial_s"].append(ran - built)
+        spent["report_s"].append(time.process_time() - ran)
+        spent["steps_s"].append(replay.cpu_s())
+    medians = {name: statistics.median(values) for name, values in spent.items()}
+    ratios = [t / s for t, s in zip(spent["trial_s"], spent["steps_s"], strict=True)]
+    return {
+        "steps": len(replay),
+        **medians,
+        "ratio": statistics.median(ratios),
+        "same_state": replay.same,
+        "end": (report.reason or "held") if replay.same else "the steps alone end in another state",
+    }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sample(ObjectJob):
-    """What is to be tried.
-
-    Attributes:
-        grade: Name out of ``GRADES``.
-        condition: Name out of ``CONDITIONS``.
-        seed: Seed of the measurement; what is drawn depends on it and on ``index``.
-        reality: Errors of sensors, drives and object, drawn from ``index``.
-    """
-
-    SHOWN: ClassVar = ("hand", "label", "grade", "condition")
-
-    grade: str
-    condition: str
-    seed: int
-    reality: Reality = field(default_factory=Reality)
-
-    def lost(self, reason: str) -> Row:
-        """The row of a sample that nothing came of."""
-        return self.row(found=False, success=None, reason=reason)
-
-
-def try_sample(sample: Sample, check: Callable[[], None]) -> Row:
-    """Plan, note the predictors, execute: a row of plain data.
-
-    Args:
-        sample: What.
-        check: Called between attempts and after the trial; what it raises ends it.
-    """
-    rng = np.random.default_rng([sample.seed, sample.index])
-    grade = GRADES[sample.grade]
-    task = task_for(sample.hand, sample.spec, Setting(mu=grade.mu))
-    if isinstance(task, str):
-        return sample.lost(task)
-    try:
-        plan = plan_grasp(
-            task,
-            seed=int(rng.integers(2**62)),
-            max_attempts=MAX_ATTEMPTS,
-            options=grade.options,
-            progress=lambda _: check(),
-        )
-    except NoGraspFoundError:
-        return sample.lost("no plan")
-    except PlannerError as error:
-        return sample.lost(str(error))
-    reality = sample.reality.seeded(sample.index)
-    verdict = trial_under(plan, CONDITIONS[sample.condition], rng, reality=reality).verdict
-    check()
-    return sample.row(
-        found=True,
-        success=verdict.success,
-        reason=verdict.reason,
-        predictors=predictors_of(plan),
+def measure(case: Row) -> Row:
+    """Plan and time one cell."""
+    plan = plan_of(case["hand"], case["spec"], case["seed"])
+    return time_trial(
+        plan, case["controller"], case["repeats"], case["reality"].seeded(case["seed"])
     )
 
 
-def trial_under(
-    plan: GraspPlan,
-    condition: Condition,
-    rng: np.random.Generator,
-    record_every: float = RECORD_EVERY,
-    reality: Reality | None = None,
-) -> TrialReport:
-    """A trial under a condition and a reality, with a sample every so often (s)."""
-    item = plan.task.object
-    heavier = replace(item, mass=condition.mass_factor * item.mass)
-    changed = replace(plan, task=replace(plan.task, object=heavier))
-    trial = Trial(
-        changed,
-        physics=PhysicsOptions(mu=condition.mu),
-        timeline=TIMELINE,
-        record_every=record_every,
-        reality=reality,
+def tables(result: Row) -> Iterator[Row]:
+    """A line per hand, object and controller, and the medians of each controller."""
+    yield summary(
+        "CPU time of trials, one core; trial / steps: with the same commands, contacts, steps",
+        result["rows"],
+        ("controller", "hand", "object"),
+        {
+            "steps": of("steps", digits=0),
+            "steps alone, s": of("steps_s", digits=3),
+            "trial, s": of("trial_s", digits=3),
+            "trial / steps": of("ratio"),
+            "build, s": of("build_s", digits=3),
+            "report, s": of("report_s", digits=3),
+            "end": counted("end"),
+        },
+        [(None, "all", "median")],
     )
-    angle = rng.uniform(0.0, 2 * np.pi)
-    aside = condition.shift * np.array([np.cos(angle), np.sin(angle)])
-    scene, data = trial.simulation.scene, trial.simulation.data
-    data.qpos[scene.object_qpos[:2]] += aside
-    mujoco.mj_forward(scene.model, data)
-    weight = item.mass * float(np.linalg.norm(plan.task.gravity))
-    return trial.run(on_step=_pusher(condition.push * weight * DIRECTIONS))
-
-
-def _pusher(forces: FloatArray) -> Callable[[Simulation], None]:
-    """Push with forces (6, 3), N, at the centre of mass, one after the other during the hold."""
-    steps = 0
-
-    def push(simulation: Simulation) -> None:
-        nonlocal steps
-        if simulation.phase == "hold":
-            total = TIMELINE.hold / simulation.scene.physics.timestep
-            k = min(len(forces) - 1, int(len(forces) * steps / total))
-            simulation.data.xfrc_applied[simulation.scene.object_body, :3] = forces[k]
-            steps += 1
-
-    return push

@@ -1,4 +1,4 @@
-"""``run_walls``: grasps of vessels and sheets with thin walls, planned, timed and executed.
+"""Grasp cups, mugs and bowls of thin walls: found within 1 s, rate, held.
 
 Objects stand as they are used: in the stable pose whose z axis points up most.
 """
@@ -7,37 +7,27 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated
 
-from rich.table import Table
+import typer
 
-from benchmarks.objects import BenchObject
-from benchmarks.requests import check_tasks, loaded_hand
-from benchmarks.run import ObjectJob, measure, stated
-from benchmarks.statistics import ratio, summed
-from planner.batch.pool import grasp_seed
-from planner.errors import PlannerError
+from benchmarks.bench import HandOptions, ObjectsOption
+from benchmarks.common import cells_of, checked_hand, seed_of
+from benchmarks.summary import counted, of, parts, ratio, share, summary
 from planner.objects import parse_object
-from planner.plan import GraspPlan
 from planner.search import attempts
-from planner.shapes import Mesh, Shape, shape_key
+from planner.shapes import Mesh, Shape
 from planner.task import GraspTask
-from sim.reality import Reality
-from sim.runner import Check, Runner
-from sim.tables import Row, grouped, number, percent, table_of
+from sim.cli.execution import reality_of
+from sim.cli.options import RealityOption
+from sim.tables import Row
 from sim.trial import simulate
 
 WALLED = (
-    "cup:0.035x0.09x0.001",
-    "cup:0.03x0.1x0.002",
-    "cup:0.04x0.08x0.003",
-    "teacup:0.04x0.09x0.0015",
-    "teacup:0.035x0.1x0.003",
-    "mug",
-    "bowl:0.06x0.055x0.002",
-    "bowl:0.05x0.04x0.001",
+    "cup:0.035x0.09x0.001,cup:0.03x0.1x0.002,cup:0.04x0.08x0.003,teacup:0.04x0.09x0.0015,"
+    "teacup:0.035x0.1x0.003,mug,bowl:0.06x0.055x0.002,bowl:0.05x0.04x0.001"
 )
 """Cups, mugs and bowls with walls of 1 to 4 mm."""
 
@@ -46,28 +36,23 @@ SOON = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class _WallJob(ObjectJob):
-    """A request: attempts until a grasp is found or its time is over, and a trial if asked."""
+class Options(HandOptions):
+    """Requests of every hand and object, of which the first few are executed."""
 
-    SHOWN: ClassVar = ("hand", "label", "k")
+    objects: ObjectsOption = WALLED
+    trials: Annotated[
+        int, typer.Option(min=0, help="How many of them are executed in simulation.")
+    ] = 2
+    reality: RealityOption = "ideal"
 
-    k: int
-    seed: int
-    execute: bool
-    reality: Reality
 
-    def lost(self, reason: str) -> Row:
-        """The row of a request that could not be tried."""
-        return self.row(
-            error=reason,
-            found=False,
-            attempts=0,
-            cpu_s=0.0,
-            prepare_s=0.0,
-            reasons={},
-            held=None,
-            fault="",
-        )
+def cases(options: Options) -> Iterator[Row]:
+    """Requests of every hand and object."""
+    reality = reality_of(options.reality)
+    for cell in cells_of(options.hand_names, options.objects):
+        for k in range(options.n):
+            run = {"seed": options.seed, "execute": k < options.trials, "reality": reality}
+            yield {**cell, "k": k, **run}
 
 
 def as_used(shape: Shape) -> int:
@@ -76,132 +61,66 @@ def as_used(shape: Shape) -> int:
     return up.index(max(up))
 
 
-def _made(job: _WallJob, check: Check) -> Row:
-    hand = loaded_hand(job.hand)
+def measure(case: Row) -> Row:
+    """Attempts until a grasp is found or its time is over, and a trial if asked."""
+    hand = checked_hand(case["hand"])
     begin = time.process_time()
-    try:
-        item = parse_object(job.spec)
-        pose = item.shape.resting_pose(index=as_used(item.shape))
-        off = job.reality.encoder_offset if job.execute else 0.0
-        task = GraspTask.create(hand, item, T_world_object=pose, table_height=0.0, joint_error=off)
-        made = attempts(task, seed=grasp_seed(job.seed, shape_key(item.shape), job.k))
-    except PlannerError as error:
-        return job.lost(str(error))
+    item = parse_object(case["spec"])
+    shape = item.shape
+    off = case["reality"].encoder_offset if case["execute"] else 0.0
+    task = GraspTask.create(
+        hand,
+        item,
+        T_world_object=shape.resting_pose(index=as_used(shape)),
+        table_height=0.0,
+        joint_error=off,
+    )
+    made = attempts(task, seed=seed_of(case["seed"], shape, case["k"]))
     prepare_s = time.process_time() - begin
     reasons: Counter[str] = Counter()
-    plan: GraspPlan | None = None
-    cpu_s, tried = 0.0, 0
+    cpu_s, tried, plan = 0.0, 0, None
     for attempt in made:
         cpu_s, tried, plan = cpu_s + attempt.cpu_s, tried + 1, attempt.plan
         if attempt.failure is not None:
             reasons[attempt.failure.kind] += 1
-        check()
         if plan is not None or cpu_s >= SOON:
             break
     plan = plan if cpu_s <= SOON else None
     report = None
-    if job.execute and plan is not None:
-        report = simulate(plan, reality=job.reality.seeded(job.k))
-    return job.row(
-        error="",
-        found=plan is not None,
-        attempts=tried,
-        cpu_s=cpu_s,
-        prepare_s=prepare_s,
-        reasons=dict(reasons),
-        held=None if report is None else report.success,
-        fault="" if report is None or report.success else report.reason,
-    )
+    if case["execute"] and plan is not None:
+        report = simulate(plan, reality=case["reality"].seeded(case["k"]))
+    return {
+        # twice the volume by the area
+        "wall_mm": 1e3 * shape.wall_thickness if isinstance(shape, Mesh) else None,
+        "requested": 1,
+        "found": plan is not None,
+        "met": int(plan is not None),
+        "attempts": tried,
+        "cpu_s": cpu_s,
+        "prepare_s": prepare_s,
+        "reasons": dict(reasons),
+        "held": None if report is None else report.success,
+        "fault": "" if report is None or report.success else report.reason,
+    }
 
 
-def run_walls(
-    hands: Sequence[str],
-    objects: Sequence[BenchObject],
-    n: int,
-    trials: int,
-    *,
-    seed: int,
-    runner: Runner,
-    reality: Reality | None = None,
-) -> Row:
-    """Make n requests of every hand and object, and execute the first few (``benchmarks``).
-
-    Args:
-        hands: Names or paths.
-        objects: What to grasp.
-        n: Requests for each hand and object.
-        trials: How many of them are executed too.
-        seed: Of the measurement.
-        runner: Who works.
-        reality: Errors of sensors, drives and object in trials, drawn from the number of the
-            request; none if None.
-    """
-    reality = reality or Reality()
-    check_tasks(hands, objects)
-    cells = [(hand, item, k) for hand in hands for item in objects for k in range(n)]
-    jobs = [
-        _WallJob(
-            index=i,
-            hand=hand,
-            spec=item.spec,
-            label=item.label,
-            k=k,
-            seed=seed,
-            execute=k < trials,
-            reality=reality,
-        )
-        for i, (hand, item, k) in enumerate(cells)
-    ]
-    return measure(
-        runner,
-        _made,
-        jobs,
-        kind="opposable-bench-walls",
-        title="plan and execute",
-        lost=_WallJob.lost,
-        seed=seed,
-        walls_mm={item.label: _wall_mm(item.spec) for item in objects},
-        **stated(reality),
-    )
-
-
-def _wall_mm(spec: str) -> float | None:
-    """Twice the volume by the area, mm: how thick the walls of a mesh are."""
-    try:
-        shape = parse_object(spec).shape
-    except PlannerError:  # a file of a folder, whose rows say what is wrong
-        return None
-    return 1e3 * shape.wall_thickness if isinstance(shape, Mesh) else None
-
-
-def walls_tables(result: Row) -> list[Table | str]:
+def tables(result: Row) -> Iterator[Row | str]:
     """Figures by hand and object, and why trials failed."""
-    table = table_of(
-        f"found within {SOON:g} s of CPU after preparation; found per CPU second; held in trials",
-        ("hand", "object"),
-        ("wall mm", "found", "tries", "found/s", "prepare s", "held"),
-    )
-    table.add_column("failed attempts by reason", overflow="fold")
     rows = [row for row in result["rows"] if not row["error"]]
-    for (hand, item), members in grouped(rows, "hand", "object").items():
-        table.add_row(hand, item, number(result["walls_mm"][item], 1), *_cells(members))
-    table.add_section()
-    for (hand,), members in grouped(rows, "hand").items():
-        table.add_row(hand, "all", "", *_cells(members))
-    faults = [f"{r['hand']} {r['object']} {r['k']}: {r['fault']}" for r in rows if r["fault"]]
-    refused = {f"{r['object']}: {r['error']}": None for r in result["rows"] if r["error"]}
-    return [table, *refused, *faults]
-
-
-def _cells(rows: list[Row]) -> list[str]:
-    found = sum(r["found"] for r in rows)
-    tried = [r["held"] for r in rows if r["held"] is not None]
-    reasons = summed(r["reasons"] for r in rows)
-    return [
-        f"{found}/{len(rows)} = {percent(found, len(rows), 0)}",
-        number(ratio(sum(r["attempts"] for r in rows), found), 2),
-        number(ratio(found, sum(r["cpu_s"] for r in rows)), 1),
-        number(max(r["prepare_s"] for r in rows), 2),
-        f"{sum(tried)}/{len(tried)}",
-        ", ".join(f"{name} {count:g}" for name, count in reasons.items()),
-    ]
+    percent, wall = ratio("met", "requested", 0, 100.0), of("wall_mm", digits=1)
+    yield summary(
+        f"found within {SOON:g} s of CPU after preparation; found per CPU second; held in trials",
+        rows,
+        ("hand", "object"),
+        {
+            "wall mm": lambda frame: wall(frame) if frame["object"].nunique() == 1 else "",
+            "found": lambda frame: f"{parts('met', 'requested')(frame)} = {percent(frame)} %",
+            "tries": ratio("attempts", "met"),
+            "found/s": ratio("met", "cpu_s", 1),
+            "prepare s": of("prepare_s", "max"),
+            "held": share("held", known="held"),
+            "failed attempts by reason": counted("reasons"),
+        },
+        [(None, "all")],
+    )
+    yield from (f"{r['hand']} {r['object']} {r['k']}: {r['fault']}" for r in rows if r["fault"])

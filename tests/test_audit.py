@@ -14,7 +14,7 @@ import pytest
 import trimesh
 from scipy.optimize import linprog
 
-from benchmarks.faults import FAULTS, judged_with_fault
+from benchmarks.audit import FAULTS, judged_with_fault
 from planner.errors import FileFormatError, PlannerError, TaskError
 from planner.exchange.audit import (
     AuditRow,

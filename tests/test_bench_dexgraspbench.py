@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.dexgraspbench import Installed, checkout, install
+from benchmarks import dexgraspbench_checkout as checkout
+from benchmarks.dexgraspbench_checkout import Installed, install
 from planner.batch import plan_grasps
 from planner.errors import TaskError
 from sim.cli import main
@@ -87,10 +88,9 @@ def test_a_batch_is_exported_evaluated_read_back_and_compared(
     code, out, err = opposable(*words, *home, "--json")
     assert code == 0, err
     result = json.loads(out)
-    assert result["exports"]["allegro_hand"]["written"] == 2
     assert len(result["rows"]) == 2
     for grasp in result["rows"]:
-        assert grasp["verdicts"] == {"fc": True, "tabletop": False}
+        assert (grasp["fc"], grasp["tabletop"]) == (True, False)
         assert grasp["penetration_mm"] == pytest.approx(0.4)
         assert grasp["ours"] is True
     code, out, _ = opposable(*words, *home, "--no-compare")

@@ -1,4 +1,4 @@
-"""The options of ``plan`` that ask for the best of several grasps, or several; ``bench best``."""
+"""The options of ``plan`` that ask for the best of several grasps, or several."""
 
 from __future__ import annotations
 
@@ -7,18 +7,12 @@ import signal
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 from typer.testing import CliRunner, Result
 
-from benchmarks.best import WAYS, best_tables, run_best, summary_of_ways, value_at
-from benchmarks.objects import bench_objects
-from benchmarks.requests import Setting
 from planner.best import Wanted
-from planner.errors import TaskError
 from planner.files import read_plan
 from planner.plan import GraspPlan
 from sim.cli import app
-from sim.runner import Runner
 
 CYLINDER = ("allegro_hand", "cylinder", "--rounds", "0")
 
@@ -108,66 +102,3 @@ def test_bad_options_are_told_in_a_line(tmp_path: Path, words: list[str], messag
 def test_no_grasp_at_all_is_wrong_usage() -> None:
     assert plan(*CYLINDER, "--best-of", 0).exit_code == 2
     assert plan(*CYLINDER, "-n", 0).exit_code == 2
-
-
-def test_a_curve_has_the_value_of_the_last_attempt_that_ended_by_then() -> None:
-    curve = [(0.1, None), (0.2, 1.0), (0.4, 3.0)]
-    assert [value_at(curve, mark) for mark in (0.05, 0.1, 0.3, 0.4, 9.0)] == [
-        None,
-        None,
-        1.0,
-        3.0,
-        3.0,
-    ]
-
-
-def test_the_summary_divides_by_independent_attempts() -> None:
-    def row(way: str, k: int, *values: float | None) -> dict[str, object]:
-        return {
-            "hand": "h",
-            "object": "013_apple",
-            "way": way,
-            "k": k,
-            "values": list(values),
-            "frogger": values[-1],
-            "attempts": 3,
-        }
-
-    rows = [row("rounds 4", 0, None, 0.2), row("rounds 4", 1, 0.1, 0.2), row("climb", 0, 0.1, 0.3)]
-    first, second = summary_of_ways(rows)
-    assert first["medians"] == [pytest.approx(0.05), pytest.approx(0.2)]  # none counts as 0
-    assert second["over_reference"] == [pytest.approx(2.0), pytest.approx(1.5)]
-    assert second["over_baseline"] == pytest.approx(0.3 / 0.230)
-
-
-def test_bench_best_measures_all_ways(tmp_path: Path) -> None:
-    result = run_best(
-        ["allegro_hand"],
-        bench_objects(["sphere"]),
-        1,
-        marks=[0.05, 0.1],
-        metric="epsilon",
-        setting=Setting(floating=True),
-        runner=Runner(console=Console(quiet=True), check=lambda: None),
-    )
-    assert [row["way"] for row in result["rows"]] == list(WAYS)
-    assert all(row["found"] for row in result["rows"])
-    json.dumps(result)
-    console = Console(width=150, record=True)
-    console.print(*best_tables(result))
-    assert "climb" in console.export_text()
-
-
-def test_bench_best_refuses_what_it_cannot_measure() -> None:
-    with pytest.raises(TaskError, match="give CPU seconds > 0, ascending"):
-        run_best(
-            ["allegro_hand"],
-            [],
-            1,
-            marks=[0.3, 0.1],
-            metric="epsilon",
-            setting=Setting(),
-            runner=Runner(console=Console(quiet=True), check=lambda: None),
-        )
-    told = CliRunner().invoke(app, ["bench", "best", "allegro_hand", "--ways", "clim"])
-    assert told.exit_code == 3 and "Did you mean 'climb'" in " ".join(told.output.split())

@@ -186,45 +186,30 @@ def test_run_writes_plan_report_and_picture(tmp_path: Path, can_draw: bool) -> N
     assert not list(folder.glob("*.part"))
 
 
-def bench_grasps(folder: Path, seeds: int) -> tuple[str | Path, ...]:
-    """Words of a small ``bench grasps`` that keeps its results in a folder."""
-    asked = ("--hands", "allegro_hand", "--objects", "sphere", "--seeds", str(seeds))
-    return ("bench", "grasps", *asked, "--samples", folder / "samples.jsonl")
+def bench_grasps(folder: Path, n: int) -> tuple[str | Path, ...]:
+    """Words of a small ``grasps`` that keeps its results in a folder."""
+    asked = ("allegro_hand", "--objects", "sphere", "-n", str(n))
+    return ("bench", "grasps", *asked, "--out", folder / "out.json")
 
 
 def rows_in(folder: Path) -> list[str]:
-    """Finished lines of results."""
-    path = folder / "samples.jsonl"
+    """Finished lines of the journal."""
+    path = folder / "out.json.journal"
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
     return [line for line in lines[1:] if line.endswith("\n")]
 
 
 @pytest.mark.slow
-def test_bench_writes_its_table_and_repeats_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "bench.json"
-    words = (*bench_grasps(tmp_path, 1), "--out", path)
-    result = opposable(*words, "--json")
+def test_a_measurement_writes_its_rows_and_its_table(tmp_path: Path) -> None:
+    result = opposable(*bench_grasps(tmp_path, 1), "--json")
     assert result.code == 0, result.err
     data = json.loads(result.out)
-    assert data == json.loads(path.read_text(encoding="utf-8"))
+    assert data == json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
     (outcome,) = data["rows"]
     assert outcome["found"]
     assert outcome["held"]
-    assert json.loads(rows_in(tmp_path)[0]) == outcome
-
-    def never(*_: object, **__: object) -> None:
-        raise AssertionError("planned again")
-
-    monkeypatch.setattr("benchmarks.grasps.plan_grasp", never)
-    again = opposable(*words)
-    assert again.code == 0
-    assert "1 of 1 are in" in again.err
-    assert "1/1" in again.out
-    other = opposable(*words, "--sim-mu", "0.7")
-    assert other.code == 3
-    assert "other arguments (different: mu_simulation)" in other.err
+    assert data["summary"][0]["rows"][0][2:4] == ["1/1", "1/1"]
+    assert not rows_in(tmp_path)  # a journal is of what is not finished
 
 
 @pytest.mark.slow

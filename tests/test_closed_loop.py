@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import PlanOf
 
-from benchmarks.control.slips import LATENCY, true_slips
+from benchmarks.slips import LATENCY, true_slips
 from planner.certify import smallest_breaking
 from planner.certify.breaking import Disturbance
 from planner.errors import NotFoundError, TaskError

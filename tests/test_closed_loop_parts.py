@@ -11,7 +11,7 @@ from conftest import PlanOf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.control.slips import LATENCY, Slip, score_slips, true_slips
+from benchmarks.slips import LATENCY, Slip, score_slips, true_slips
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
 from planner.kinematics.state import HandState

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 
 pytest.importorskip("sphinx")
 
 from machinery import results
-from rich.table import Table
 
+from benchmarks.__main__ import app
 from sim import runner
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -30,7 +32,7 @@ def result(path: Path) -> dict[str, Any]:
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.name)
 def test_a_file_says_how_it_was_measured_and_stands_on_a_page(path: Path) -> None:
     read = result(path)
-    assert read["command"].startswith(("opposable bench ", "python -m benchmarks "))
+    assert read["command"].startswith("python -m benchmarks ")
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", read["date"])
     assert re.fullmatch(r"[0-9a-f]{7,}", read["commit"]), "measured on files that were changed"
     assert not read["interrupted"]
@@ -45,19 +47,25 @@ def test_every_file_that_a_page_shows_is_there() -> None:
     assert shown == {path.name for path in FILES}
 
 
-def test_every_kind_of_measurement_can_be_shown() -> None:
-    formats = set()
-    for path in (ROOT / "benchmarks").rglob("*.py"):
-        text = path.read_text(encoding="utf-8")
-        formats |= set(re.findall(r'(?:kind=|FORMAT = |kind = )"(opposable-[\w-]+)"', text))
-    known = {*results.TABLES, *(name.removesuffix("-summary") for name in results.TABLES)}
-    assert len(formats) > 8
-    assert formats - known <= {"opposable-zoo", "opposable-gallery"}  # pages of their own
+COMMANDS = [result(path)["command"] for path in FILES] + re.findall(
+    r"^\$ (python -m benchmarks .*)$",
+    (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8"),
+    re.MULTILINE,
+)
 
 
-def test_a_table_of_the_terminal_becomes_one_of_a_page() -> None:
-    table = Table("hand", "held", title="grasps")
-    table.add_row("allegro_hand", "10/10")
+@pytest.mark.parametrize("line", COMMANDS)
+def test_commands_of_files_and_of_the_list_are_those_of_today(line: str) -> None:
+    words = shlex.split(line)[3:]
+    group: Any = typer.main.get_command(app(words[:1]))
+    name, command, rest = group.resolve_command(group.make_context("x", words), words)
+    context = command.make_context(name, [], resilient_parsing=True)
+    left = command.make_parser(context).parse_args(rest)[1]
+    assert not left
+
+
+def test_a_table_of_a_summary_becomes_one_of_a_page() -> None:
+    table = {"title": "grasps", "columns": ["hand", "held"], "rows": [["allegro_hand", "10/10"]]}
     assert results.as_markdown(table) == [
         "**grasps**",
         "",
@@ -90,4 +98,6 @@ def test_rates_beside_the_peer_are_those_of_the_data() -> None:
             for line in text.splitlines()
             if f"`--rounds {rounds}`" in line and line.startswith("|")
         )
-        assert f"| {read['total']['found_per_cpu_s']:.1f} |" in row
+        speed = read["summary"][0]
+        total = dict(zip(speed["columns"], speed["rows"][-1], strict=True))
+        assert f"| {float(total['found/s']):.1f} |" in row

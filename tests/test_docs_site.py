@@ -17,8 +17,7 @@ pytest.importorskip("pyarrow")
 
 from browser import browser
 from machinery.check import check
-
-from benchmarks.gallery.pages import SCENES
+from machinery.zoo import SCENES
 
 ROOT = Path(__file__).resolve().parent.parent
 

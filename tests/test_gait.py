@@ -12,8 +12,8 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from star_hand import write_star_hand
 
-from benchmarks.star_hand import write_star_hand
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, TaskError
 from planner.failure import Failure

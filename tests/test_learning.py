@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from rich.console import Console
 
 from benchmarks import conditions as bench
 from planner.errors import (
@@ -671,24 +670,12 @@ def test_a_policy_of_the_first_version_is_still_read(policy: Policy, tmp_path: P
 
 
 def test_a_bench_refuses_a_policy_of_another_hand(policy: Policy, tmp_path: Path) -> None:
-    from benchmarks.manipulate import run_manipulate
-    from sim.runner import Runner
+    from benchmarks.manipulate import Options, cases
 
     policy.save(tmp_path / "p.npz")
+    asked = Options(hands=["shadow_hand"], controller=f"policy:{tmp_path / 'p.npz'}")
     with pytest.raises(HandError, match="for the hand allegro_hand"):
-        run_manipulate(
-            ["shadow_hand"],
-            ["cylinder"],
-            1,
-            height=0.08,
-            fingers=None,
-            stand=0.0,
-            seed=0,
-            file=tmp_path / "rows.jsonl",
-            runner=Runner(console=Console(), check=lambda: None),
-            controller=f"policy:{tmp_path / 'p.npz'}",
-        )
-    assert not (tmp_path / "rows.jsonl").exists()
+        list(cases(asked))
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 from manipulations import QUICK, phases_of, task_of
+from star_hand import write_star_hand
 from typer.testing import CliRunner
 
-from benchmarks.star_hand import write_star_hand
 from planner.errors import FileFormatError, TaskError
 from planner.files import (
     read_manipulation,

@@ -434,7 +434,6 @@ def test_a_turn_that_no_stroke_makes_has_the_conditions_of_regrasps(
 ) -> None:
     """180 degrees had those of one stroke: 300 g, friction 0.45, and no way to lift a finger."""
     turn = Turn(
-        index=0,
         hand="allegro_hand",
         kind="cylinder",
         number=0,

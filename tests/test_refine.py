@@ -14,8 +14,8 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_check import doubts
 
-from benchmarks.plain_check import doubts
 from benchmarks.refine import perturbed
 from planner import GraspPlan, GraspTask, plan_grasp, refine_grasp, refine_grasps
 from planner.batch.refined import _packed, _Reader

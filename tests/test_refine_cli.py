@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import PlanOf
+from plain_check import doubts
 from typer.testing import CliRunner
 
-from benchmarks.plain_check import doubts
 from benchmarks.refine import perturbed
 from planner import GraspTask, plan_grasp, read_plan, write_plan
 from planner.plan import GraspPlan

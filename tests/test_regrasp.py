@@ -10,10 +10,10 @@ import pinocchio as pin
 import pytest
 from conftest import noting_advances
 from manipulations import DT, QUICK, task_of
+from star_hand import write_star_hand
 
 from benchmarks.conditions import FRICTION, REGRASP_FRICTION
 from benchmarks.manipulate import Turn
-from benchmarks.star_hand import write_star_hand
 from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
@@ -338,7 +338,6 @@ def test_turns_by_regrasps_have_friction_for_it(
 ) -> None:
     turns = [
         Turn(
-            index=k,
             hand="shadow_hand",
             kind="cylinder",
             number=k,

@@ -16,8 +16,8 @@ from browser import OpenPage, browser, open_page
 from conftest import PlanOf
 from manipulations import QUICK as QUICK_TURN
 from manipulations import task_of
+from star_hand import write_star_hand
 
-from benchmarks.star_hand import write_star_hand
 from planner.errors import FileFormatError
 from planner.hand_loading import load_hand
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation

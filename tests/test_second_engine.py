@@ -320,32 +320,17 @@ def test_it_is_run_by_its_name_alone() -> None:
     assert "are no position servos; use the protocol forces" in unsuitable("drake", of_motors)
 
 
-def test_the_witness_counts_both_engines() -> None:
+def test_the_benchmark_counts_both_engines() -> None:
     need_drake()
-    from rich.console import Console
+    from benching import run_bench
 
-    from benchmarks.objects import bench_objects
-    from benchmarks.witness import run_witness, witness_tables
-    from sim.runner import Runner
+    from benchmarks.drake import tables
 
-    runner = Runner(console=Console(quiet=True), check=lambda: None, workers=1)
-    result = run_witness(
-        ["allegro_hand"],
-        bench_objects(["sphere"]),
-        1,
-        seed=0,
-        physics=PhysicsOptions(),
-        runner=runner,
-    )
+    result = run_bench("drake", hands=["allegro_hand"], objects="sphere", n=1)
     (row,) = result["rows"]
     assert row["mujoco_held"] and row["drake_held"] and row["reason"] == ""
-    lost = {**row, "index": 1, "drake_held": False, "reason": "after 0.1 s it had moved"}
-    table, told = witness_tables({**result, "rows": [row, lost]})
+    lost = {**row, "drake_held": False, "both": False, "reason": "after 0.1 s it had moved"}
+    table, told = tables({**result, "rows": [row, lost]})
     assert told == "allegro_hand sphere seed 0: after 0.1 s it had moved"
-    assert not isinstance(table, str)
-    assert [list(column.cells)[-1] for column in table.columns][2:6] == [
-        "2 of 2",
-        "2/2",
-        "1/2",
-        "1/2",
-    ]
+    assert isinstance(table, dict)
+    assert table["rows"][-1][2:6] == ["2/2", "2/2", "1/2", "1/2"]

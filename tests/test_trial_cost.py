@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import pickle
-from typing import Any
 
 import numpy as np
 import pytest
 from conftest import PlanOf, calls_in
 
-from benchmarks.trial_cost import Replay, time_trial, trial_cost_table
+from benchmarks.trials import Replay, time_trial
 from planner.contacts import ContactSet
 from planner.plan import GraspPlan
 from planner.quality import closure_and_epsilon
@@ -36,7 +35,7 @@ def test_the_steps_alone_repeat_the_trial(plan: GraspPlan) -> None:
 
 
 def test_a_step_calls_few_functions(plan: GraspPlan) -> None:
-    """What a trial costs beside MuJoCo's steps, counted; ``bench trials`` times it."""
+    """What a trial costs beside MuJoCo's steps, counted; the benchmark ``trials`` times it."""
     trial = Trial(plan, timeline=Timeline.quick(hold=0.1))
     steps: list[float] = []
     calls = calls_in(lambda: trial.run(on_step=lambda simulation: steps.append(simulation.time)))
@@ -52,24 +51,6 @@ def test_a_replay_of_other_commands_is_noticed(plan: GraspPlan) -> None:
     replay.inputs[100][0][:] += 0.01
     replay.cpu_s()
     assert not replay.same
-
-
-def test_the_table_has_a_line_per_cell_and_the_median_of_each_controller() -> None:
-    cell: dict[str, Any] = {"steps": 10, "steps_s": 0.1, "trial_s": 0.3, "ratio": 3.0}
-    cell |= {"build_s": 0.0, "report_s": 0.1, "end": "held", "same_state": True}
-    rows = [
-        {"controller": "feedforward", "hand": "a", "object": "box", **cell},
-        {"controller": "feedforward", "hand": "a", "object": "ball", **cell, "ratio": 5.0},
-        {"controller": "feedforward", "hand": "b", "object": "box", "error": "no grasp"},
-        {"controller": "impedance", "hand": "a", "object": "box", **cell, "same_state": False},
-    ]
-    table = trial_cost_table({"rows": rows})
-    lines = list(zip(*(column.cells for column in table.columns), strict=True))
-    assert len(lines) == len(rows) + 2
-    assert lines[3][:3] == ("feedforward", "all", "median")
-    assert lines[3][6] == "4.00"
-    assert "no grasp" in lines[2]
-    assert "another state" in lines[4][-1]
 
 
 def test_closure_is_computed_when_asked_for_and_is_that_of_the_contacts_then(

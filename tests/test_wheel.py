@@ -66,7 +66,7 @@ def test_help_and_plan_work_without_the_measurements(installed: Path, tmp_path: 
     assert (tmp_path / "plan.json").is_file()
 
 
-@pytest.mark.parametrize("words", [("bench",), ("bench", "grasps", "--seeds", "2", "--help")])
+@pytest.mark.parametrize("words", [("bench",), ("bench", "grasps", "-n", "2", "--help")])
 def test_measuring_from_a_wheel_says_what_it_needs(
     words: tuple[str, ...], installed: Path, tmp_path: Path
 ) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import typer.main
 from sphinx.application import Sphinx
 
-from benchmarks.commands import app as benchmarks
+from benchmarks.__main__ import app as benchmarks
 from machinery.write import write_pages
 from sim.cli import app as opposable
 from sim.cli.listing import RENAMED, Renamed
@@ -88,7 +88,7 @@ def renamed() -> Iterator[str]:
 def commands() -> list[tuple[str, Any, Any]]:
     """Every command of ours, and those that measure: (group, command, its context)."""
     found: list[tuple[str, Any, Any]] = []
-    for app, name in ((opposable, "opposable"), (benchmarks, "python -m benchmarks")):
+    for app, name in ((opposable, "opposable"), (benchmarks(), "python -m benchmarks")):
         root: Any = typer.main.get_command(app)
         found += leaves(root, root.context_class(root, info_name=name))
     return found

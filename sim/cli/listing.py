@@ -238,7 +238,7 @@ def measuring() -> Any:
     if not (CHECKOUT / "pyproject.toml").is_file():
         say(err, NEEDS_CHECKOUT)
         raise typer.Exit(EXIT_BAD_INPUT)
-    return typer.main.get_command(import_module("benchmarks.commands").app)
+    return typer.main.get_command(import_module("benchmarks.__main__").app())
 
 
 class Opposable(TyperGroup):

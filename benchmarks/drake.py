@@ -1,0 +1,100 @@
+"""Hold exported grasps in MuJoCo and in Drake: held here, there, in both.
+
+Each plan is exported (``sim.scene_export``), and the export is held for 2 s under gravity by the
+check that ships with it, in MuJoCo, and in Drake (``sim.protocols.drake``). Of --physics Drake
+takes the friction alone.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.bench import HandOptions, ObjectsOption
+from benchmarks.common import PRIMITIVES, cells_of, task_of
+from benchmarks.summary import Columns, of, share, summary
+from planner.errors import TaskError
+from planner.search import plan_grasp
+from sim.cli.execution import physics_of
+from sim.cli.options import PhysicsOption, SimMuOption
+from sim.protocols.drake import hold_in_drake
+from sim.protocols.drake_scene import drake_missing
+from sim.scene_export import export_scene
+from sim.scene_export.check import hold
+from sim.tables import Row
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(HandOptions):
+    """Seeds of every hand and object."""
+
+    objects: ObjectsOption = PRIMITIVES
+    sim_mu: SimMuOption = None
+    physics: PhysicsOption = "ours"
+
+
+def cases(options: Options) -> Iterator[Row]:
+    """Seeds of every hand and object.
+
+    Raises:
+        TaskError: Drake is not installed.
+    """
+    if reason := drake_missing():
+        raise TaskError(reason)
+    physics = physics_of(options.physics, options.sim_mu)
+    for cell in cells_of(options.hand_names, options.objects):
+        for k in range(options.n):
+            yield {**cell, "seed": options.seed + k, "physics": physics}
+
+
+def measure(case: Row) -> Row:
+    """Plan, export and hold one seed in both engines."""
+    begin = time.process_time()
+    plan = plan_grasp(task_of(case["hand"], case["spec"]), seed=case["seed"])
+    planned = time.process_time()
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made) / "scene"
+        export_scene(plan, folder, physics=case["physics"])
+        exported = time.process_time()
+        held, mm, deg = hold(folder / "scene.xml")
+        stepped = time.process_time()
+        other = hold_in_drake(folder)
+    return {
+        "found": True,
+        "reason": "" if other.held else other.detail,
+        "plan_cpu_s": planned - begin,
+        "mujoco_held": held,
+        "mujoco_mm": mm,
+        "mujoco_deg": deg,
+        "mujoco_cpu_s": stepped - exported,
+        "drake_held": other.held,
+        "drake_mm": float(other.moved_mm[-1]),
+        "drake_deg": float(other.turned_deg[-1]),
+        "drake_cpu_s": time.process_time() - stepped,
+        "both": held and other.held,
+    }
+
+
+COLUMNS: Columns = {
+    "plans": share("found"),
+    "MuJoCo": share("mujoco_held", where="found"),
+    "Drake": share("drake_held", where="found"),
+    "both": share("both", where="found"),
+    "mm": of("mujoco_mm"),
+    "mm Drake": of("drake_mm"),
+    "CPU s": of("mujoco_cpu_s"),
+    "CPU s Drake": of("drake_cpu_s"),
+}
+
+
+def tables(result: Row) -> Iterator[Row | str]:
+    """Held per hand and object in each engine and in both; then every plan that Drake lost."""
+    title = "held for 2 s by position commands alone; medians of movement and CPU"
+    rows = sorted(result["rows"], key=lambda r: (r["hand"], r["object"]))
+    yield summary(title, rows, ("hand", "object"), COLUMNS, [("all", "")])
+    for row in rows:
+        if row.get("reason"):
+            yield f"{row['hand']} {row['object']} seed {row['seed']}: {row['reason']}"
