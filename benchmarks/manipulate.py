@@ -36,12 +36,12 @@ from benchmarks.objects import BenchObject, bench_objects
 from benchmarks.run import stated
 from planner.errors import NotFoundError, PlannerError
 from planner.motion.manipulation import (
+    ONE_STROKE,
     ManipulationPlan,
     manipulation_task,
     on_stand,
     plan_manipulation,
 )
-from planner.motion.manipulation.search import ONE_STROKE
 from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.objects import object_names, parse_object
 from planner.spatial import SE3
@@ -176,7 +176,7 @@ def execute_turn(
         on_step: Called with the simulation after every time step.
     """
     there = turn.draw()
-    task = plan.motion.grasp.task  # with the fingers that were chosen
+    task = plan.grasp.task  # with the fingers that were chosen
     pose = task.T_world_object
     turned = pin.exp3(np.array([0.0, 0.0, there.heading])) @ pose.rotation
     aside = np.array([*there.shift, 0.0])
@@ -223,7 +223,7 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
         reason=report.reason,
         faults=report.faults,
         collided=report.collision is not None,
-        regrasps=plan.gait is not None,
+        regrasps=plan.cycles > 1,
         place_off_mm=last.get("off_mm") if report.complete else None,
         place_heading_deg=last.get("heading_deg") if report.complete else None,
         events=[f"{e.time:.2f} {e.kind} {e.finger} {e.detail}" for e in report.events],

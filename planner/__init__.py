@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from planner.hands.hand import Hand
     from planner.kinematics.state import HandState
     from planner.kinematics.symbolic import SymbolicHand
-    from planner.motion import MotionPlan, plan_motion
+    from planner.motion import MotionPlan, MovementPlan, plan_motion
     from planner.motion.gait import GaitPlan, plan_gait
     from planner.motion.manipulation import (
         ManipulationPlan,
@@ -55,6 +55,7 @@ __all__ = [
     "HandState",
     "ManipulationPlan",
     "MotionPlan",
+    "MovementPlan",
     "NoGraspFoundError",
     "Obstacle",
     "PlannerError",
@@ -98,6 +99,7 @@ _HOMES = {
     "HandState": "planner.kinematics.state",
     "ManipulationPlan": "planner.motion.manipulation",
     "MotionPlan": "planner.motion",
+    "MovementPlan": "planner.motion",
     "NoGraspFoundError": "planner.errors",
     "Obstacle": "planner.task",
     "PlannerError": "planner.errors",
@@ -127,19 +129,12 @@ _HOMES = {
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
 register_page("GraspPlan", "planner.pages.plan_page:plan_page", "planner.files.plans:write_plan")
-register_page(
-    "MotionPlan", "planner.pages.motion_page:motion_page", "planner.files.movements:write_motion"
-)
-register_page(
-    "GaitPlan", "planner.pages.motion_page:motion_page", "planner.files.movements:write_gait"
-)
-register_page(
-    "ManipulationPlan",
-    "planner.pages.motion_page:motion_page",
-    "planner.files.movements:write_manipulation",
-)
+for _kind in ("MovementPlan", "ManipulationPlan"):
+    register_page(
+        _kind, "planner.pages.motion_page:motion_page", "planner.files.movements:write_movement"
+    )
+    register_notebook(_kind, "planner.pages.notebook:motion_html")
 register_notebook("ContactSet", "planner.pages.notebook:contacts_html")
 register_notebook("GraspPlan", "planner.pages.notebook:plan_html")
 register_notebook("GraspSet", "planner.pages.notebook:dataset_html")
 register_notebook("Hand", "planner.pages.notebook:hand_html")
-register_notebook("MotionPlan", "planner.pages.notebook:motion_html")

@@ -33,8 +33,7 @@ from sim.cli import app
 from sim.controllers import GraspController, Observation
 from sim.estimation import EstimateLog
 from sim.learning import Policy, PolicyFor
-from sim.manipulation.results import undisturbed
-from sim.manipulation.timeline import SuccessCriteria
+from sim.manipulation.timeline import SuccessCriteria, undisturbed
 from sim.physics import PhysicsOptions
 from sim.protocols.disturbance import Settings
 from sim.protocols.outcome import Conditions

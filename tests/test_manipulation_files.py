@@ -26,7 +26,7 @@ from planner.files import (
     write_motion,
     write_trajectory,
 )
-from planner.files.movements import manipulation_to_dict
+from planner.files.movements import movement_to_dict
 from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.motion.manipulation import (
@@ -92,7 +92,7 @@ def test_a_file_gives_the_plan_back(plan: ManipulationPlan, tmp_path: Path) -> N
     write_manipulation(plan, path)
     again = read_manipulation(path)
     assert str(again) == str(plan)
-    told, true = manipulation_to_dict(again), manipulation_to_dict(plan)
+    told, true = movement_to_dict(again), movement_to_dict(plan)
     # poses become quaternions and back, contacts are computed again: rounding is all that changes
     np.testing.assert_allclose(numbers_in(told), numbers_in(true), rtol=0.0, atol=1e-9)
     words = [re.sub(r"-?\d[\d.e-]*", "", json.dumps(data)) for data in (told, true)]
@@ -101,17 +101,17 @@ def test_a_file_gives_the_plan_back(plan: ManipulationPlan, tmp_path: Path) -> N
 
 
 def _grasped(data: dict[str, Any]) -> list[float]:
-    joints: list[float] = data["motion"]["grasp"]["grasp"]["q_rad"]
+    joints: list[float] = data["grasp"]["grasp"]["q_rad"]
     return joints
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda data: data.update(format="opposable-motion"), "is not a manipulation file"),
-        (lambda data: data.update(version=2), "has manipulation version 2"),
+        (lambda data: data.update(format="opposable-plan"), "is not a movement file"),
+        (lambda data: data.update(version=2), "has movement version 2"),
         (lambda data: data.update(extra=1), "is damaged: extra"),
-        (lambda data: data.update(motion=None), "a motion and a gait, or neither"),
+        (lambda data: data.update(ending=None, angle_rad=0.1, torque_reserve=None), "ending"),
         (lambda data: data.update(angle_rad=1.0), "to turn by 57.3 degrees and its motion by"),
         (lambda data: data.update(angle_rad=-0.2), "to turn by -11.5 degrees"),
         (lambda data: data.update(shift_m=[0.0, 0.0, 0.01]), "translation is not that of"),
@@ -121,16 +121,14 @@ def _grasped(data: dict[str, Any]) -> list[float]:
             "does not stand at its target",
         ),
         (
-            lambda data: data["ending"].update(
-                q_open_rad=data["motion"]["grasp"]["grasp"]["q_rad"]
-            ),
+            lambda data: data["ending"].update(q_open_rad=data["grasp"]["grasp"]["q_rad"]),
             "way out fails its checks",
         ),
         (
             lambda data: data["ending"].update(made_backwards_because="so"),
             "does not stand at its target",
         ),
-        (lambda data: data["motion"]["path"].update(angle_rad=0.8), "fails its checks"),
+        (lambda data: data["path"].update(angle_rad=0.8), "fails its checks"),
     ],
 )
 def test_a_damaged_file_is_refused(
@@ -139,7 +137,7 @@ def test_a_damaged_file_is_refused(
     change: Callable[[dict[str, Any]], None],
     words: str,
 ) -> None:
-    data = manipulation_to_dict(turn)
+    data = movement_to_dict(turn)
     change(data)
     path = tmp_path / "manipulation.json"
     write_json(data, path)
@@ -150,7 +148,7 @@ def test_a_damaged_file_is_refused(
 def test_a_file_whose_way_back_is_not_its_way_in_is_refused(
     tilt: ManipulationPlan, tmp_path: Path
 ) -> None:
-    data = manipulation_to_dict(tilt)
+    data = movement_to_dict(tilt)
     data["ending"]["q_open_rad"][0] += 0.01
     write_json(data, tmp_path / "m.json")
     with pytest.raises(FileFormatError, match="way out is not its way in"):

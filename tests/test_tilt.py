@@ -13,14 +13,14 @@ from typer.testing import CliRunner
 
 from planner.errors import TaskError
 from planner.failure import Failure
+from planner.motion.ending import backwards, object_at_target, planned_ending, stands
 from planner.motion.manipulation import (
     ManipulationPlan,
     on_stand,
     plan_manipulation,
 )
-from planner.motion.manipulation.ending import backwards, object_at_target, planned_ending, stands
-from planner.motion.manipulation.single_stroke import MOST_PIVOT
 from planner.motion.path import tilts
+from planner.motion.single_stroke import MOST_PIVOT
 from planner.spatial import SE3
 from planner.task import GraspTask
 from sim.cli import app

@@ -1,8 +1,7 @@
-"""Motions of an object in the hand, on one grasp: planned over knots, verified like grasps."""
+"""Movements of an object in the hand: searched over knots, verified like grasps, phase by phase."""
 
-from planner.motion.limits import Limit
 from planner.motion.path import ObjectPath
-from planner.motion.plan import Knot, MotionPlan, MotionRecord
+from planner.motion.plan import Knot, Limit, MotionPlan, MotionRecord, MovementPlan
 from planner.motion.search import MotionAttempt, motion_attempts, plan_motion
 
 __all__ = [
@@ -11,6 +10,7 @@ __all__ = [
     "MotionAttempt",
     "MotionPlan",
     "MotionRecord",
+    "MovementPlan",
     "ObjectPath",
     "motion_attempts",
     "plan_motion",

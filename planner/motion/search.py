@@ -10,15 +10,14 @@ import numpy as np
 
 from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
 from planner.errors import NoGraspFoundError, TaskError
-from planner.motion.context import MotionContext, Reaches, merit
+from planner.motion.context import MotionContext, Reaches, finger_sets, merit, with_rolling_pads
 from planner.motion.path import LARGEST_TURN, ObjectPath
-from planner.motion.plan import MotionPlan
-from planner.motion.starts import finger_sets, with_rolling_pads
+from planner.motion.plan import MovementPlan
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
-MotionAttempt = Attempt[MotionPlan]
+MotionAttempt = Attempt[MovementPlan]
 """One attempt: a motion, or why there is none."""
 
 PATH_TOLERANCE = 0.02
@@ -136,7 +135,7 @@ def plan_motion(
     max_attempts: int = MAX_ATTEMPTS,
     best_of: int | None = None,
     options: SynthesisOptions = MOTION_OPTIONS,
-) -> MotionPlan:
+) -> MovementPlan:
     """A motion of the object in the hand, without regrasping.
 
     May be called from any number of threads, like ``plan_grasp``.

@@ -10,7 +10,6 @@ from sim.manipulation.in_hand import (
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.report_file import ManipulationReportFile, read_manipulation_report
-from sim.manipulation.results import PhaseResult
 from sim.manipulation.run import ManipulationRun, manipulate
 from sim.manipulation.simulation import ManipulationSim, Push
 from sim.manipulation.standing import rests, settled
@@ -19,6 +18,7 @@ from sim.manipulation.timeline import (
     PHASES,
     ManipulationPhase,
     ManipulationTimeline,
+    PhaseResult,
     SuccessCriteria,
 )
 

@@ -18,25 +18,28 @@ import numpy as np
 from planner.errors import PlannerError
 from planner.failure import Failure
 from planner.files import given_manipulation
+from planner.motion.ending import backwards, find_release, object_at_target, stands
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
-from planner.motion.manipulation.ending import backwards, object_at_target, stands
-from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
 from sim.estimation import AnyEstimator
 from sim.looking.picture import Drawn, check_video, draw_tape
 from sim.manipulation.in_hand import AnyTurningController, GuidedController, in_hand_controller
-from sim.manipulation.log import ManipulationLog
+from sim.manipulation.log import (
+    ASKED_SHARE,
+    ManipulationLog,
+    force_limit,
+    measured_modes,
+    planned_modes,
+    planned_points,
+)
 from sim.manipulation.machine import StateMachine
-from sim.manipulation.modes import measured_modes, planned_modes, planned_points
 from sim.manipulation.phases import Phases
-from sim.manipulation.pressing import ASKED_SHARE, force_limit
 from sim.manipulation.report import ManipulationReport
-from sim.manipulation.results import PhaseResult
 from sim.manipulation.simulation import ManipulationSim, Push
 from sim.manipulation.standing import rests
-from sim.manipulation.timeline import TURNING, ManipulationTimeline, SuccessCriteria
+from sim.manipulation.timeline import TURNING, ManipulationTimeline, PhaseResult, SuccessCriteria
 from sim.physics import AnyPhysics
 from sim.reality import AnyReality
 from sim.simulation import Simulation
@@ -154,28 +157,28 @@ class ManipulationRun:
 
     def fingers_back(self) -> tuple[Relocation, ...] | Failure:
         """How all fingers go back to where the motion began; or why they cannot."""
-        return plan_back(self.plan.motion, self.sim.driver.reference.place)
+        return plan_back(self.plan, self.sim.driver.reference.place)
 
     def other_order(self, moved: Iterable[str]) -> tuple[Relocation, ...] | Failure:
         """How the fingers that have not moved go on in another order; or why they cannot."""
-        refused, gait = self._phases.regrasping.refused, self.plan.gait
-        if gait is None or not refused:
+        refused = self._phases.regrasping.refused
+        if self.plan.cycles == 1 or not refused:
             return Failure(kind="turn_over", text="the turn is over")
-        return plan_others(gait.motion, tuple(moved), refused)
+        return plan_others(self.plan, tuple(moved), refused)
 
     def put_down(self) -> Ending | Failure:
         """How the object is put down where it is; or why it cannot be."""
         plan, simulation = self.plan, self.sim.simulation
-        axis, back = plan.motion.path.axis, plan.ending.back
+        axis, back = plan.path.axis, plan.ending.back
         first, now = simulation.plan.task.T_world_object, self.sim.reading.T_world_object()
         turned = signed_twist(now.rotation @ first.rotation.T, axis)
         x, y = now.translation[:2].tolist()
         task = replace(plan.task, T_world_object=first)
         if back or not stands(task, axis, turned, rests=rests):
-            if plan.gait is not None:
+            if plan.cycles > 1:
                 return Failure(kind="falls", text="it would not stand")
-            return backwards(plan.motion, (x, y), back or "half-way it does not stand")
-        release = find_release(cut_motion(plan.motion, self.sim.driver.reference.place))
+            return backwards(plan, (x, y), back or "half-way it does not stand")
+        release = find_release(cut_motion(plan, self.sim.driver.reference.place))
         if isinstance(release, Failure):
             return release
         target = object_at_target(task, axis, turned, (x, y))
@@ -183,7 +186,7 @@ class ManipulationRun:
 
     def _report(self, machine: StateMachine) -> ManipulationReport:
         plan, log = self.plan, self.sim.recorder.log()
-        points = planned_points(plan.motion, log.path_parameter, log.phase, log.away)
+        points = planned_points(plan, log.path_parameter, log.phase, log.away)
         wanted = np.isfinite(points[..., 0])
         simulation = self.sim.simulation
         true_task, holding = simulation.plan.task, self.sim.driver.holding
@@ -192,7 +195,7 @@ class ManipulationRun:
             hand=plan.task.hand.name,
             object=plan.task.object.shape.spec,
             mass_kg=true_task.object.mass,
-            seed=plan.motion.record.seed,
+            seed=plan.record.seed,
             controller=type(driving).__name__,
             fingers=plan.task.finger_names,
             results=tuple(self.results),
@@ -328,24 +331,24 @@ def _rest_of(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) 
     Raises:
         PlannerError: There is none.
     """
-    task, motion = plan.task, plan.motion
+    task = plan.task
     standing, made = _stood(plan, log, T_world_object)
     at_x, at_y = plan.ending.T_world_target.translation[:2].tolist()
     return plan_manipulation(
         replace(task, T_world_object=standing),
-        axis=motion.path.axis,
+        axis=plan.path.axis,
         angle=plan.angle - made,
         shift=plan.shift,
         place=(at_x, at_y),
-        seed=motion.record.seed + 1,
-        regrasp=plan.gait is not None,
+        seed=plan.record.seed + 1,
+        regrasp=plan.cycles > 1,
         rests=rests,
     )
 
 
 def _stood(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) -> tuple[SE3, float]:
     """Upright pose of an object that was put down, and the turn (rad) that was made of it."""
-    task, axis = plan.task, plan.motion.path.axis
+    task, axis = plan.task, plan.path.axis
     made = 0.0  # brought back in the hand it stands as at first
     if not plan.ending.back:
         counted = float(log.turn[log.during(*TURNING)[-1]])  # whole turns too
