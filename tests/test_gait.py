@@ -27,7 +27,7 @@ from planner.motion import plan_motion
 from planner.motion.gait import GaitPlan, NoOrder, Order, Relocation, find_order, plan_gait
 from planner.motion.order import holding, standing
 from planner.motion.regrasp import FingerPaths, RegraspPlanner
-from planner.motion.verify import GaitVerifier, same_space
+from planner.motion.verify import MovementVerifier, same_space
 from planner.objects import parse_object
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray
@@ -281,7 +281,7 @@ def test_an_object_that_does_not_look_the_same_is_told(allegro: Hand) -> None:
         allegro, "box:0.05x0.05x0.1", fingers=["thumb", "index", "middle", "ring"], mu=0.8
     )
     stroke = plan_motion(task, angle=math.radians(20))
-    told = GaitVerifier(task).verify(stroke, 2)
+    told = MovementVerifier(task).repeated(stroke, 2)
     assert isinstance(told, Failure) and "does not look the same to the hand" in told.text
 
 

@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from planner.files import (
     write_motion,
     write_trajectory,
 )
-from planner.files.movements import movement_to_dict
+from planner.files.movements import movement_from_dict, movement_to_dict
 from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.motion.manipulation import (
@@ -35,6 +35,7 @@ from planner.motion.manipulation import (
     plan_manipulation,
     plan_regrasping,
 )
+from planner.motion.plan import MovementPlan
 from planner.plan import JointTrajectory
 from sim.cli import app
 from sim.manipulation import ManipulationReport, manipulate, read_manipulation_report
@@ -155,6 +156,66 @@ def test_a_file_whose_way_back_is_not_its_way_in_is_refused(
         read_manipulation(tmp_path / "m.json")
 
 
+def of_older_format(data: dict[str, Any]) -> dict[str, Any]:
+    """Data of a movement with an ending as the format "opposable-manipulation" had it."""
+    names = ["written_by", "grasp", "path", "tube_m", "knots", "limits", "record"]
+    motion = {"format": "opposable-motion", "version": 1, **{name: data[name] for name in names}}
+    gait = None
+    if data["cycles"] > 1:
+        gait = {
+            "format": "opposable-gait",
+            "version": 1,
+            "written_by": data["written_by"],
+            "cycles": data["cycles"],
+            "stroke": motion,
+            "relocations": data["relocations"],
+        }
+    same = {
+        name: data[name]
+        for name in ("written_by", "angle_rad", "shift_m", "ending", "torque_reserve")
+    }
+    return {
+        "format": "opposable-manipulation",
+        "version": 1,
+        "motion": None if gait else motion,
+        "gait": gait,
+        "attempts": data["record"]["attempts"],
+        "cpu_s": data["record"]["cpu_s"],
+        **same,
+    }
+
+
+def test_files_of_the_three_older_formats_are_read(plan: ManipulationPlan) -> None:
+    data = movement_to_dict(plan)
+    old = of_older_format(data)
+    again = movement_from_dict(old, "an old file")
+    assert isinstance(again, ManipulationPlan)
+    assert str(again) == str(plan) and again.record == plan.record
+    alone = movement_from_dict(old["gait"] or old["motion"], "its motion or gait")
+    assert not isinstance(alone, ManipulationPlan) and alone.ending is None
+    assert str(alone) == str(without_ending(plan))
+    assert alone.angle == pytest.approx(plan.planned_angle)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data.update(version=2), "version 2 of opposable-manipulation"),
+        (lambda data: data.update(motion=None), "a motion and a gait, or neither"),
+        (lambda data: data["motion"].pop("path"), "lacks fields of opposable-manipulation.*path"),
+        (lambda data: data["motion"]["path"].update(angle_rad=0.8), "fails its checks"),
+        (lambda data: data.update(torque_reserve=0.9), "torque reserve is not that"),
+    ],
+)
+def test_a_damaged_file_of_an_older_format_is_refused(
+    turn: ManipulationPlan, change: Callable[[dict[str, Any]], None], words: str
+) -> None:
+    data = of_older_format(movement_to_dict(turn))
+    change(data)
+    with pytest.raises(FileFormatError, match=words):
+        movement_from_dict(data, "an old file")
+
+
 # --- trajectories ------------------------------------------------------------------------------
 
 
@@ -192,9 +253,15 @@ def test_a_trajectory_goes_through_the_knots(turn: ManipulationPlan) -> None:
     assert since[-1] - since[0] == pytest.approx(1.875 * motion.path.angle / 0.1, rel=0.01)
 
 
+def without_ending(plan: ManipulationPlan) -> MovementPlan:
+    """The movement alone, all of which is requested."""
+    same = {one.name: getattr(plan, one.name) for one in fields(MovementPlan)}
+    asked = {"angle": plan.planned_angle, "shift": plan.planned_shift, "ending": None}
+    return MovementPlan(**{**same, **asked})
+
+
 def test_a_trajectory_of_a_gait_has_strokes_and_regrasps(strokes: ManipulationPlan) -> None:
-    gait = strokes.gait
-    assert gait is not None
+    gait = without_ending(strokes)
     trajectory = gait.joint_trajectory()
     names = list(dict.fromkeys(trajectory.phases))
     moved = [f"regrasp {finger}" for finger in gait.order]
@@ -253,9 +320,9 @@ def test_a_motion_becomes_a_manipulation(turn: ManipulationPlan, strokes: Manipu
     made = manipulation_of(turn.motion, place=(0.1, 0.0))
     assert made.angle == turn.motion.path.angle
     np.testing.assert_allclose(made.ending.T_world_target.translation, [0.1, 0.0, 0.04])
-    assert strokes.gait is not None
-    by_strokes = manipulation_of(strokes.gait)
-    assert by_strokes.angle == strokes.gait.angle and by_strokes.gait is strokes.gait
+    gait = without_ending(strokes)
+    by_strokes = manipulation_of(gait)
+    assert by_strokes.angle == gait.angle and by_strokes.phases is gait.phases
     motion = turn.motion
     held = replace(motion.grasp, task=replace(turn.task, table_height=None))
     with pytest.raises(TaskError, match="no table to pick from"):
@@ -291,8 +358,7 @@ def test_the_command_executes_motions_and_gaits_too(
     write_motion(turn.motion, tmp_path / "motion.json")
     done = command("--plan", tmp_path / "motion.json", "--place", "0.05,0")
     assert "turned" in done.output and "complete;" in done.output, done.output
-    assert strokes.gait is not None
-    write_gait(strokes.gait, tmp_path / "gait.json")
+    write_gait(without_ending(strokes), tmp_path / "gait.json")
     done = command("--plan", tmp_path / "gait.json")
     assert "regrasp finger1" in done.output and "complete;" in done.output, done.output
 

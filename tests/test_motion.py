@@ -47,7 +47,7 @@ from planner.motion.terms import (
 )
 from planner.motion.trajectory import interpolate_rolling
 from planner.motion.unknowns import SHARE, placement
-from planner.motion.verify import MotionVerifier, Waypoint
+from planner.motion.verify import MovementVerifier, Waypoint
 from planner.objects import parse_object
 from planner.quality import analyse, force_closure
 from planner.spatial import SE3, FloatArray, skew
@@ -602,7 +602,7 @@ def test_a_knot_that_closes_by_less_than_the_margin_is_refused(ninety: MotionPla
         return force_closure(contacts, edges=CLOSURE_EDGES).normalised_min_weight
 
     def verified(mu: float) -> tuple[Knot, ...] | Failure:
-        return MotionVerifier(replace(task, mu=mu)).verify_knots(
+        return MovementVerifier(replace(task, mu=mu)).verify_knots(
             ninety.T_world_base, [place], ninety.path, ninety.path_tolerance
         )
 

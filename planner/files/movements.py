@@ -385,15 +385,15 @@ def _strokes(file: MovementFile, grasp: GraspPlan, path: str) -> MovementPlan:
     true = [_relocation_data(r) for r in plan.regrasps]
     if [r.finger for r in file.relocations] != [r.finger for r in true]:
         raise FileFormatError(f"{path}: its fingers move on in another order; it is damaged")
-    for stored, found in zip(file.relocations, true, strict=True):
+    for told, found in zip(file.relocations, true, strict=True):
         for what, a, b in (
-            ("way", np.ravel(stored.q_rad), np.ravel(found.q_rad)),
-            ("contacts", numbers_of(stored.contacts_held), numbers_of(found.contacts_held)),
-            ("contacts", numbers_of(stored.contacts_after), numbers_of(found.contacts_after)),
+            ("way", np.ravel(told.q_rad), np.ravel(found.q_rad)),
+            ("contacts", numbers_of(told.contacts_held), numbers_of(found.contacts_held)),
+            ("contacts", numbers_of(told.contacts_after), numbers_of(found.contacts_after)),
         ):
             if not _same(a, b):
                 raise FileFormatError(
-                    f"{path}: the {what} with {stored.finger} away are not those of its stroke; it "
+                    f"{path}: the {what} with {told.finger} away are not those of its stroke; it "
                     "is damaged"
                 )
     return plan

@@ -24,6 +24,7 @@ import pinocchio as pin
 from planner.approach.pregrasp import Approach, way_back
 from planner.attempt import SearchRecord
 from planner.contacts import Contact, ContactSet
+from planner.errors import TaskError
 from planner.forces import ForceSolution
 from planner.immutable import freeze
 from planner.kinematics.state import HandState
@@ -480,7 +481,7 @@ class MovementPlan(Shown):
         builder.move_base("carry", _moved(to_target, up), CARRY_S)
         builder.move_base("lower", to_target, LOWER_S)
         builder.turn("open", np.array([q, self.ending.release.q]), np.array([0.0, 1.0]), OPEN_S)
-        builder.move_base("retreat", self.way_out(to_target, self.ending), RETREAT_S)
+        builder.move_base("retreat", self.way_out(to_target), RETREAT_S)
         return builder.built()
 
     def _move(self, builder: TrajectoryBuilder) -> tuple[SE3, FloatArray]:
@@ -507,15 +508,21 @@ class MovementPlan(Shown):
         parameters = np.array([*before, until])
         return parameters, np.array([self.at(s)[1] for s in parameters])
 
-    def way_out(self, T_world_base: SE3, ending: Ending) -> SE3:
+    def way_out(self, T_world_base: SE3, ending: Ending | None = None) -> SE3:
         """Pose of the base at the end of the straight way out.
 
         Args:
             T_world_base: Pose of the base when the fingers have opened.
-            ending: How the object is put down.
+            ending: How the object is put down; the plan's if None.
+
+        Raises:
+            TaskError: The plan has no ending, and none is given.
         """
+        chosen = ending or self.ending
+        if chosen is None:
+            raise TaskError("the plan has no ending; give one, or plan it by manipulation_of")
         planned = self.T_world_base
-        way = way_back(self.task.hand, planned, ending.release)
+        way = way_back(self.task.hand, planned, chosen.release)
         return _moved(T_world_base, T_world_base.rotation @ planned.rotation.T @ way)
 
     def __repr__(self) -> str:

@@ -31,7 +31,7 @@ from planner.hands.arm import read_mount
 from planner.kinematics.arm_ik import reach, straight_path
 from planner.kinematics.state import HandState
 from planner.motion.context import tripods, with_rolling_pads
-from planner.motion.ending import Ending, Rests, planned_ending, standing
+from planner.motion.ending import Rests, planned_ending, standing
 from planner.motion.path import (
     LARGEST_TURN,
     ObjectPath,
@@ -40,7 +40,7 @@ from planner.motion.path import (
     checked_shift,
     tilts,
 )
-from planner.motion.plan import ManipulationPlan, MovementPlan
+from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
 from planner.motion.search import MotionAttempt, motion_attempts
 from planner.motion.task import with_fingers
 from planner.motion.verify import MovementVerifier, Waypoint

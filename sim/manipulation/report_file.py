@@ -20,6 +20,7 @@ class PhaseData(StrictData):
     begin_s: float
     end_s: float
     passed: bool
+    reason: str
     then: str
     numbers: dict[str, float | None]
 
@@ -56,7 +57,6 @@ class ManipulationReportFile(ExecutionFile):
     complete: bool
     put_down_half_way: bool
     dropped: bool
-    reason: str
     faults: str
     collision: str
     asked_deg: float
