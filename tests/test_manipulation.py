@@ -21,7 +21,7 @@ from planner.collision.world import CollisionWorld, shape_pair
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.motion import MotionAttempt
-from planner.motion.ending import find_release, standing_under
+from planner.motion.ending import find_release
 from planner.motion.manipulation import (
     ManipulationPlan,
     manipulation_task,
@@ -29,7 +29,7 @@ from planner.motion.manipulation import (
     plan_manipulation,
     plan_single_stroke,
 )
-from planner.motion.plan import Stroke
+from planner.motion.plan import Stroke, standing_under
 from planner.motion.single_stroke import (
     Fallback,
     fallback_schedule,

@@ -22,6 +22,7 @@ from planner.collision.world import CollisionWorld
 from planner.contacts import Contact, ContactSet
 from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
+from planner.motion import manipulation as search
 from planner.motion.ending import find_release, object_at_target, stands
 from planner.motion.idle_fingers import out_of_the_way
 from planner.motion.manipulation import (
@@ -29,7 +30,6 @@ from planner.motion.manipulation import (
     manipulation_task,
     on_stand,
     plan_manipulation,
-    search,
 )
 from planner.objects import GraspObject
 from planner.quality import force_closure

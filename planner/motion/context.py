@@ -18,13 +18,15 @@ Shadow-type hand on a block had such a finger.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
 
+from planner.attempt import Attempt, run_attempts
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.kinematics.state import HandState
@@ -223,6 +225,23 @@ class MotionContext:
             if failure is not None:
                 return failure.at(f"at {100 * knot.path_parameter:.0f} % of the path")
         return None
+
+
+def attempts_in_turn(
+    contexts: Sequence[Callable[[], MotionContext]], seed: int
+) -> Iterator[Attempt[MovementPlan]]:
+    """Endless independent attempts that take turns between contexts.
+
+    Attempt i depends on ``seed`` and i alone. A single iterator is for one thread at a time.
+
+    Args:
+        contexts: Make the contexts; the first is called now, which refuses a task that cannot work
+            before an attempt is asked for, the others when it is their turn.
+        seed: Same seed, same attempts.
+    """
+    context = cache(lambda number: contexts[number]())
+    context(0)
+    return run_attempts(lambda index: context(index % len(contexts)), seed=seed)
 
 
 def merit(plan: MovementPlan, full: bool) -> float:

@@ -12,15 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
+from functools import partial
 
 import numpy as np
 
 from planner.arrays import checked_number
-from planner.attempt import Attempt, nothing_found, run_attempts, search
+from planner.attempt import Attempt, nothing_found, search
 from planner.errors import NoGraspFoundError, TaskError
 from planner.kinematics.state import HandState
-from planner.motion.context import MotionContext
+from planner.motion.context import MotionContext, attempts_in_turn
 from planner.motion.order import NO_ORDER, Lift, NoOrder, Order, find_order
 from planner.motion.path import ObjectPath, checked_axis, checked_shift
 from planner.motion.plan import GaitPlan, MovementPlan, Relocation, Stroke
@@ -101,10 +101,9 @@ def plan_gait(
     shift = checked_shift(shift)
     pieces = _pieces(checked_axis(axis), angle, shift)
 
-    @cache
-    def context(number: int) -> MotionContext:
-        path, cycles, held = pieces[number]
-        return MotionContext.of(
+    contexts = [
+        partial(
+            MotionContext.of,
             task,
             path,
             options,
@@ -115,9 +114,9 @@ def plan_gait(
             stances=_stances(task, path) if held and cycles > 1 else (),
             cycles=cycles,
         )
-
-    attempts = run_attempts(lambda index: context(index % len(pieces)), seed=seed)
-    plan, made = search(attempts, max_attempts=max_attempts)
+        for path, cycles, held in pieces
+    ]
+    plan, made = search(attempts_in_turn(contexts, seed), max_attempts=max_attempts)
     if plan is None:
         raise _nothing_found(task, pieces[0], made)
     return plan

@@ -12,6 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -157,29 +159,16 @@ def plan_manipulation(
             "is free: turn by half a turn at most, without regrasps, or take the hand alone"
         )
 
-    def stroke() -> ManipulationPlan:
-        return plan_single_stroke(
-            task,
-            axis=axis,
-            angle=angle,
-            shift=shift,
-            place=place,
-            seed=seed,
-            max_attempts=max_attempts,
-            rests=rests,
-        )
-
-    def strokes() -> ManipulationPlan:
-        return plan_regrasping(
-            task,
-            axis=axis,
-            angle=angle,
-            place=place,
-            seed=seed,
-            max_attempts=max_attempts,
-            rests=rests,
-        )
-
+    asked: dict[str, Any] = {
+        "axis": axis,
+        "angle": angle,
+        "place": place,
+        "seed": seed,
+        "max_attempts": max_attempts,
+        "rests": rests,
+    }
+    stroke = partial(plan_single_stroke, task, shift=shift, **asked)
+    strokes = partial(plan_regrasping, task, **asked)
     if regrasp or abs(angle) > LARGEST_TURN:
         return strokes()
     on_arm = task.hand.arm is not None

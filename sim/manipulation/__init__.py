@@ -11,7 +11,7 @@ from sim.manipulation.log import ManipulationLog
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.report_file import ManipulationReportFile, read_manipulation_report
 from sim.manipulation.run import ManipulationRun, manipulate
-from sim.manipulation.simulation import ManipulationSim, Push
+from sim.manipulation.simulation import ManipulationOptions, ManipulationSim, Push
 from sim.manipulation.standing import rests, settled
 from sim.manipulation.timeline import (
     IN_THE_AIR,
@@ -28,6 +28,7 @@ __all__ = [
     "InHandController",
     "ManipulationLog",
     "ManipulationObservation",
+    "ManipulationOptions",
     "ManipulationPhase",
     "ManipulationReport",
     "ManipulationReportFile",

@@ -10,7 +10,8 @@ Without a reality both are the same, to the last bit.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import TypedDict
 
 import numpy as np
 
@@ -25,13 +26,14 @@ from sim.contacts import hand_contacts
 from sim.controllers import Observation
 from sim.estimation import AnyEstimator
 from sim.manipulation.driver import ManipulationDriver, mover_of
-from sim.manipulation.in_hand import InHandController
+from sim.manipulation.in_hand import AnyTurningController, InHandController
 from sim.manipulation.log import ManipulationRecorder
 from sim.manipulation.timeline import (
     CONTROLLER_PHASE,
     IN_THE_AIR,
     ManipulationPhase,
     ManipulationTimeline,
+    SuccessCriteria,
 )
 from sim.physics import AnyPhysics
 from sim.reality import AnyReality
@@ -65,6 +67,47 @@ class Push:
         check_fields(self, ("after", "duration"), what="push: ", least=0.0, unit="s")
 
 
+class ManipulationKeywords(TypedDict, total=False):
+    """Fields of ``ManipulationOptions`` as keywords, for ``ManipulationRun`` and ``manipulate``."""
+
+    controller: AnyTurningController | None
+    true_task: GraspTask | None
+    physics: AnyPhysics | None
+    timeline: ManipulationTimeline
+    criteria: SuccessCriteria
+    push: Push | None
+    reality: AnyReality | None
+    estimator: AnyEstimator | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ManipulationOptions:
+    """Under which conditions a plan is executed.
+
+    Attributes:
+        controller: What drives the fingers until they open: a name, a controller, or a class or
+            function that makes one from ``plan.grasp``; ``ObjectImpedance`` if None. What one of
+            your own sees is told in ``sim.manipulation.in_hand``.
+        true_task: The task as it really is, where mass or pose differ from the plan's.
+        physics: How MuJoCo computes, with the true friction; defaults if None.
+        timeline: Durations.
+        criteria: Where phases fail.
+        push: A disturbance during the turn.
+        reality: Errors of sensors, drives and object that the plan does not know; none if None.
+        estimator: What tells the controller where the object is: a name, or what makes one; see
+            ``sim.simulation.Simulation``.
+    """
+
+    controller: AnyTurningController | None = None
+    true_task: GraspTask | None = None
+    physics: AnyPhysics | None = None
+    timeline: ManipulationTimeline = field(default_factory=ManipulationTimeline)
+    criteria: SuccessCriteria = field(default_factory=SuccessCriteria)
+    push: Push | None = None
+    reality: AnyReality | None = None
+    estimator: AnyEstimator | None = None
+
+
 class ManipulationSim:
     """Runs phases of one manipulation and records them.
 
@@ -79,33 +122,33 @@ class ManipulationSim:
     def __init__(
         self,
         plan: ManipulationPlan,
-        *,
-        controller: InHandController,
-        timeline: ManipulationTimeline,
-        true_task: GraspTask | None = None,
-        physics: AnyPhysics | None = None,
-        push: Push | None = None,
-        reality: AnyReality | None = None,
-        estimator: AnyEstimator | None = None,
+        holding: InHandController,
+        options: ManipulationOptions,
     ) -> None:
-        """Build the scene and put hand and object at their start; see ``manipulate``."""
+        """Build the scene and put hand and object at their start.
+
+        Args:
+            plan: What is executed.
+            holding: What holds and turns the object: the controller of the options, made.
+            options: Under which conditions.
+        """
         grasp = plan.grasp
-        there = true_task or grasp.task
+        there = options.true_task or grasp.task
         there = replace(there, obstacles=(*there.obstacles, *plan.under_target))
-        self.driver = ManipulationDriver(plan, controller, rate=timeline.turn_rate)
+        self.driver = ManipulationDriver(plan, holding, rate=options.timeline.turn_rate)
         self.simulation = Simulation(
             replace(grasp, task=there),
-            physics=physics,
+            physics=options.physics,
             controller=self.driver,
-            reality=reality,
-            estimator=estimator,
+            reality=options.reality,
+            estimator=options.estimator or getattr(holding, "estimator", None),
         )
         self.mover = mover_of(grasp, self.simulation.scene)
         self.simulation.carrier = self.mover
         axis = self.driver.reference.axis
         self.recorder = ManipulationRecorder(self.simulation, axis)
         self.reading = Reading(self.simulation, self.recorder, axis)
-        self._push = push
+        self._push = options.push
         self._turn_began: float | None = None
 
     def run(
