@@ -26,12 +26,15 @@ if TYPE_CHECKING:
     from planner.hands.hand import Hand
     from planner.kinematics.state import HandState
     from planner.kinematics.symbolic import SymbolicHand
-    from planner.motion import MotionPlan, MovementPlan, plan_motion
-    from planner.motion.gait import GaitPlan, plan_gait
-    from planner.motion.manipulation import (
+    from planner.motion import (
+        GaitPlan,
         ManipulationPlan,
+        MotionPlan,
+        MovementPlan,
         manipulation_task,
+        plan_gait,
         plan_manipulation,
+        plan_motion,
     )
     from planner.numerics.kernels import compiled_searches
     from planner.objects import GraspObject, parse_object
@@ -87,7 +90,7 @@ __all__ = [
 _HOMES = {
     "Contact": "planner.contacts",
     "ContactSet": "planner.contacts",
-    "GaitPlan": "planner.motion.gait",
+    "GaitPlan": "planner.motion",
     "GraspObject": "planner.objects",
     "GraspPlan": "planner.plan",
     "GraspSet": "planner.batch",
@@ -97,7 +100,7 @@ _HOMES = {
     "hand_from_spec": "planner.hand_loading",
     "load_hand": "planner.hand_loading",
     "HandState": "planner.kinematics.state",
-    "ManipulationPlan": "planner.motion.manipulation",
+    "ManipulationPlan": "planner.motion",
     "MotionPlan": "planner.motion",
     "MovementPlan": "planner.motion",
     "NoGraspFoundError": "planner.errors",
@@ -110,12 +113,12 @@ _HOMES = {
     "compiled_searches": "planner.numerics.kernels",
     "distribute_forces": "planner.forces",
     "force_closure": "planner.quality",
-    "manipulation_task": "planner.motion.manipulation",
+    "manipulation_task": "planner.motion",
     "parse_object": "planner.objects",
-    "plan_gait": "planner.motion.gait",
+    "plan_gait": "planner.motion",
     "plan_grasp": "planner.search",
     "plan_grasps": "planner.batch",
-    "plan_manipulation": "planner.motion.manipulation",
+    "plan_manipulation": "planner.motion",
     "plan_motion": "planner.motion",
     "plan_several": "planner.batch",
     "plans": "planner.search",

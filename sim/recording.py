@@ -168,9 +168,9 @@ class ChannelTable:
             meaning: Its docstring.
             more: Types of further columns by their names.
         """
-        columns = {channel.key: (channel.in_file, ...) for channel in cls.channels().values()}
-        further = {key: (kind, ...) for key, kind in more.items()}
-        return create_model(name, __base__=StrictData, __doc__=meaning, **columns, **further)
+        columns: dict[str, Any] = {c.key: (c.in_file, ...) for c in cls.channels().values()}
+        columns |= {key: (kind, ...) for key, kind in more.items()}
+        return create_model(name, __base__=StrictData, __doc__=meaning, **columns)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -202,9 +202,14 @@ def test_files_of_the_three_older_formats_are_read(plan: ManipulationPlan) -> No
     [
         (lambda data: data.update(version=2), "version 2 of opposable-manipulation"),
         (lambda data: data.update(motion=None), "a motion and a gait, or neither"),
-        (lambda data: data["motion"].pop("path"), "lacks fields of opposable-manipulation.*path"),
+        (
+            lambda data: data["motion"].pop("path"),
+            "fields are not those of opposable-manipulation.*path",
+        ),
         (lambda data: data["motion"]["path"].update(angle_rad=0.8), "fails its checks"),
         (lambda data: data.update(torque_reserve=0.9), "torque reserve is not that"),
+        (lambda data: data.update(extra=1), "extra is no field of opposable-manipulation"),
+        (lambda data: data["motion"].update(version=2), "not version 1 of opposable-motion"),
     ],
 )
 def test_a_damaged_file_of_an_older_format_is_refused(
@@ -416,7 +421,7 @@ def test_a_report_file_of_another_kind_is_refused(
             read_manipulation_report(tmp_path / "r.json")
 
 
-@pytest.mark.parametrize("kind", ["manipulation", "manipulation-report"])
+@pytest.mark.parametrize("kind", ["movement", "manipulation-report"])
 def test_schemas_are_printed(kind: str) -> None:
     done = CliRunner().invoke(app, ["export", "--schema", kind])
     assert done.exit_code == 0

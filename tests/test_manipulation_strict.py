@@ -410,7 +410,7 @@ def test_a_turned_object_that_lies_higher_does_not_end_the_search(plan: Manipula
     )
     turned = SE3(pin.exp3(math.radians(50.0) * UP), task.T_world_object.translation)
     knots = (*motion.knots[:-1], replace(motion.knots[-1], T_world_object=turned))
-    again = find_release(replace(motion, grasp=grasp, knots=knots))
+    again = find_release(replace(motion.with_knots(knots), grasp=grasp))
     assert not (isinstance(again, Failure) and "inside" in again.text)
 
 

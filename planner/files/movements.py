@@ -250,24 +250,28 @@ def as_movement(data: dict[str, Any], source: str) -> dict[str, Any]:
         )
     try:
         return _older_whole(data) if kind == "opposable-manipulation" else _older_strokes(data)
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise FileFormatError(
-            f"{source} is damaged: it lacks fields of {kind} ({type(error).__name__}: {error})"
+            f"{source} is damaged: its fields are not those of {kind} "
+            f"({type(error).__name__}: {error})"
         ) from error
 
 
 def _older_strokes(data: dict[str, Any]) -> dict[str, Any]:
     """Data of a motion or a gait as those of a movement, all of which is requested."""
+    _only(data, "opposable-motion", "opposable-gait")
     gait = data["format"] == "opposable-gait"
     stroke, cycles = (data["stroke"], data["cycles"]) if gait else (data, 1)
+    if not (isinstance(cycles, int) and 1 <= cycles <= MOST_CYCLES):
+        raise ValueError(f"cycles is not a number from 1 to {MOST_CYCLES}")
     path = stroke["path"]
     return {
         **stroke,
         "format": "opposable-movement",
         "cycles": cycles,
         "relocations": data["relocations"] if gait else [],
-        "angle_rad": cycles * path["angle_rad"],
-        "shift_m": [cycles * x for x in path["shift_m"]],
+        "angle_rad": cycles * float(path["angle_rad"]),
+        "shift_m": [cycles * float(x) for x in path["shift_m"]],
         "ending": None,
         "torque_reserve": None,
     }
@@ -275,6 +279,7 @@ def _older_strokes(data: dict[str, Any]) -> dict[str, Any]:
 
 def _older_whole(data: dict[str, Any]) -> dict[str, Any]:
     """Data of a manipulation as those of a movement."""
+    _only(data, "opposable-manipulation")
     parts = [data[name] for name in ("motion", "gait") if data[name] is not None]
     if len(parts) != 1:
         raise TypeError("it holds a motion and a gait, or neither")
@@ -282,6 +287,30 @@ def _older_whole(data: dict[str, Any]) -> dict[str, Any]:
     spent = {name: data[name] for name in ("attempts", "cpu_s")}
     asked = {name: data[name] for name in ("angle_rad", "shift_m", "ending", "torque_reserve")}
     return {**strokes, **asked, "record": {**strokes["record"], **spent}}
+
+
+_FIELDS = {
+    "opposable-gait": "format version written_by cycles stroke relocations",
+    "opposable-manipulation": (
+        "format version written_by angle_rad shift_m motion gait ending torque_reserve attempts "
+        "cpu_s"
+    ),
+}
+"""Fields of older formats that hold a motion; those of a motion are the movement's own."""
+
+
+def _only(data: dict[str, Any], *kinds: str) -> None:
+    """Refuse data of another format than these, of another version, or with other fields.
+
+    Raises:
+        ValueError: So.
+    """
+    kind = data["format"]
+    if kind not in kinds or data["version"] != 1:
+        raise ValueError(f"a part is not version 1 of {' or '.join(kinds)}")
+    more = set(data) - set(_FIELDS[kind].split()) if kind in _FIELDS else ()
+    if more:
+        raise ValueError(f"{', '.join(sorted(more))} is no field of {kind}")
 
 
 def write_movement(plan: MovementPlan, path: Path | str) -> None:

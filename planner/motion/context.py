@@ -73,16 +73,16 @@ class MotionContext:
         solver: Solves from them.
         full: Whether the whole path is asked for; else the longest part is.
         build_s: Time that building the problem took, s.
-        reaches: Whether what carries the hand brings its base there; anywhere if None.
         cycles: How often the path is repeated, with relocations of all fingers between.
+        reaches: Whether what carries the hand brings its base there; anywhere if None.
     """
 
     seeder: Seeder
     solver: MotionSolver
     full: bool
     build_s: float
+    cycles: int
     reaches: Reaches | None = None
-    cycles: int = 1
 
     @classmethod
     def of(
