@@ -74,7 +74,7 @@ def test_a_gait_of_one_stroke_is_written(tmp_path: Path) -> None:
     # by its old name, which does the same
     done = RUN.invoke(app, ["plan-gait", *OBJECT, "--angle", "20", "-o", str(path)])
     assert done.exit_code == 0, done.output
-    assert "1 stroke of 20.0 degrees" in done.output
+    assert "cylinder:0.03x0.1: 20.0 degrees about" in " ".join(done.output.split())
     assert json.loads(path.read_text())["format"] == "opposable-movement"
 
 

@@ -361,11 +361,12 @@ def _warn_of_friction(believed: float, true: float) -> None:
 
 def _read(file: Path, place: tuple[float, float]) -> ManipulationPlan:
     """The manipulation of a file; a movement without an ending is put down at a place."""
-    from planner.files import read_movement
+    from planner.files import read_json
+    from planner.files.movements import movement_from_dict
     from planner.motion.manipulation import ManipulationPlan, manipulation_of
     from sim.manipulation import rests
 
-    plan = read_movement(file)
+    plan = movement_from_dict(read_json(file, "plan file"), str(file))
     if isinstance(plan, ManipulationPlan):
         return plan
     return manipulation_of(plan, place=place, rests=rests)
