@@ -37,12 +37,12 @@ from benchmarks.conditions import (
 from benchmarks.summary import of, share, summary
 from planner.errors import NotFoundError, PlannerError
 from planner.motion.manipulation import (
+    ONE_STROKE,
     ManipulationPlan,
     manipulation_task,
     on_stand,
     plan_manipulation,
 )
-from planner.motion.manipulation.search import ONE_STROKE
 from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.objects import object_names, parse_object
 from planner.spatial import SE3
@@ -210,7 +210,7 @@ def execute_turn(
         on_step: Called with the simulation after every time step.
     """
     there = turn.draw()
-    task = plan.motion.grasp.task  # with the fingers that were chosen
+    task = plan.grasp.task  # with the fingers that were chosen
     pose = task.T_world_object
     turned = pin.exp3(np.array([0.0, 0.0, there.heading])) @ pose.rotation
     aside = np.array([*there.shift, 0.0])

@@ -26,12 +26,15 @@ if TYPE_CHECKING:
     from planner.hands.hand import Hand
     from planner.kinematics.state import HandState
     from planner.kinematics.symbolic import SymbolicHand
-    from planner.motion import MotionPlan, plan_motion
-    from planner.motion.gait import GaitPlan, plan_gait
-    from planner.motion.manipulation import (
+    from planner.motion import (
+        GaitPlan,
         ManipulationPlan,
+        MotionPlan,
+        MovementPlan,
         manipulation_task,
+        plan_gait,
         plan_manipulation,
+        plan_motion,
     )
     from planner.numerics.kernels import compiled_searches
     from planner.objects import GraspObject, parse_object
@@ -55,6 +58,7 @@ __all__ = [
     "HandState",
     "ManipulationPlan",
     "MotionPlan",
+    "MovementPlan",
     "NoGraspFoundError",
     "Obstacle",
     "PlannerError",
@@ -86,7 +90,7 @@ __all__ = [
 _HOMES = {
     "Contact": "planner.contacts",
     "ContactSet": "planner.contacts",
-    "GaitPlan": "planner.motion.gait",
+    "GaitPlan": "planner.motion",
     "GraspObject": "planner.objects",
     "GraspPlan": "planner.plan",
     "GraspSet": "planner.batch",
@@ -96,8 +100,9 @@ _HOMES = {
     "hand_from_spec": "planner.hand_loading",
     "load_hand": "planner.hand_loading",
     "HandState": "planner.kinematics.state",
-    "ManipulationPlan": "planner.motion.manipulation",
+    "ManipulationPlan": "planner.motion",
     "MotionPlan": "planner.motion",
+    "MovementPlan": "planner.motion",
     "NoGraspFoundError": "planner.errors",
     "Obstacle": "planner.task",
     "PlannerError": "planner.errors",
@@ -108,12 +113,12 @@ _HOMES = {
     "compiled_searches": "planner.numerics.kernels",
     "distribute_forces": "planner.forces",
     "force_closure": "planner.quality",
-    "manipulation_task": "planner.motion.manipulation",
+    "manipulation_task": "planner.motion",
     "parse_object": "planner.objects",
-    "plan_gait": "planner.motion.gait",
+    "plan_gait": "planner.motion",
     "plan_grasp": "planner.search",
     "plan_grasps": "planner.batch",
-    "plan_manipulation": "planner.motion.manipulation",
+    "plan_manipulation": "planner.motion",
     "plan_motion": "planner.motion",
     "plan_several": "planner.batch",
     "plans": "planner.search",
@@ -127,19 +132,12 @@ _HOMES = {
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
 register_page("GraspPlan", "planner.pages.plan_page:plan_page", "planner.files.plans:write_plan")
-register_page(
-    "MotionPlan", "planner.pages.motion_page:motion_page", "planner.files.movements:write_motion"
-)
-register_page(
-    "GaitPlan", "planner.pages.motion_page:motion_page", "planner.files.movements:write_gait"
-)
-register_page(
-    "ManipulationPlan",
-    "planner.pages.motion_page:motion_page",
-    "planner.files.movements:write_manipulation",
-)
+for _kind in ("MovementPlan", "ManipulationPlan"):
+    register_page(
+        _kind, "planner.pages.motion_page:motion_page", "planner.files.movements:write_movement"
+    )
+    register_notebook(_kind, "planner.pages.notebook:motion_html")
 register_notebook("ContactSet", "planner.pages.notebook:contacts_html")
 register_notebook("GraspPlan", "planner.pages.notebook:plan_html")
 register_notebook("GraspSet", "planner.pages.notebook:dataset_html")
 register_notebook("Hand", "planner.pages.notebook:hand_html")
-register_notebook("MotionPlan", "planner.pages.notebook:motion_html")

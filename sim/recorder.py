@@ -25,7 +25,7 @@ from sim.recording import PALM, Recording, Samples
 from sim.report import FingerComparison
 from sim.simulation import Simulation
 
-__all__ = ["Recorder", "StateRecorder"]
+__all__ = ["Recorder", "SampleRecorder"]
 
 
 class StateRecorder:
@@ -106,8 +106,42 @@ class StateRecorder:
 NAN = float("nan")
 
 
-class Recorder:
-    """Samples of one simulation, taken at most every so often.
+class SampleRecorder:
+    """States, contacts and rows of one simulation; what a row holds is a subclass's."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Start empty.
+
+        Args:
+            simulation: What is watched.
+        """
+        self._simulation = simulation
+        task = simulation.plan.task
+        self._fingers = task.finger_names
+        self._length = task.object.shape.bounding_radius
+        self._reference: SE3 | None = None
+        self._rows: list[dict[str, Any]] = []
+        self._states = StateRecorder(simulation)
+        self._contacts = ContactHistory.of(simulation.scene)
+
+    def mark_reference(self) -> None:
+        """From now on movement in the palm counts from how the object lies there now."""
+        self._reference = self._simulation.T_palm_object
+
+    def _take(self, phase: str, row: dict[str, Any]) -> None:
+        """Keep the state and the contacts of now, and a row of a table."""
+        self._rows.append(row)
+        self._states.take(phase)
+        self._contacts.note(self._simulation.data)
+
+    def recording(self) -> Recording:
+        """The states at the times of the samples."""
+        merged = self._contacts.rows().merged
+        return self._states.recording(merged.columns(self._fingers, PALM))
+
+
+class Recorder(SampleRecorder):
+    """Samples of one trial, taken at most every so often.
 
     Attributes:
         every: Time between samples, s.
@@ -120,42 +154,25 @@ class Recorder:
             simulation: What is watched.
             every: Time between samples, s.
         """
+        super().__init__(simulation)
         self.every = every
-        self._simulation = simulation
-        task = simulation.plan.task
-        self._fingers = task.finger_names
-        self._length = task.object.shape.bounding_radius
-        self._reference: SE3 | None = None
-        self._rows: list[dict[str, Any]] = []
-        self._states = StateRecorder(simulation)
-        self._contacts = ContactHistory.of(simulation.scene)
         self._samples: Samples | None = None
         self._poses: list[SE3] = []  # of the object
         self._in_palm: list[tuple[SE3 | None, SE3]] = []  # its reference, and where it is
 
-    def mark_reference(self) -> None:
-        """From now on, slip is movement relative to how the object lies in the palm now."""
-        self._reference = self._simulation.T_palm_object
-
     def record(self) -> None:
         """Take a sample of now: all of it, also where Ctrl-C comes meanwhile."""
-        with interrupts_wait():
-            self._take()
-
-    def _take(self) -> None:
         simulation = self._simulation
-        self._rows.append(
-            {
-                "time": simulation.time,
-                "phase": simulation.phase,
-                "saturated": simulation.saturated_actuators(),
-            }
-        )
-        self._states.take(simulation.phase)
-        self._contacts.note(simulation.data)
-        self._poses.append(simulation.T_world_object)
-        self._in_palm.append((self._reference, simulation.T_palm_object))
-        self._samples = None
+        row = {
+            "time": simulation.time,
+            "phase": simulation.phase,
+            "saturated": simulation.saturated_actuators(),
+        }
+        with interrupts_wait():
+            self._take(simulation.phase, row)
+            self._poses.append(simulation.T_world_object)
+            self._in_palm.append((self._reference, simulation.T_palm_object))
+            self._samples = None
 
     def samples(self) -> Samples:
         """Everything recorded so far; made once."""
@@ -193,11 +210,6 @@ class Recorder:
             "turned_deg": in_world[:, 1],
             "lift_mm": 1e3 * (heights - first.translation[2]),
         }
-
-    def recording(self) -> Recording:
-        """The states at the same times."""
-        merged = self._contacts.rows().merged
-        return self._states.recording(merged.columns(self._fingers, PALM))
 
     def comparison(self) -> tuple[FingerComparison, ...]:
         """Planned against measured contacts while holding; empty if it never came to that."""

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import islice
 from types import GenericAlias, MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,7 +30,15 @@ from planner.spatial import FloatArray, IntArray
 from planner.tolerances import CLOSURE_EDGES
 from sim.controllers.base import Phase
 
-__all__ = ["CHANNELS", "PALM", "Channel", "Recording", "RecordingData", "SampleData", "Samples"]
+__all__ = [
+    "PALM",
+    "Channel",
+    "ChannelTable",
+    "Recording",
+    "RecordingData",
+    "SampleData",
+    "Samples",
+]
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
@@ -43,34 +51,130 @@ _JSON: dict[type, Any] = {float: float | None, int: int, bool: bool, str: str, t
 
 @dataclass(frozen=True)
 class Channel:
-    """What belongs to a field of ``Samples``.
+    """What belongs to a field of a ``ChannelTable``.
 
     Attributes:
         key: Its name in files, which says the unit.
         kind: float (NaN where unknown), int and bool are arrays; str and tuple stay as they are.
-        per_finger: Whether it has a column for every finger that takes part.
+        shape: Shape of a sample, after the fingers.
+        per_finger: Whether a sample has a value for every finger that takes part.
+        scale: What its values are multiplied by for a file.
     """
 
     key: str
     kind: type = float
+    shape: tuple[int, ...] = ()
     per_finger: bool = False
+    scale: float = 1.0
 
     def values(self, column: Any, n_fingers: int) -> Any:
         """A column of values as the field has it."""
         if self.kind in (str, tuple):
             return tuple(column)
-        shape = (-1, n_fingers) if self.per_finger else (-1,)
-        return np.array(column, dtype=self.kind).reshape(shape)
+        fingers = (n_fingers,) if self.per_finger else ()
+        return np.array(column, dtype=self.kind).reshape(-1, *fingers, *self.shape)
+
+    def to_file(self, values: Any) -> Any:
+        """The field's values as a file has them; what is not a finite number becomes None."""
+        return finite(values if self.scale == 1.0 else self.scale * values)
 
     @property
     def in_file(self) -> Any:
         """Its type in a file."""
-        value = GenericAlias(list, _JSON[self.kind])
-        return GenericAlias(list, value) if self.per_finger else value
+        kind = _JSON[self.kind]
+        for _ in range(1 + self.per_finger + len(self.shape)):
+            kind = GenericAlias(list, kind)
+        return kind
+
+
+class ChannelTable:
+    """What is recorded over time: m samples of named channels.
+
+    A subclass is a dataclass whose every field is annotated with its ``Channel``, ``phase`` among
+    them.
+    """
+
+    phase: Annotated[tuple[Any, ...], Channel("phase", str)]
+
+    @classmethod
+    @lru_cache
+    def channels(cls) -> Mapping[str, Channel]:
+        """Name of the field -> its channel, in the order of the fields."""
+        hints = get_type_hints(cls, include_extras=True)
+        return MappingProxyType(
+            {
+                one.name: next(p for p in get_args(hints[one.name]) if isinstance(p, Channel))
+                for one in fields(cls)  # type: ignore[arg-type]
+            }
+        )
+
+    @classmethod
+    def of(
+        cls,
+        columns: Mapping[str, Any],
+        n_fingers: int,
+        *,
+        later: Callable[[], Mapping[str, Any]] | None = None,
+    ) -> Self:
+        """A table out of columns by the names of the fields.
+
+        Args:
+            columns: A value per sample for every field, or all but those that come later.
+            n_fingers: Fingers that take part.
+            later: Gives the columns ``LATER``, called when one of them is asked for.
+        """
+        made, channels = object.__new__(cls), cls.channels()
+        for name, column in columns.items():
+            made.__dict__[name] = channels[name].values(column, n_fingers)
+        if later is not None:
+            made.__dict__["_later"] = later
+        return made
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Called for what is not there yet: the columns that come later."""
+            later = self.__dict__.get("_later")
+            if name not in LATER or later is None:
+                raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
+            channels = self.channels()
+            for key, column in later().items():
+                self.__dict__[key] = channels[key].values(column, 0)
+            del self.__dict__["_later"]
+            return self.__dict__[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """How it is sent to another process: whole."""
+        return {name: getattr(self, name) for name in self.channels()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Lists by the channels' names in files; what is not a finite number becomes None."""
+        return {c.key: c.to_file(getattr(self, name)) for name, c in self.channels().items()}
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.phase)
+
+    def during(self, *phases: str) -> IntArray:
+        """Numbers of the samples that belong to some phases."""
+        return np.flatnonzero(np.isin(np.array(self.phase, dtype=str), phases))
+
+    @classmethod
+    def data_model(cls, name: str, meaning: str, **more: Any) -> Any:
+        """The pydantic model of a table in a file.
+
+        Args:
+            name: Of the model.
+            meaning: Its docstring.
+            more: Types of further columns by their names.
+        """
+        columns: dict[str, Any] = {c.key: (c.in_file, ...) for c in cls.channels().values()}
+        columns |= {key: (kind, ...) for key, kind in more.items()}
+        return create_model(name, __base__=StrictData, __doc__=meaning, **columns)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Samples:
+class Samples(ChannelTable):
     """What was recorded over time, m samples, n fingers that take part.
 
     Attributes:
@@ -113,73 +217,12 @@ class Samples:
     collision: Annotated[tuple[str, ...], Channel("collision", str)]
     saturated: Annotated[tuple[tuple[str, ...], ...], Channel("actuators_at_limit", tuple)]
 
-    @classmethod
-    def of(
-        cls,
-        columns: Mapping[str, Any],
-        n_fingers: int,
-        *,
-        later: Callable[[], Mapping[str, Any]] | None = None,
-    ) -> Samples:
-        """Samples out of columns by the names of the fields.
-
-        Args:
-            columns: A value per sample for every field, or all but those that come later.
-            n_fingers: Fingers that take part.
-            later: Gives the columns ``LATER``, called when one of them is asked for.
-        """
-        made = object.__new__(cls)
-        for name, column in columns.items():
-            made.__dict__[name] = CHANNELS[name].values(column, n_fingers)
-        if later is not None:
-            made.__dict__["_later"] = later
-        return made
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """Called for what is not there yet: the columns that come later."""
-            later = self.__dict__.get("_later")
-            if name not in LATER or later is None:
-                raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
-            for key, column in later().items():
-                self.__dict__[key] = CHANNELS[key].values(column, 0)
-            del self.__dict__["_later"]
-            return self.__dict__[name]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """How it is sent to another process: whole."""
-        return {name: getattr(self, name) for name in CHANNELS}
-
-    def to_dict(self) -> dict[str, Any]:
-        """Lists by the channels' names in files; what is not a finite number becomes None."""
-        return {c.key: finite(getattr(self, name)) for name, c in CHANNELS.items()}
-
-    def __len__(self) -> int:
-        """Number of samples."""
-        return len(self.phase)
-
-    def during(self, *phases: Phase) -> IntArray:
-        """Numbers of the samples that belong to some phases."""
-        return np.flatnonzero(np.isin(np.array(self.phase, dtype=str), phases))
-
-
-CHANNELS: Mapping[str, Channel] = MappingProxyType(
-    {
-        name: next(part for part in get_args(hint) if isinstance(part, Channel))
-        for name, hint in get_type_hints(Samples, include_extras=True).items()
-    }
-)
-"""Name of the field -> its channel, in order."""
 
 if TYPE_CHECKING:
     SampleData = StrictData
 else:
-    SampleData = create_model(
-        "SampleData",
-        __base__=StrictData,
-        __doc__="Recorded over time; lists per finger follow ``fingers``.",
-        **{channel.key: (channel.in_file, ...) for channel in CHANNELS.values()},
+    SampleData = Samples.data_model(
+        "SampleData", "Recorded over time; lists per finger follow ``fingers``."
     )
 
 

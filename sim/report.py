@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.markup import escape
@@ -16,19 +16,23 @@ from rich.text import Text
 from planner.arrays import finite
 from planner.contacts import ContactSet
 from planner.files import plan_from_dict, plan_to_dict
+from planner.files.json_csv import MOVEMENT_FORMATS
 from planner.plan import GraspPlan
 from planner.quality import QualityReport, analyse
 from planner.showing import Shown, in_notebook
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers.base import Event
-from sim.recording import Recording, RecordingData, SampleData, Samples
-from sim.report_file import ComparisonData, EventData, ReportFile
-from sim.screen import OnScreen, reality_lines
+from sim.recording import Recording, SampleData, Samples
+from sim.report_file import ComparisonData, ExecutionFile, ReportFile
+from sim.screen import Report, reality_lines
 from sim.tables import table
 from sim.verdict import Reason, Thresholds, Verdict, largest
 
-__all__ = ["FingerComparison", "TrialReport"]
+if TYPE_CHECKING:
+    from planner.motion import MovementPlan
+
+__all__ = ["ExecutionReport", "FingerComparison", "TrialReport"]
 
 MOST_EVENTS = 8
 """Events of the controller on the screen; the file has all of them."""
@@ -60,18 +64,125 @@ class FingerComparison:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class TrialReport(OnScreen, Shown):
-    """A trial from beginning to end.
+class ExecutionReport(Report, Shown):
+    """What the reports of all executions of a plan have.
+
+    Attributes:
+        hand: Name of the hand.
+        object: Specification of the object's shape.
+        mass_kg: Its true mass.
+        seed: Seed of the plan.
+        fingers: Names of the fingers that take part, order of the columns over time.
+        recording: States at the times of the samples.
+        plan: What was executed.
+        physics: Name and numbers of ``PhysicsOptions``, as plain data.
+        reality: Fields of ``sim.reality.Reality``, and under "drawn" what was drawn of them; None
+            where sensors, drives and object were as believed.
+        controller: Name of the controller's class.
+        events: What the controller noticed and did, in order; empty for one that notices nothing.
+        picture_reason: Why there is no picture, "" where there is one.
+        command: What the command line was told, "" of a script.
+        drawn: Files of pictures and film that were drawn, and how, in one line; not in the file.
+    """
+
+    hand: str
+    object: str
+    mass_kg: float
+    seed: int
+    fingers: tuple[str, ...]
+    recording: Recording
+    plan: GraspPlan | MovementPlan
+    physics: dict[str, Any]
+    reality: dict[str, Any] | None = None
+    controller: str = ""
+    events: tuple[Event, ...] = ()
+    picture_reason: str = "none was asked for"
+    command: str = ""
+    drawn: str = ""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """How it is sent to another process: its plan as a file has it."""
+        return {**vars(self), "plan": data_of_plan(self.plan)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """How it arrives there."""
+        vars(self).update(state, plan=plan_of_data(state["plan"], "a report's plan"))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        return in_notebook(self)
+
+    def to_dict(self, *, states: bool = True) -> dict[str, Any]:
+        """Plain data that follows ``to_file``; what is not a finite number becomes None.
+
+        Args:
+            states: Whether plan and recorded states are part of it: a few hundred kilobytes to some
+                megabytes, from which a page can be made.
+        """
+        return self.to_file(states=states).model_dump(mode="json")
+
+    def to_file(self, *, states: bool = True) -> ExecutionFile:
+        """The same as the data of a file, which pages are made of."""
+        raise NotImplementedError
+
+    def _shared(self, *, states: bool) -> dict[str, Any]:
+        """Fields of a file that all have."""
+        return {
+            "written_by": written_by(),
+            "command": self.command,
+            "success": self.success,
+            "hand": self.hand,
+            "object": self.object,
+            "mass_kg": self.mass_kg,
+            "seed": self.seed,
+            "fingers": list(self.fingers),
+            "physics": self.physics,
+            "reality": self.reality,
+            "controller": self.controller,
+            "events": [
+                {"time_s": e.time, "kind": e.kind, "finger": e.finger, "detail": e.detail}
+                for e in self.events
+            ],
+            "picture_reason": self.picture_reason,
+            "plan": self._plan_in_file() if states else None,
+            "recording": self.recording.to_dict() if states else None,
+        }
+
+    def _plan_in_file(self) -> dict[str, Any] | None:
+        """The plan as its file has it; None where there can be no file.
+
+        None can name a hand that was made in Python, and none holds a plan without forces.
+        """
+        plan = self.plan
+        held = not isinstance(plan, GraspPlan) or plan.forces.found
+        return data_of_plan(plan) if held and plan.task.hand.reference is not None else None
+
+
+def data_of_plan(plan: GraspPlan | MovementPlan) -> dict[str, Any]:
+    """A plan as its file has it."""
+    if isinstance(plan, GraspPlan):
+        return plan_to_dict(plan)
+    from planner.files.movements import movement_to_dict  # trials of grasps need no movements
+
+    return movement_to_dict(plan)
+
+
+def plan_of_data(data: dict[str, Any], source: str) -> GraspPlan | MovementPlan:
+    """The plan that plain data hold, checked like a file; ``source`` is what errors call it."""
+    if data.get("format") not in MOVEMENT_FORMATS:
+        return plan_from_dict(data, source)
+    from planner.files.movements import movement_from_dict
+
+    return movement_from_dict(data, source)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TrialReport(ExecutionReport):
+    """A trial from beginning to end; see ``ExecutionReport`` for what all executions report.
 
     Attributes:
         verdict: Success or the reason why not.
-        hand: Name of the hand.
-        object: Specification of the object's shape.
-        mass_kg: Its mass.
-        seed: Seed of the plan.
-        fingers: Names of the fingers that take part, order of the columns in ``samples``.
         samples: What was judged, over time.
-        recording: States at the same times.
         plan: What was executed.
         comparison: Planned against measured contacts, one per finger; empty without a hold.
         quality_mu: Sliding friction (-) of both analyses of quality: the plan's, not that of the
@@ -80,9 +191,6 @@ class TrialReport(OnScreen, Shown):
             and the simulation's friction; None without contacts. For an analysis with another
             friction: ``analyse(report.contacts_measured, length=...)``.
         thresholds: Where success ends.
-        physics: Name and numbers of ``PhysicsOptions``, as plain data.
-        reality: Fields of ``sim.reality.Reality``, and under "drawn" what was drawn of them; None
-            where sensors, drives and object were as believed.
         least_creep_mm_s: Speed at which the object sinks through the fingers under this physics
             without noslip iterations, however firm the grip (``sim.creep``).
         remedies: Of an object that was lost: what to write into a scene so that this creep is
@@ -93,28 +201,16 @@ class TrialReport(OnScreen, Shown):
         supported: Whether the object was held by a constraint until the lift, for want of a table.
         carried_by: What carried the hand: "gantry", six driven axes, or "arm".
         object_deviation_mm: How far convex pieces that stood for a mesh reach out of it at most.
-        controller: Name of the controller's class.
-        events: What the controller noticed and did, in order; empty for one that notices nothing.
         picture: Picture of the held object, None if there is none.
-        picture_reason: Why there is none.
-        command: What the command line was told, "" of a script.
-        drawn: Files of pictures and film that were drawn, and how, in one line; not in the file.
     """
 
     verdict: Verdict
-    hand: str
-    object: str
-    mass_kg: float
-    seed: int
-    fingers: tuple[str, ...]
     samples: Samples
-    recording: Recording
     plan: GraspPlan
     comparison: tuple[FingerComparison, ...]
     quality_mu: float
     contacts_measured: ContactSet | None
     thresholds: Thresholds
-    physics: dict[str, Any]
     least_creep_mm_s: float
     remedies: tuple[str, ...]
     timeline: dict[str, float]
@@ -123,13 +219,7 @@ class TrialReport(OnScreen, Shown):
     supported: bool
     carried_by: Literal["gantry", "arm"] = "gantry"
     object_deviation_mm: float = 0.0
-    controller: str = ""
-    events: tuple[Event, ...] = ()
     picture: Path | None = None
-    picture_reason: str = "none was asked for"
-    command: str = ""
-    drawn: str = ""
-    reality: dict[str, Any] | None = None
 
     @property
     def quality_planned(self) -> QualityReport:
@@ -153,14 +243,6 @@ class TrialReport(OnScreen, Shown):
         )
         return analyse(measured, length=task.object.shape.bounding_radius)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """How it is sent to another process: its plan as a plan file has it."""
-        return {**vars(self), "plan": plan_to_dict(self.plan)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """How it arrives there."""
-        vars(self).update(state, plan=plan_from_dict(state["plan"], "a report's plan"))
-
     @property
     def success(self) -> bool:
         """Whether the object was held, by the planned grasp or another (``as_planned``)."""
@@ -180,10 +262,6 @@ class TrialReport(OnScreen, Shown):
     def largest_slip(self) -> tuple[float, float]:
         """Largest movement (mm) and rotation (degrees) of the object relative to the palm."""
         return largest(self.samples.slip_mm), largest(self.samples.slip_deg)
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows of it: a table and a picture, made once."""
-        return in_notebook(self)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """One line of verdict, and planned against measured contacts; ``details`` has the rest."""
@@ -251,30 +329,14 @@ class TrialReport(OnScreen, Shown):
             )
         return made
 
-    def to_dict(self, *, states: bool = True) -> dict[str, Any]:
-        """Plain data that follows ``ReportFile``; what is not a finite number becomes None.
-
-        Args:
-            states: Whether plan and recorded states are part of it: a few hundred kilobytes, from
-                which a page can be made.
-        """
-        return self.to_file(states=states).model_dump(mode="json")
-
     def to_file(self, *, states: bool = True) -> ReportFile:
         """The same as the data of a file, which pages are made of."""
         return ReportFile(
-            written_by=written_by(),
-            command=self.command,
-            success=self.success,
+            **self._shared(states=states),
             reason=self.reason,
             detail=self.verdict.detail,
             reason_time_s=finite(self.verdict.time),
             other_grasp=self.verdict.other_grasp,
-            hand=self.hand,
-            object=self.object,
-            mass_kg=self.mass_kg,
-            seed=self.seed,
-            fingers=list(self.fingers),
             largest_slip_mm=finite(self.largest_slip[0]),
             largest_slip_deg=finite(self.largest_slip[1]),
             comparison=[
@@ -296,8 +358,6 @@ class TrialReport(OnScreen, Shown):
             ),
             quality_mu=self.quality_mu,
             thresholds=asdict(self.thresholds),
-            physics=self.physics,
-            reality=self.reality,
             least_creep_mm_s=finite(self.least_creep_mm_s),
             remedies=list(self.remedies),
             timeline=self.timeline,
@@ -306,22 +366,6 @@ class TrialReport(OnScreen, Shown):
             supported_until_lift=self.supported,
             carried_by=self.carried_by,
             object_deviation_mm=self.object_deviation_mm,
-            controller=self.controller,
-            events=[
-                EventData(time_s=e.time, kind=e.kind, finger=e.finger, detail=e.detail)
-                for e in self.events
-            ],
             picture=None if self.picture is None else self.picture.name,
-            picture_reason=self.picture_reason,
             samples=SampleData.model_validate(self.samples.to_dict()),
-            plan=self._plan_to_dict() if states else None,
-            recording=RecordingData(**self.recording.to_dict()) if states else None,
         )
-
-    def _plan_to_dict(self) -> dict[str, Any] | None:
-        """The plan as its file has it; None where there can be no file.
-
-        None can name a hand that was made in Python, and none holds a plan without forces.
-        """
-        named = self.plan.task.hand.reference is not None
-        return plan_to_dict(self.plan) if named and self.plan.forces.found else None

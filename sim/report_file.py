@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -22,6 +22,7 @@ __all__ = [
     "REPORT_VERSION",
     "ComparisonData",
     "EventData",
+    "ExecutionFile",
     "ReportFile",
     "check_lengths",
     "read_report",
@@ -58,30 +59,54 @@ class EventData(StrictData):
     detail: str
 
 
-class ReportFile(StrictData):
-    """A trial report as JSON.
+class ExecutionFile(StrictData):
+    """What the reports of all executions have as JSON.
 
     ``plan`` is the plan as its file has it, null for a hand that no file can name. ``recording``
     are the states, null where they were left out and in files of version 1. ``command`` is what the
     command line was told, "" of a script. ``reality`` are the errors that the plan did not know, as
-    given and as drawn; null where there were none. ``other_grasp`` says which finger touched
-    elsewhere where the object was held by another grasp than was planned, "" otherwise.
+    given and as drawn; null where there were none.
     """
 
-    format: Literal["opposable-report"] = "opposable-report"
+    format: str
     version: Literal[3] = REPORT_VERSION
     written_by: str
     command: str = ""
     success: bool
-    reason: Reason
-    detail: str
-    reason_time_s: float | None
-    other_grasp: str = ""
+    reason: str
     hand: str
     object: str
     mass_kg: float
     seed: int
     fingers: list[str]
+    timeline: dict[str, float]
+    physics: dict[str, float | str | list[float]]
+    reality: dict[str, Any] | None
+    controller: str = ""
+    events: list[EventData] = Field(default_factory=list)
+    picture_reason: str
+    samples: StrictData
+    plan: dict[str, Any] | None
+    recording: RecordingData | None
+
+    @model_validator(mode="after")
+    def _one_length(self) -> Self:
+        check_lengths(self.samples, self.recording)
+        return self
+
+
+class ReportFile(ExecutionFile):
+    """A trial report as JSON.
+
+    ``other_grasp`` says which finger touched elsewhere where the object was held by another grasp
+    than was planned, "" otherwise.
+    """
+
+    format: Literal["opposable-report"] = "opposable-report"
+    reason: Reason
+    detail: str
+    reason_time_s: float | None
+    other_grasp: str = ""
     largest_slip_mm: float | None
     largest_slip_deg: float | None
     comparison: list[ComparisonData]
@@ -89,28 +114,15 @@ class ReportFile(StrictData):
     quality_measured: dict[str, Any] | None
     quality_mu: float | None = None
     thresholds: dict[str, float]
-    physics: dict[str, float | str | list[float]]
-    reality: dict[str, Any] | None
     least_creep_mm_s: float | None = None
     remedies: list[str] = Field(default_factory=list)
-    timeline: dict[str, float]
     simulated_s: float
     wall_s: float
     supported_until_lift: bool
     carried_by: Literal["gantry", "mount", "arm"] = "gantry"
     object_deviation_mm: float = 0.0
-    controller: str = ""
-    events: list[EventData] = Field(default_factory=list)
     picture: str | None
-    picture_reason: str
     samples: SampleData
-    plan: dict[str, Any] | None
-    recording: RecordingData | None
-
-    @model_validator(mode="after")
-    def _one_length(self) -> ReportFile:
-        check_lengths(self.samples, self.recording)
-        return self
 
 
 def check_lengths(samples: StrictData, recording: RecordingData | None) -> None:

@@ -11,14 +11,26 @@ from rich.console import Console
 
 from planner.arrays import short_repr
 
-__all__ = ["OnScreen", "number", "percent", "reality_lines"]
+__all__ = ["Report", "number", "percent", "reality_lines"]
 
 WIDTH = 100
 """Characters of a line of a report that is printed as text."""
 
 
-class OnScreen:
-    """A report that prints as a screen; ``__rich_console__`` says what stands on it."""
+class Report:
+    """What every report has: a verdict, a form as plain data, and a screen.
+
+    ``__rich_console__`` says what stands on the screen.
+    """
+
+    @property
+    def success(self) -> bool:
+        """Whether what was asked for was reached."""
+        raise NotImplementedError
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; what is not a finite number becomes None."""
+        raise NotImplementedError
 
     def __str__(self) -> str:
         """The screen as plain text."""

@@ -19,12 +19,12 @@ from planner.approach.pregrasp import APPROACH_CLEARANCE, Approach, verify_appro
 from planner.collision.world import CollisionWorld
 from planner.errors import FileFormatError, TaskError
 from planner.files import read_plan, write_plan
-from planner.files.movements import manipulation_from_dict, manipulation_to_dict
+from planner.files.movements import manipulation_from_dict, movement_to_dict
 from planner.hands.hand import Hand
 from planner.kinematics.arm_ik import palm_path, palm_pose
 from planner.kinematics.state import HandState
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
-from planner.motion.manipulation.on_arm import OnArm
+from planner.motion.single_stroke import OnArm
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, interpolate_path, rotation_angle
@@ -417,7 +417,7 @@ def test_the_arm_carries_what_the_hand_turns(turning: ManipulationPlan) -> None:
 
 
 def test_its_file_holds_the_way_out(turning: ManipulationPlan) -> None:
-    data = manipulation_to_dict(turning)
+    data = movement_to_dict(turning)
     again = manipulation_from_dict(json.loads(json.dumps(data)), "a file")
     assert again.ending.release.arm is not None and turning.ending.release.arm is not None
     np.testing.assert_allclose(

@@ -21,8 +21,7 @@ from planner.spatial import SE3
 from planner.task import GRAVITY, GraspTask
 from sim.controllers import GraspController, Observation
 from sim.estimation import EstimateLog
-from sim.manipulation.results import undisturbed
-from sim.manipulation.timeline import SuccessCriteria
+from sim.manipulation.timeline import SuccessCriteria, undisturbed
 from sim.physics import PhysicsOptions
 from sim.protocols.disturbance import Settings
 from sim.protocols.outcome import Conditions

@@ -12,8 +12,8 @@ from planner.contacts import ContactSet
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.motion import ObjectPath
-from planner.motion.gait.order import NoOrder, Order, find_order
-from planner.motion.verify import MotionVerifier, Waypoint
+from planner.motion.order import NoOrder, Order, find_order
+from planner.motion.verify import MovementVerifier, Waypoint
 from planner.objects import parse_object
 from planner.quality import force_closure
 from planner.spatial import SE3
@@ -56,7 +56,7 @@ def test_a_knot_closes_with_the_margin_or_does_not_hold(hand: Hand, barely: bool
     assert plan_forces(task, contacts, T_world_base, q).found
     path = ObjectPath(axis=UP, angle=0.0, shift=np.array([0.0, 0.0, 1e-3]))
     place = Waypoint(path_parameter=0.0, T_object_base=T_object_base, q=q)
-    knots = MotionVerifier(task).verify_knots(T_world_base, [place], path, 0.01)
+    knots = MovementVerifier(task).verify_knots(T_world_base, [place], path, 0.01)
     if barely:
         assert not isinstance(knots, tuple)
         assert f"margin of {closure.normalised_min_weight:.3f} only" in str(knots)

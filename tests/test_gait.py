@@ -18,17 +18,16 @@ from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.files import read_gait, write_gait, write_json
-from planner.files.movements import gait_to_dict
+from planner.files.movements import movement_to_dict
 from planner.forces import gravity_wrench
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.motion import plan_motion
 from planner.motion.gait import GaitPlan, NoOrder, Order, Relocation, find_order, plan_gait
-from planner.motion.gait.order import holding, standing
-from planner.motion.gait.regrasp import RegraspPlanner
-from planner.motion.gait.relocate import FingerPaths
-from planner.motion.gait.verify import GaitVerifier, same_space
+from planner.motion.order import holding, standing
+from planner.motion.regrasp import FingerPaths, RegraspPlanner
+from planner.motion.verify import MovementVerifier, same_space
 from planner.objects import parse_object
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray
@@ -282,7 +281,7 @@ def test_an_object_that_does_not_look_the_same_is_told(allegro: Hand) -> None:
         allegro, "box:0.05x0.05x0.1", fingers=["thumb", "index", "middle", "ring"], mu=0.8
     )
     stroke = plan_motion(task, angle=math.radians(20))
-    told = GaitVerifier(task).verify(stroke, 2)
+    told = MovementVerifier(task).repeated(stroke, 2)
     assert isinstance(told, Failure) and "does not look the same to the hand" in told.text
 
 
@@ -308,13 +307,13 @@ def test_a_gait_file_gives_the_gait_back(twice: GaitPlan, shadow: Hand, tmp_path
         ("order", "move on in another order"),
         ("way", "the way with .* away"),
         ("cycles", "cycles"),
-        ("format", "not a gait file"),
+        ("format", "not a movement file"),
     ],
 )
 def test_a_damaged_gait_file_is_refused(
     twice: GaitPlan, shadow: Hand, tmp_path: Path, field: str, told: str
 ) -> None:
-    data = gait_to_dict(twice)
+    data = movement_to_dict(twice)
     if field == "order":
         data["relocations"] = data["relocations"][::-1]
     elif field == "way":

@@ -13,7 +13,7 @@ import pytest
 from planner.errors import NotFoundError, TaskError
 from sim.learning import Conditions, Plans, TurnTask
 from sim.learning.teacher import Demonstrator
-from sim.manipulation.pressing import ASKED_SHARE, force_limit
+from sim.manipulation.log import ASKED_SHARE, force_limit
 from sim.reality import named_reality
 
 gymnasium = pytest.importorskip("gymnasium")

@@ -21,6 +21,7 @@ from planner.collision.world import CollisionWorld, shape_pair
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.motion import MotionAttempt
+from planner.motion.ending import find_release
 from planner.motion.manipulation import (
     ManipulationPlan,
     manipulation_task,
@@ -28,14 +29,13 @@ from planner.motion.manipulation import (
     plan_manipulation,
     plan_single_stroke,
 )
-from planner.motion.manipulation.ending import standing_under
-from planner.motion.manipulation.single_stroke import (
+from planner.motion.plan import Stroke, standing_under
+from planner.motion.single_stroke import (
     Fallback,
     fallback_schedule,
     good_enough,
     merit,
 )
-from planner.motion.release import find_release
 from planner.objects import GraspObject, parse_object
 from planner.shapes import Box
 from planner.spatial import SE3, FloatArray, signed_twist
@@ -50,8 +50,8 @@ from sim.manipulation import (
     SuccessCriteria,
     manipulate,
 )
-from sim.manipulation.modes import measured_modes, mode_table, planned_modes
-from sim.manipulation.results import placed, tilt_between, undisturbed
+from sim.manipulation.log import measured_modes, mode_table, planned_modes
+from sim.manipulation.timeline import placed, tilt_between, undisturbed
 from sim.physics import PhysicsOptions
 
 ANGLE = math.radians(40.0)
@@ -457,15 +457,21 @@ def test_balls_are_turned_on_round_tips_by_three_fingers() -> None:
 def with_margin(plan: ManipulationPlan, margin: float) -> ManipulationPlan:
     """The plan with another margin of closure at every knot, and much to spare."""
     knots = tuple(
-        replace(k, closure=replace(k.closure, normalised_min_weight=margin))
-        for k in plan.motion.knots
+        replace(k, closure=replace(k.closure, normalised_min_weight=margin)) for k in plan.knots
     )
-    return replace(plan, motion=replace(plan.motion, knots=knots), reserve=0.3)
+    return with_reserve(replace(plan, phases=(Stroke(cycle=0, knots=knots),)), 0.3)
+
+
+def with_reserve(plan: ManipulationPlan, reserve: float) -> ManipulationPlan:
+    """The plan with another reserve of torque than follows from its forces."""
+    made = replace(plan)
+    vars(made)["reserve"] = reserve
+    return made
 
 
 def test_a_cylinder_wants_both_torque_to_spare_and_a_margin(plan: ManipulationPlan) -> None:
     weak, firm = with_margin(plan, 0.08), with_margin(plan, 0.2)
-    tired = replace(firm, reserve=0.02)
+    tired = with_reserve(firm, 0.02)
     assert good_enough([firm])
     assert not good_enough([weak]) and not good_enough([tired]) and not good_enough([weak, tired])
     assert good_enough([weak, tired, weak]), "three are enough"
@@ -483,12 +489,12 @@ def test_a_weak_plan_is_taken_only_if_no_fingers_have_a_better_one(
     def attempts(chosen: GraspTask, *_: object, **__: object) -> Iterator[MotionAttempt]:
         margin = (0.08, second, 0.5)[len(begun)]
         begun.append(len(chosen.finger_names))
-        found = None if margin is None else with_margin(plan, margin).motion
+        found = None if margin is None else with_margin(plan, margin)
         while True:
             yield MotionAttempt(index=0, plan=found, failure=None, cpu_s=record.cpu_s)
 
     rows = [Fallback(task=task, overshoot=0.0, attempts=n) for n in (1, 1, None)]
-    home = "planner.motion.manipulation.single_stroke"
+    home = "planner.motion.single_stroke"
     monkeypatch.setattr(f"{home}.fallback_schedule", lambda _: iter(rows))
     monkeypatch.setattr(f"{home}.motion_attempts", attempts)
     found = plan_single_stroke(task, angle=plan.angle)
@@ -500,7 +506,7 @@ def test_a_ball_that_two_fingers_pinch_is_not_taken_at_once(plan: ManipulationPl
     ball = parse_object("sphere:0.03", mass=0.1)
     grasp = plan.motion.grasp
     held = replace(grasp, task=replace(grasp.task, object=ball, table_height=None))
-    on_ball = replace(plan, motion=replace(plan.motion, grasp=held))
+    on_ball = replace(plan, grasp=held)
     pinched, even = with_margin(on_ball, 0.3), with_margin(on_ball, 0.45)
     assert not good_enough([pinched]) and not good_enough([])
     assert good_enough([pinched, even]) and good_enough([pinched] * 3)

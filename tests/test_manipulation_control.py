@@ -24,7 +24,7 @@ from sim.controllers.readings import PoseUncertainty
 from sim.manipulation import InHandController, ManipulationObservation, manipulate
 from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.in_hand import AnyTurningController
-from sim.manipulation.reading import Reading
+from sim.manipulation.simulation import Reading
 from sim.reality import REALITIES
 from sim.simulation import Simulation
 

@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from planner.files import (
     write_motion,
     write_trajectory,
 )
-from planner.files.movements import manipulation_to_dict
+from planner.files.movements import movement_from_dict, movement_to_dict
 from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.motion.manipulation import (
@@ -35,6 +35,7 @@ from planner.motion.manipulation import (
     plan_manipulation,
     plan_regrasping,
 )
+from planner.motion.plan import MovementPlan
 from planner.plan import JointTrajectory
 from sim.cli import app
 from sim.manipulation import ManipulationReport, manipulate, read_manipulation_report
@@ -92,7 +93,7 @@ def test_a_file_gives_the_plan_back(plan: ManipulationPlan, tmp_path: Path) -> N
     write_manipulation(plan, path)
     again = read_manipulation(path)
     assert str(again) == str(plan)
-    told, true = manipulation_to_dict(again), manipulation_to_dict(plan)
+    told, true = movement_to_dict(again), movement_to_dict(plan)
     # poses become quaternions and back, contacts are computed again: rounding is all that changes
     np.testing.assert_allclose(numbers_in(told), numbers_in(true), rtol=0.0, atol=1e-9)
     words = [re.sub(r"-?\d[\d.e-]*", "", json.dumps(data)) for data in (told, true)]
@@ -101,17 +102,17 @@ def test_a_file_gives_the_plan_back(plan: ManipulationPlan, tmp_path: Path) -> N
 
 
 def _grasped(data: dict[str, Any]) -> list[float]:
-    joints: list[float] = data["motion"]["grasp"]["grasp"]["q_rad"]
+    joints: list[float] = data["grasp"]["grasp"]["q_rad"]
     return joints
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda data: data.update(format="opposable-motion"), "is not a manipulation file"),
-        (lambda data: data.update(version=2), "has manipulation version 2"),
+        (lambda data: data.update(format="opposable-plan"), "is not a movement file"),
+        (lambda data: data.update(version=2), "has movement version 2"),
         (lambda data: data.update(extra=1), "is damaged: extra"),
-        (lambda data: data.update(motion=None), "a motion and a gait, or neither"),
+        (lambda data: data.update(ending=None, angle_rad=0.1, torque_reserve=None), "ending"),
         (lambda data: data.update(angle_rad=1.0), "to turn by 57.3 degrees and its motion by"),
         (lambda data: data.update(angle_rad=-0.2), "to turn by -11.5 degrees"),
         (lambda data: data.update(shift_m=[0.0, 0.0, 0.01]), "translation is not that of"),
@@ -121,16 +122,14 @@ def _grasped(data: dict[str, Any]) -> list[float]:
             "does not stand at its target",
         ),
         (
-            lambda data: data["ending"].update(
-                q_open_rad=data["motion"]["grasp"]["grasp"]["q_rad"]
-            ),
+            lambda data: data["ending"].update(q_open_rad=data["grasp"]["grasp"]["q_rad"]),
             "way out fails its checks",
         ),
         (
             lambda data: data["ending"].update(made_backwards_because="so"),
             "does not stand at its target",
         ),
-        (lambda data: data["motion"]["path"].update(angle_rad=0.8), "fails its checks"),
+        (lambda data: data["path"].update(angle_rad=0.8), "fails its checks"),
     ],
 )
 def test_a_damaged_file_is_refused(
@@ -139,7 +138,7 @@ def test_a_damaged_file_is_refused(
     change: Callable[[dict[str, Any]], None],
     words: str,
 ) -> None:
-    data = manipulation_to_dict(turn)
+    data = movement_to_dict(turn)
     change(data)
     path = tmp_path / "manipulation.json"
     write_json(data, path)
@@ -150,11 +149,76 @@ def test_a_damaged_file_is_refused(
 def test_a_file_whose_way_back_is_not_its_way_in_is_refused(
     tilt: ManipulationPlan, tmp_path: Path
 ) -> None:
-    data = manipulation_to_dict(tilt)
+    data = movement_to_dict(tilt)
     data["ending"]["q_open_rad"][0] += 0.01
     write_json(data, tmp_path / "m.json")
     with pytest.raises(FileFormatError, match="way out is not its way in"):
         read_manipulation(tmp_path / "m.json")
+
+
+def of_older_format(data: dict[str, Any]) -> dict[str, Any]:
+    """Data of a movement with an ending as the format "opposable-manipulation" had it."""
+    names = ["written_by", "grasp", "path", "tube_m", "knots", "limits", "record"]
+    motion = {"format": "opposable-motion", "version": 1, **{name: data[name] for name in names}}
+    gait = None
+    if data["cycles"] > 1:
+        gait = {
+            "format": "opposable-gait",
+            "version": 1,
+            "written_by": data["written_by"],
+            "cycles": data["cycles"],
+            "stroke": motion,
+            "relocations": data["relocations"],
+        }
+    same = {
+        name: data[name]
+        for name in ("written_by", "angle_rad", "shift_m", "ending", "torque_reserve")
+    }
+    return {
+        "format": "opposable-manipulation",
+        "version": 1,
+        "motion": None if gait else motion,
+        "gait": gait,
+        "attempts": data["record"]["attempts"],
+        "cpu_s": data["record"]["cpu_s"],
+        **same,
+    }
+
+
+def test_files_of_the_three_older_formats_are_read(plan: ManipulationPlan) -> None:
+    data = movement_to_dict(plan)
+    old = of_older_format(data)
+    again = movement_from_dict(old, "an old file")
+    assert isinstance(again, ManipulationPlan)
+    assert str(again) == str(plan) and again.record == plan.record
+    alone = movement_from_dict(old["gait"] or old["motion"], "its motion or gait")
+    assert not isinstance(alone, ManipulationPlan) and alone.ending is None
+    assert str(alone) == str(without_ending(plan))
+    assert alone.angle == pytest.approx(plan.planned_angle)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data.update(version=2), "version 2 of opposable-manipulation"),
+        (lambda data: data.update(motion=None), "a motion and a gait, or neither"),
+        (
+            lambda data: data["motion"].pop("path"),
+            "fields are not those of opposable-manipulation.*path",
+        ),
+        (lambda data: data["motion"]["path"].update(angle_rad=0.8), "fails its checks"),
+        (lambda data: data.update(torque_reserve=0.9), "torque reserve is not that"),
+        (lambda data: data.update(extra=1), "extra is no field of opposable-manipulation"),
+        (lambda data: data["motion"].update(version=2), "not version 1 of opposable-motion"),
+    ],
+)
+def test_a_damaged_file_of_an_older_format_is_refused(
+    turn: ManipulationPlan, change: Callable[[dict[str, Any]], None], words: str
+) -> None:
+    data = of_older_format(movement_to_dict(turn))
+    change(data)
+    with pytest.raises(FileFormatError, match=words):
+        movement_from_dict(data, "an old file")
 
 
 # --- trajectories ------------------------------------------------------------------------------
@@ -194,9 +258,15 @@ def test_a_trajectory_goes_through_the_knots(turn: ManipulationPlan) -> None:
     assert since[-1] - since[0] == pytest.approx(1.875 * motion.path.angle / 0.1, rel=0.01)
 
 
+def without_ending(plan: ManipulationPlan) -> MovementPlan:
+    """The movement alone, all of which is requested."""
+    same = {one.name: getattr(plan, one.name) for one in fields(MovementPlan)}
+    asked = {"angle": plan.planned_angle, "shift": plan.planned_shift, "ending": None}
+    return MovementPlan(**{**same, **asked})
+
+
 def test_a_trajectory_of_a_gait_has_strokes_and_regrasps(strokes: ManipulationPlan) -> None:
-    gait = strokes.gait
-    assert gait is not None
+    gait = without_ending(strokes)
     trajectory = gait.joint_trajectory()
     names = list(dict.fromkeys(trajectory.phases))
     moved = [f"regrasp {finger}" for finger in gait.order]
@@ -255,9 +325,9 @@ def test_a_motion_becomes_a_manipulation(turn: ManipulationPlan, strokes: Manipu
     made = manipulation_of(turn.motion, place=(0.1, 0.0))
     assert made.angle == turn.motion.path.angle
     np.testing.assert_allclose(made.ending.T_world_target.translation, [0.1, 0.0, 0.04])
-    assert strokes.gait is not None
-    by_strokes = manipulation_of(strokes.gait)
-    assert by_strokes.angle == strokes.gait.angle and by_strokes.gait is strokes.gait
+    gait = without_ending(strokes)
+    by_strokes = manipulation_of(gait)
+    assert by_strokes.angle == gait.angle and by_strokes.phases is gait.phases
     motion = turn.motion
     held = replace(motion.grasp, task=replace(turn.task, table_height=None))
     with pytest.raises(TaskError, match="no table to pick from"):
@@ -293,8 +363,7 @@ def test_the_command_executes_motions_and_gaits_too(
     write_motion(turn.motion, tmp_path / "motion.json")
     done = command("--plan", tmp_path / "motion.json", "--place", "0.05,0")
     assert "turned" in done.output and "complete;" in done.output, done.output
-    assert strokes.gait is not None
-    write_gait(strokes.gait, tmp_path / "gait.json")
+    write_gait(without_ending(strokes), tmp_path / "gait.json")
     done = command("--plan", tmp_path / "gait.json")
     assert "regrasp finger1" in done.output and "complete;" in done.output, done.output
 
@@ -352,7 +421,7 @@ def test_a_report_file_of_another_kind_is_refused(
             read_manipulation_report(tmp_path / "r.json")
 
 
-@pytest.mark.parametrize("kind", ["manipulation", "manipulation-report"])
+@pytest.mark.parametrize("kind", ["movement", "manipulation-report"])
 def test_schemas_are_printed(kind: str) -> None:
     done = CliRunner().invoke(app, ["export", "--schema", kind])
     assert done.exit_code == 0

@@ -11,7 +11,7 @@ import pytest
 from manipulations import task_of
 
 from planner.failure import Failure
-from planner.motion.gait import GaitPlan, Relocation, Stroke
+from planner.motion.gait import Relocation, Stroke
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_single_stroke
 from sim.manipulation.machine import StateMachine
 
@@ -25,12 +25,10 @@ def plan() -> ManipulationPlan:
 @pytest.fixture(scope="module")
 def strokes(plan: ManipulationPlan) -> ManipulationPlan:
     """A turn in two strokes, between which all fingers move on."""
-    motion = plan.motion
     moves = tuple(_move(plan, finger) for finger in plan.task.finger_names)
-    first, second = (Stroke(cycle=cycle, knots=motion.knots) for cycle in (0, 1))
+    first, second = (Stroke(cycle=cycle, knots=plan.knots) for cycle in (0, 1))
     phases: tuple[Stroke | Relocation, ...] = (first, *moves, second)
-    gait = GaitPlan(motion=motion, cycles=2, phases=phases, record=motion.record)
-    return replace(plan, gait=gait)
+    return replace(plan, phases=phases)
 
 
 def _move(plan: ManipulationPlan, finger: str) -> Relocation:

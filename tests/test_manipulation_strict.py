@@ -22,16 +22,15 @@ from planner.collision.world import CollisionWorld
 from planner.contacts import Contact, ContactSet
 from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
+from planner.motion import manipulation as search
+from planner.motion.ending import find_release, object_at_target, stands
+from planner.motion.idle_fingers import out_of_the_way
 from planner.motion.manipulation import (
     ManipulationPlan,
     manipulation_task,
     on_stand,
     plan_manipulation,
-    search,
 )
-from planner.motion.manipulation.ending import object_at_target, stands
-from planner.motion.manipulation.idle_fingers import out_of_the_way
-from planner.motion.release import find_release
 from planner.objects import GraspObject
 from planner.quality import force_closure
 from planner.shapes import Box, Sphere
@@ -49,9 +48,9 @@ from sim.manipulation import (
     settled,
 )
 from sim.manipulation.driver import ManipulationDriver
+from sim.manipulation.log import finger_forces, force_limit
 from sim.manipulation.machine import PhaseCall
 from sim.manipulation.phases import Phases
-from sim.manipulation.pressing import finger_forces, force_limit
 from sim.manipulation.regrasping import margin_without
 from sim.verdict import Thresholds, first_collision
 
@@ -214,7 +213,7 @@ def test_the_limit_follows_from_the_plan(
     """And from nothing that a controller is tuned by."""
     planned = max(k.contacts.forces[:, 0].max() for k in plan.motion.knots)
     assert force_limit(plan) == pytest.approx(max(18.0, 1.875 * planned))
-    monkeypatch.setattr("sim.manipulation.pressing.ASKED_SHARE", 0.5)  # the controller's
+    monkeypatch.setattr("sim.manipulation.log.ASKED_SHARE", 0.5)  # the controller's
     assert force_limit(plan) == pytest.approx(max(18.0, 1.875 * planned))
     with pytest.raises(TaskError, match="normal_N is 0"):
         SuccessCriteria(normal_N=0.0)
@@ -411,7 +410,7 @@ def test_a_turned_object_that_lies_higher_does_not_end_the_search(plan: Manipula
     )
     turned = SE3(pin.exp3(math.radians(50.0) * UP), task.T_world_object.translation)
     knots = (*motion.knots[:-1], replace(motion.knots[-1], T_world_object=turned))
-    again = find_release(replace(motion, grasp=grasp, knots=knots))
+    again = find_release(replace(motion.with_knots(knots), grasp=grasp))
     assert not (isinstance(again, Failure) and "inside" in again.text)
 
 

@@ -21,26 +21,33 @@ from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.files import read_motion, write_json, write_motion
-from planner.files.movements import motion_to_dict
+from planner.files.movements import movement_to_dict
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
-from planner.motion.interpolation import interpolate_rolling
-from planner.motion.limits import what_limits
-from planner.motion.loads import MOST_LOAD, load_function, load_parameters
+from planner.motion.context import finger_sets, on_opposed_sides, with_rolling_pads
 from planner.motion.plan import Knot
-from planner.motion.problem import JOINT_ROOM, MotionProblem
-from planner.motion.problem_cache import build_motion_problem
+from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
 from planner.motion.residuals import MotionResiduals
-from planner.motion.rolling import pivoting_function, rolling_function, slips
 from planner.motion.search import MOTION_OPTIONS
-from planner.motion.solve import MotionSolver
-from planner.motion.stances import Stance, StanceRows
-from planner.motion.starts import finger_sets, on_opposed_sides, with_rolling_pads
-from planner.motion.terms import LOAD, MOTION_TERMS, REACH
+from planner.motion.solve import MotionSolver, what_limits
+from planner.motion.terms import (
+    LOAD,
+    MOST_LOAD,
+    MOTION_TERMS,
+    REACH,
+    Stance,
+    StanceRows,
+    load_function,
+    load_parameters,
+    pivoting_function,
+    rolling_function,
+    slips,
+)
+from planner.motion.trajectory import interpolate_rolling
 from planner.motion.unknowns import SHARE, placement
-from planner.motion.verify import MotionVerifier, Waypoint
+from planner.motion.verify import MovementVerifier, Waypoint
 from planner.objects import parse_object
 from planner.quality import analyse, force_closure
 from planner.spatial import SE3, FloatArray, skew
@@ -595,7 +602,7 @@ def test_a_knot_that_closes_by_less_than_the_margin_is_refused(ninety: MotionPla
         return force_closure(contacts, edges=CLOSURE_EDGES).normalised_min_weight
 
     def verified(mu: float) -> tuple[Knot, ...] | Failure:
-        return MotionVerifier(replace(task, mu=mu)).verify_knots(
+        return MovementVerifier(replace(task, mu=mu)).verify_knots(
             ninety.T_world_base, [place], ninety.path, ninety.path_tolerance
         )
 
@@ -719,7 +726,7 @@ def test_leading_keeps_the_ends_and_lets_pads_roll(
     assert np.array_equal(led[0], ends[0].q) and np.array_equal(led[-1], ends[1].q)
     slid = _slid(task, bases, led)
     assert np.ptp(slid, axis=0).max() < 5e-5  # what the ends are apart by, in even parts
-    monkeypatch.setattr("planner.motion.interpolation.MOST_LAPS", 1)
+    monkeypatch.setattr("planner.motion.trajectory.MOST_LAPS", 1)
     straight = _slid(task, bases, interpolate_rolling(task, bases, ends[0].q, ends[1].q))
     assert slid.max() < 0.6 * straight.max() and np.ptp(straight, axis=0).max() > 2e-4
 
@@ -759,8 +766,8 @@ def test_a_motion_file_gives_the_motion_back(ninety: MotionPlan, tmp_path: Path)
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda data: data.update(format="opposable-plan"), "is not a motion file"),
-        (lambda data: data.update(version=9), "has motion version 9"),
+        (lambda data: data.update(format="opposable-plan"), "is not a movement file"),
+        (lambda data: data.update(version=9), "has movement version 9"),
         (lambda data: data["knots"][0].update(place=0.5), "do not go from 0 to 1"),
         (lambda data: data["knots"][0]["q_rad"].__setitem__(0, 0.1), "is not its grasp"),
         (lambda data: data["knots"][5]["q_rad"].__setitem__(1, 0.4), "fails its checks"),
@@ -774,7 +781,7 @@ def test_a_motion_file_gives_the_motion_back(ninety: MotionPlan, tmp_path: Path)
 def test_a_damaged_motion_file_is_refused(
     ninety: MotionPlan, tmp_path: Path, change: Callable[[dict[str, Any]], None], words: str
 ) -> None:
-    data = motion_to_dict(ninety)
+    data = movement_to_dict(ninety)
     change(data)
     path = tmp_path / "motion.json"
     write_json(data, path)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-import planner.motion.manipulation.single_stroke
+import planner.motion.single_stroke
 from benchmarks.conditions import BELIEVED_MU
 from planner.files import read_motion
 from sim.cli import app
@@ -74,13 +74,13 @@ def test_a_gait_of_one_stroke_is_written(tmp_path: Path) -> None:
     # by its old name, which does the same
     done = RUN.invoke(app, ["plan-gait", *OBJECT, "--angle", "20", "-o", str(path)])
     assert done.exit_code == 0, done.output
-    assert "1 stroke of 20.0 degrees" in done.output
-    assert json.loads(path.read_text())["format"] == "opposable-gait"
+    assert "cylinder:0.03x0.1: 20.0 degrees about" in " ".join(done.output.split())
+    assert json.loads(path.read_text())["format"] == "opposable-movement"
 
 
 def test_the_command_believes_and_spends_what_the_library_does() -> None:
     defaults = inspect.signature(manipulate).parameters
-    library = planner.motion.manipulation.single_stroke.MAX_ATTEMPTS
+    library = planner.motion.single_stroke.MAX_ATTEMPTS
     assert defaults["mu"].default == MU == pytest.approx(BELIEVED_MU)
     assert defaults["max_attempts"].default == MAX_ATTEMPTS == library
 

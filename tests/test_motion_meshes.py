@@ -11,10 +11,10 @@ from conftest import box_mesh
 
 from planner.hands.hand import Hand
 from planner.motion import ObjectPath, motion_attempts
-from planner.motion.problem_cache import build_motion_problem, turned_surface_of
+from planner.motion.context import _off_edges, on_opposed_sides, with_rolling_pads
+from planner.motion.problem import build_motion_problem, turned_surface_of
 from planner.motion.residuals import MotionResiduals
 from planner.motion.search import MOTION_OPTIONS
-from planner.motion.starts import _off_edges, on_opposed_sides, with_rolling_pads
 from planner.objects import GraspObject, parse_object
 from planner.shapes import Cylinder, Mesh, Superquadric
 from planner.spatial import SE3

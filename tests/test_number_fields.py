@@ -182,10 +182,10 @@ MADE = frozenset(
             "HandReading",
             "Job",
             "ContactSample",
-            "ManipulationLog",
+            "MovementPlan",
         ),
         *(
-            "ManipulationPlan",
+            "Channel",
             "Mending",
             "MeshSource",
             "Model",

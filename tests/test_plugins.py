@@ -6,6 +6,7 @@ import importlib
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from planner.system import plugins
 from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.controllers import GraspController, controller_maker
-from sim.protocols import run_protocol
+from sim.protocols import in_all, run_protocol, unsuitable
 from sim.protocols.disturbance import Settings
 from sim.protocols.run import cases_of
 from sim.tactile.senses import check_touch
@@ -68,6 +69,9 @@ def upwards(settings, seed):
     """The first of the trials of "forces"."""
     return forces_cases(settings, seed)[:1]
 
+
+upwards.in_all = True
+upwards.unsuitable = lambda task: "boxes only" if "sphere" in task.object.name else ""
 
 class Driver(GraspController):
     """Drives as the usual one does."""
@@ -143,8 +147,21 @@ def test_a_format(laboratory: Path) -> None:
 
 def test_a_protocol(laboratory: Path, plan: GraspPlan) -> None:
     assert len(cases_of("upwards", Settings(), 0)) == 1
+    assert "upwards" in in_all()
     report = run_protocol(plan, "upwards")
     assert (report.protocol, report.asked, len(report.outcomes)) == ("upwards", 1, 1)
+
+
+def test_a_protocol_refuses_a_plan_and_stays_out_of_all(laboratory: Path, plan: GraspPlan) -> None:
+    task = replace(plan.task, object=parse_object("sphere"), table_height=None)
+    ball = replace(plan, task=task)
+    with pytest.raises(TaskError, match="boxes only"):
+        run_protocol(ball, "upwards")
+    assert unsuitable("upwards", plan.task) == ""
+    import lab_of_ours  # type: ignore[import-not-found]
+
+    lab_of_ours.upwards.in_all = False
+    assert "upwards" not in in_all()
 
 
 def test_a_controller_and_a_sense(laboratory: Path, plan: GraspPlan) -> None:

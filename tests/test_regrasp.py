@@ -14,17 +14,19 @@ from star_hand import write_star_hand
 
 from benchmarks.conditions import FRICTION, REGRASP_FRICTION
 from benchmarks.manipulate import Turn
+from planner.contacts import ContactSet
 from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
+from planner.motion import manipulation as search
 from planner.motion.gait import GaitPlan, Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import (
     ManipulationPlan,
     plan_manipulation,
     plan_regrasping,
-    search,
 )
 from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
 from sim.controllers import Event, ObjectImpedance, Observation
 from sim.controllers.base import event_lines
 from sim.controllers.follow import MotionReference
@@ -33,8 +35,8 @@ from sim.manipulation import (
     manipulate,
     regrasping,
 )
+from sim.manipulation.driver import FingerSwing
 from sim.manipulation.regrasping import margin_without
-from sim.manipulation.swing import FingerSwing
 from sim.physics import PhysicsOptions
 
 ANGLE = math.radians(40.0)
@@ -63,8 +65,8 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> ManipulationPlan:
 
 @pytest.fixture(scope="module")
 def gait(plan: ManipulationPlan) -> GaitPlan:
-    assert plan.gait is not None
-    return plan.gait
+    assert plan.cycles > 1
+    return plan
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +95,7 @@ def test_nothing_leads_while_fingers_move_on(
 
 def test_a_turn_by_strokes_is_planned_a_little_further(gait: GaitPlan) -> None:
     assert gait.cycles == 2
-    assert math.radians(41.0) < gait.angle < math.radians(43.0)
+    assert math.radians(41.0) < gait.planned_angle < math.radians(43.0)
 
 
 def test_two_strokes_and_a_regrasp_of_every_finger(
@@ -144,33 +146,32 @@ def test_the_gate_measures_the_closure_that_was_planned_for_the_others(
     plan: ManipulationPlan, report: ManipulationReport
 ) -> None:
     """Never that of all fingers, the leaving one counted."""
-    assert plan.gait is not None
-    planned = {move.finger: move.margin for move in plan.gait.relocations}
+    assert plan.cycles > 1
+    planned = {move.finger: move.margin for move in plan.relocations}
     measured = {r.about: r.numbers["margin"] for r in report.results if r.phase == "regrasp"}
     assert measured == pytest.approx(planned, abs=0.01)
-    for move in plan.gait.relocations:
+    for move in plan.relocations:
         margin = margin_without(move.before, plan.task, move.finger)
         assert margin == pytest.approx(move.margin, abs=1e-6)
         assert abs(margin_without(move.before, plan.task, "nobody") - margin) > 0.02
 
 
-def doubting(plan: ManipulationPlan, mu: float) -> ManipulationPlan:
-    """The plan of somebody who believes in less friction, for the gate of a regrasp."""
-    grasp = plan.grasp
-    held = replace(grasp, task=replace(grasp.task, mu=mu))
-    return replace(plan, motion=replace(plan.motion, grasp=held))
-
-
-def test_lifts_are_refused_while_the_others_do_not_close(plan: ManipulationPlan) -> None:
+def test_lifts_are_refused_while_the_others_do_not_close(
+    plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Three fingers do not close at a friction of 0.05: all are refused, and it is begun anew.
 
-    The controller goes on believing in 0.6.
+    The gate alone believes in that; planner and controller go on believing in 0.6.
     """
-    timeline = replace(SHORT, lift_wait=0.1)
+
+    def doubting(measured: ContactSet, task: GraspTask, finger: str) -> float:
+        return margin_without(measured, replace(task, mu=0.05), finger)
+
+    monkeypatch.setattr(regrasping, "margin_without", doubting)
     told = manipulate(
-        doubting(plan, 0.05),
+        plan,
         controller=lambda _: ObjectImpedance(plan.grasp, max_normal=12.0),
-        timeline=timeline,
+        timeline=replace(SHORT, lift_wait=0.1),
         retry=True,
     )
     first = told.earlier

@@ -83,6 +83,6 @@ def test_manipulate_writes_a_page(tmp_path: Path) -> None:
     assert f"open in a browser: {page}" in done.output
     report = read_manipulation_report(page)
     assert report == read_manipulation_report(tmp_path / "m" / "report.json")
-    assert report.plan is not None and report.plan["format"] == "opposable-manipulation"
+    assert report.plan is not None and report.plan["format"] == "opposable-movement"
     assert report.command.startswith("opposable manipulate allegro_hand cylinder")
     assert page.stat().st_size < 3e6

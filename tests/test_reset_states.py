@@ -34,6 +34,7 @@ from sim.reset_states.shards import (
     TURNS,
     Distinct,
     coverage,
+    open_folder,
     orientation_cells,
     read_shard,
     shard_path,
@@ -329,3 +330,15 @@ def test_orientation_cells_have_equal_volume() -> None:
     found = coverage(rotations[:1], np.array([[0.0, 0.0, -9.81]]))
     assert found["orientations_of_object_in_palm"]["reached"] == 1
     assert found["directions_of_gravity_in_palm"]["cells"] == 72
+
+
+def test_another_process_is_kept_out_while_a_cache_is_made(tmp_path: Path) -> None:
+    folder = tmp_path / "cache"
+    with (
+        open_folder(folder, ASKED, "digest"),
+        pytest.raises(FileFormatError, match="another process is adding states"),
+        open_folder(folder, ASKED, "digest"),
+    ):
+        pass
+    with open_folder(folder, ASKED, "digest"):  # goes on once the other has ended
+        assert (folder / "manifest.json").exists()

@@ -370,7 +370,9 @@ def test_movements_go_where_they_can(plan: GraspPlan, tmp_path: Path) -> None:
     way = motion.joint_trajectory()
     np.testing.assert_array_equal([p["positions"] for p in first["points"]], way.positions)
     assert second["joint_names"] == list(plan.task.hand.joint_names)
-    with pytest.raises(TaskError, match=r"a MotionPlan is a movement as well; .* ros2-trajectory"):
+    with pytest.raises(
+        TaskError, match=r"a MovementPlan is a movement as well; .* ros2-trajectory"
+    ):
         export_plans([motion], tmp_path / "g.json", "ros2-grasp")
     on_arm = plan_grasp(GraspTask.create("allegro_on_arm7", "sphere"), seed=0)
     with pytest.raises(TaskError, match="is on an arm"):

@@ -25,7 +25,7 @@ from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.cli import main
 from sim.physics import PhysicsOptions
-from sim.protocols import IN_ALL, PROTOCOLS, run_protocol, unsuitable
+from sim.protocols import PROTOCOLS, in_all, run_protocol, unsuitable
 from sim.protocols.drake import Held, hold_in_drake
 from sim.protocols.drake_scene import drake_missing, load_drake_scene
 from sim.scene_export import export_scene
@@ -315,7 +315,7 @@ def test_without_the_package_it_says_what_to_install(
 
 
 def test_it_is_run_by_its_name_alone() -> None:
-    assert "drake" in PROTOCOLS and "drake" not in IN_ALL
+    assert "drake" in PROTOCOLS and "drake" not in in_all()
     of_motors = GraspTask.create("shadow_hand_torque", "sphere")
     assert "are no position servos; use the protocol forces" in unsuitable("drake", of_motors)
 

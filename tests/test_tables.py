@@ -17,7 +17,7 @@ def test_what_is_missing_is_a_dash_or_a_blank() -> None:
     assert screen.percent(0.125) == "12 %" and screen.percent(math.nan) == ""
 
 
-class Report(screen.OnScreen):
+class Report(screen.Report):
     """A report with one line."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:

@@ -13,13 +13,12 @@ from planner import (
     ManipulationPlan,
     manipulation_task,
     parse_object,
-    plan_gait,
     plan_grasp,
     plan_manipulation,
 )
 from planner.exchange.table import table_of
 from planner.files import plan_to_dict
-from planner.files.movements import gait_to_dict, manipulation_to_dict, motion_to_dict
+from planner.files.movements import movement_to_dict
 from sim import ManipulationTimeline, TrialReport, manipulate, simulate
 
 MOST_ITEMS = 2
@@ -113,20 +112,9 @@ def report() -> str:
     return shortened(trial().to_dict())
 
 
-def motion() -> str:
-    """A motion: the one of a manipulation."""
-    return shortened(motion_to_dict(_manipulation().motion))
-
-
-def gait() -> str:
-    """A gait with a relocation of each finger."""
-    task = GraspTask.create("shadow_hand", "cylinder:0.03x0.06", mu=0.7)
-    return shortened(gait_to_dict(plan_gait(task, angle=math.radians(180))))
-
-
-def manipulation() -> str:
-    """A manipulation plan."""
-    return shortened(manipulation_to_dict(_manipulation()))
+def movement() -> str:
+    """A manipulation plan: a movement of one stroke with an ending."""
+    return shortened(movement_to_dict(_manipulation()))
 
 
 def manipulation_report() -> str:

@@ -19,7 +19,7 @@ from machinery.docstrings import as_written
 from machinery.write import write_pages
 from planner.batch.rows import grasp_schema
 from planner.exchange.table_forms import TableFile
-from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
+from planner.files import ContactsFile, MovementFile, PlanFile
 from planner.hand_loading import load_hand
 from planner.hands.arm import MountDescription
 from planner.hands.description_toml import MirrorDescription, MotorsDescription
@@ -135,30 +135,14 @@ FORMATS = (
         examples.report,
     ),
     Format(
-        "Motion",
-        "motion",
-        "A turn or translation in the hand on one set of contacts; ``opposable manipulate "
-        "--plan-only`` writes it.",
-        MotionFile,
+        "Movement",
+        "movement",
+        "A movement in the hand: the phases of a turn or translation, strokes and relocations of "
+        "single fingers, and how the object is put down; ``opposable manipulate`` writes it, with "
+        "``--plan-only`` without an ending.",
+        MovementFile,
         "json",
-        examples.motion,
-    ),
-    Format(
-        "Gait",
-        "gait",
-        "Strokes with relocations of single fingers; ``opposable manipulate --plan-only --gait`` "
-        "writes it.",
-        GaitFile,
-        "json",
-        examples.gait,
-    ),
-    Format(
-        "Manipulation plan",
-        "manipulation",
-        "Grasp, turn and way out; ``opposable manipulate`` writes it.",
-        ManipulationFile,
-        "json",
-        examples.manipulation,
+        examples.movement,
     ),
     Format(
         "Manipulation report",

@@ -39,7 +39,7 @@ for title, mu, push in ((f"friction {SLIPPERY}", SLIPPERY, None), ("pushed", ROU
 print("\nsqueeze (N)   possible at       in the way")
 for squeeze in SQUEEZES:
     answers = []
-    for knot in plan.motion.knots:
+    for knot in plan.knots:
         known = knot.forces.problem
         # velocity of each contact per joint velocity, from the plan's own programme, in its axes
         levers = known.joint_map.T.reshape(len(knot.contacts), 3, -1)

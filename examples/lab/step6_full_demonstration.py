@@ -31,11 +31,11 @@ QUICK = ManipulationTimeline(  # s; height in m
 
 task = manipulation_task(HAND, parse_object(OBJECT, mass=MAX_MASS), mu=MU)
 plan = plan_manipulation(task, angle=np.deg2rad(TURN), place=PLACE, seed=0)
-print(f"planned in {plan.attempts} attempts: {plan.motion.path}")
+print(f"planned in {plan.attempts} attempts: {plan.path}")
 
-pose = plan.motion.grasp.task.T_world_object
+pose = plan.task.T_world_object
 truth = replace(
-    plan.motion.grasp.task,
+    plan.task,
     object=parse_object(OBJECT, mass=TRUE_MASS),
     T_world_object=SE3(pose.rotation, pose.translation + BESIDE),
 )

@@ -15,17 +15,16 @@ taken for that of another batch. Memory holds the rows of unfinished shards only
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from planner.batch.recipe import MANIFEST, Manifest, read_manifest
 from planner.batch.rows import arrow, attempt_rows, attempt_schema
 from planner.errors import FileFormatError
 from planner.files import write_json
-from planner.files.json_csv import PART, read_json_lines
+from planner.files.json_csv import PART, Journal, read_json_lines
 
 GRASPS, ATTEMPTS = "grasps", "attempts"
 """The two tables."""
@@ -160,8 +159,7 @@ class Store:
     def add(self, row: dict[str, Any]) -> None:
         """Add a row; it survives the death of this process."""
         self._rows[row["index"]] = row
-        self._journal.write(self._line(row))
-        self._journal.flush()
+        self._journal.add(self._owned(row))
         shard = self._count(row["index"])
         if self._full(shard):
             self._write_shard(shard)
@@ -174,9 +172,9 @@ class Store:
         for table in (GRASPS, ATTEMPTS):
             (self.folder / table).mkdir(exist_ok=True)
 
-    def _line(self, row: dict[str, Any]) -> str:
-        """A row as a line of the journal."""
-        return json.dumps({OWNER: self._owner, **row}) + "\n"
+    def _owned(self, row: dict[str, Any]) -> dict[str, Any]:
+        """A row as the journal has it."""
+        return {OWNER: self._owner, **row}
 
     def _stored(self, index: int) -> bool:
         return index // self.manifest.shard_rows in self._shards
@@ -214,15 +212,16 @@ class Store:
 
         _replace(self.folder, shard_file(self.folder, table, shard), write)
 
-    def _rewritten_journal(self) -> TextIO:
+    def _rewritten_journal(self) -> Journal:
         """The journal of the rows that wait, open at its end."""
 
         def write(path: Path) -> None:
-            lines = (self._line(self._rows[i]) for i in sorted(self._rows))
-            path.write_text("".join(lines), encoding="utf-8")
+            with Journal(path, anew=True) as journal:
+                for i in sorted(self._rows):
+                    journal.add(self._owned(self._rows[i]))
 
         _replace(self.folder, self.folder / JOURNAL, write)
-        return (self.folder / JOURNAL).open("a", encoding="utf-8")
+        return Journal(self.folder / JOURNAL)
 
 
 def _refuse_rows(folder: Path) -> None:
@@ -258,7 +257,7 @@ that file that was written (``files.whole_file``)."""
 
 
 def _locked(folder: Path) -> int:
-    """Make the folder and lock it for this process, whose death unlocks it; a file descriptor.
+    """Make the folder and lock it for this process; a file descriptor.
 
     Raises:
         FileFormatError: It cannot be made or written, holds other files, or is locked.
@@ -266,12 +265,31 @@ def _locked(folder: Path) -> int:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         there = {p.name for p in folder.iterdir()}
-        if MANIFEST not in there:
-            _refuse_rows(folder)
-            if not all(name in BEGUN or PART.fullmatch(name) for name in there):
-                raise FileFormatError(
-                    f"{folder} holds files but no batch; name a new or an empty folder"
-                )
+    except OSError as error:
+        raise FileFormatError(f"cannot write to {folder}: {error.strerror}") from error
+    if MANIFEST not in there:
+        _refuse_rows(folder)
+        if not all(name in BEGUN or PART.fullmatch(name) for name in there):
+            raise FileFormatError(
+                f"{folder} holds files but no batch; name a new or an empty folder"
+            )
+    return lock_folder(folder, "grasps")
+
+
+def lock_folder(folder: Path, what: str) -> int:
+    """Lock a folder that exists for this process, whose death unlocks it.
+
+    Args:
+        folder: The folder; a file ``lock`` appears in it.
+        what: What this process is about to add, for the message to another one.
+
+    Returns:
+        A file descriptor; closing it unlocks the folder.
+
+    Raises:
+        FileFormatError: It cannot be written, or another process has locked it.
+    """
+    try:
         lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT)
     except OSError as error:
         raise FileFormatError(f"cannot write to {folder}: {error.strerror}") from error
@@ -280,6 +298,6 @@ def _locked(folder: Path) -> int:
     except BlockingIOError as error:
         os.close(lock)
         raise FileFormatError(
-            f"another process is adding grasps to {folder}; wait for it, or name another folder"
+            f"another process is adding {what} to {folder}; wait for it, or name another folder"
         ) from error
     return lock

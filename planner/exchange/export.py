@@ -16,37 +16,25 @@ from planner.batch.recipe import MANIFEST
 from planner.errors import FileFormatError, NotFoundError, TaskError, shown
 from planner.exchange.formats import FORMATS, GraspFormat, Writing, writable_format
 from planner.exchange.joints import channels_of
-from planner.files import (
-    plan_files,
-    read_gait,
-    read_json,
-    read_manipulation,
-    read_motion,
-    read_plan,
-)
-from planner.motion.gait.plan import GaitPlan
-from planner.motion.manipulation.plan import ManipulationPlan
-from planner.motion.plan import MotionPlan
+from planner.files import plan_files, read_json, read_movement, read_plan
+from planner.files.json_csv import MOVEMENT_FORMATS
+from planner.motion.plan import MovementPlan
 from planner.plan import GraspPlan
 from planner.task import GraspTask
 
-AnyPlan: TypeAlias = GraspPlan | MotionPlan | GaitPlan | ManipulationPlan
+AnyPlan: TypeAlias = GraspPlan | MovementPlan
 """What has a joint trajectory."""
 
 _READERS: dict[str, Callable[[Path], AnyPlan]] = {
     "opposable-plan": read_plan,
-    "opposable-motion": read_motion,
-    "opposable-gait": read_gait,
-    "opposable-manipulation": read_manipulation,
+    **dict.fromkeys(MOVEMENT_FORMATS, read_movement),
 }
 """Format that a file says of itself -> its reader."""
 
 
 def task_of_plan(plan: AnyPlan) -> GraspTask:
     """The task of a plan of any kind."""
-    if isinstance(plan, GraspPlan):
-        return plan.task
-    return plan.motion.grasp.task if isinstance(plan, GaitPlan) else plan.grasp.task
+    return plan.task
 
 
 def plans_of(

@@ -19,16 +19,16 @@ if TYPE_CHECKING:
         write_trajectory,
     )
     from planner.files.movements import (
-        GaitFile,
-        ManipulationFile,
-        MotionFile,
+        MovementFile,
         given_manipulation,
         read_gait,
         read_manipulation,
         read_motion,
+        read_movement,
         write_gait,
         write_manipulation,
         write_motion,
+        write_movement,
     )
     from planner.files.plans import (
         ContactsFile,
@@ -44,9 +44,7 @@ if TYPE_CHECKING:
 __all__ = [
     "PLAN_VERSION",
     "ContactsFile",
-    "GaitFile",
-    "ManipulationFile",
-    "MotionFile",
+    "MovementFile",
     "PlanFile",
     "TaskData",
     "format_told",
@@ -62,6 +60,7 @@ __all__ = [
     "read_json",
     "read_manipulation",
     "read_motion",
+    "read_movement",
     "read_plan",
     "task_data",
     "task_from_data",
@@ -70,6 +69,7 @@ __all__ = [
     "write_json",
     "write_manipulation",
     "write_motion",
+    "write_movement",
     "write_plan",
     "write_trajectory",
 ]
@@ -80,8 +80,8 @@ _NAMES = {
         "format_told plain_name plan_files read_json whole_file write_json write_trajectory"
     ),
     "planner.files.movements": (
-        "GaitFile ManipulationFile MotionFile given_manipulation read_gait read_manipulation "
-        "read_motion write_gait write_manipulation write_motion"
+        "MovementFile given_manipulation read_gait read_manipulation read_motion read_movement "
+        "write_gait write_manipulation write_motion write_movement"
     ),
     "planner.files.plans": (
         "ContactsFile given_plan plan_from_dict plan_to_dict pose_of_plan read_contacts read_plan "

@@ -16,10 +16,10 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar, get_args
+from typing import Any, BinaryIO, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -34,6 +34,14 @@ LONGEST_NAME = 100
 
 PART = re.compile(r"\.[0-9a-f]{16}\.part")
 """Name of a file that is being written, or was when its process was killed."""
+
+MOVEMENT_FORMATS = (
+    "opposable-movement",
+    "opposable-motion",
+    "opposable-gait",
+    "opposable-manipulation",
+)
+"""Formats of plans that are movements; all but the first are older and read only."""
 
 
 @contextmanager
@@ -156,6 +164,44 @@ def checked_file(
         return schema.model_validate(data)
     except ValidationError as error:
         raise FileFormatError(f"{source} is damaged: {faults_of(error)}") from error
+
+
+class Journal:
+    """A file of JSON objects, one a line, that grows: a row is on disk once ``add`` returns.
+
+    Use it as a context, or close it. ``read_json_lines`` reads it again after any interruption.
+    """
+
+    def __init__(self, path: Path, *, anew: bool = False) -> None:
+        """Open it at its end, in a folder that is made; ``anew`` without the rows that it has.
+
+        Raises:
+            FileFormatError: It cannot be written.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = path.open("w" if anew else "a", encoding="utf-8")
+            if self._stream.tell():
+                self._stream.write("\n")  # after half a line, if a kill left one
+        except OSError as error:
+            raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
+
+    def __enter__(self) -> Self:
+        """The journal itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Add a row."""
+        self._stream.write(json.dumps(row) + "\n")
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._stream.close()
 
 
 def read_json_lines(path: Path) -> Iterator[dict[str, Any]]:

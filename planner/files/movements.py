@@ -1,18 +1,15 @@
-"""Motion files: versioned JSON with the grasp, the path, and the object and joints at every knot.
+"""Movement files: versioned JSON with the grasp, the phases of the movement, and its ending.
 
-As with grasps, nothing in a file is believed: the hand's digest is checked, and grasp and knots are
-judged again on the true geometry. A file whose contacts are not those of its joints is refused.
+A file holds the path and the knots of the first stroke, how the fingers move on after it, how often
+both are repeated, and how the object is put down, where that is planned. Later cycles are the first
+one with the object further along.
 
-Gait files: versioned JSON with the first stroke as a motion, and how fingers move on after it.
+Nothing in a file is believed: the hand's digest is checked, and grasp, knots and way out are judged
+again on the true geometry; orders and swings of fingers are searched again. A file whose contacts,
+relocations, target or torque reserve are not those of its joints is refused.
 
-Later cycles are the first one with the object further along; a file holds the first. Nothing in it
-is believed: the motion is judged again, orders and ways are searched again, and a file whose
-relocations are not those of its stroke is refused.
-
-Manipulation files: versioned JSON with the motion or gait, and how the object is put down.
-
-Nothing in a file is believed: motion or gait are judged again, and so is the way out. A target or a
-reserve of torque that is not that of the motion is refused.
+Files of the three formats that this one replaces are read as well: ``opposable-motion``,
+``opposable-gait`` and ``opposable-manipulation``, version 1 (``as_movement``).
 """
 
 from __future__ import annotations
@@ -35,23 +32,37 @@ from planner.files.data import (
     PoseData,
     Vector3,
 )
-from planner.files.json_csv import checked_file, read_json, write_json
+from planner.files.json_csv import MOVEMENT_FORMATS, checked_file, read_json, write_json
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
-from planner.motion import Knot, Limit, MotionPlan, MotionRecord, ObjectPath
-from planner.motion.gait import GaitPlan, Relocation
-from planner.motion.gait.verify import GaitVerifier
-from planner.motion.manipulation import Ending, ManipulationPlan
-from planner.motion.manipulation.ending import backwards, object_at_target
-from planner.motion.manipulation.plan import torque_reserve
-from planner.motion.release import verify_release
-from planner.motion.verify import MotionVerifier, Waypoint
+from planner.motion.ending import backwards, object_at_target, verify_release
+from planner.motion.path import ObjectPath
+from planner.motion.plan import (
+    Ending,
+    Knot,
+    Limit,
+    ManipulationPlan,
+    MotionRecord,
+    MovementPlan,
+    Relocation,
+)
+from planner.motion.verify import MovementVerifier, Waypoint
 from planner.plan import GraspPlan
 from planner.schema import StrictData
+from planner.spatial import FloatArray
 from planner.version import written_by
 
 SAME = 1e-9
 """How far (rad, m) the first knot of a file may be from its grasp."""
+
+CONSISTENT = 1e-6
+"""How far (m, rad, -) what a file says may be from what follows from its movement."""
+
+RESERVE_TOL = 1e-3
+"""How far (-) a torque reserve may be from that of the forces that are computed again."""
+
+MOST_CYCLES = 1000
+"""Most cycles of a file: each is judged when it is read."""
 
 
 class KnotData(StrictData):
@@ -108,10 +119,40 @@ class MotionRecordData(StrictData):
     build_s: Finite
 
 
-class MotionFile(StrictData):
-    """A motion plan as JSON."""
+class RelocationData(StrictData):
+    """One finger that moves on after the first stroke; joints in the order of the grasp's."""
 
-    format: Literal["opposable-motion"] = "opposable-motion"
+    finger: str
+    q_rad: list[list[Finite]]
+    contacts_held: list[ContactData]
+    contacts_after: list[ContactData]
+    normalised_min_weight: Finite
+
+
+class EndingData(StrictData):
+    """How the object is put down; joints in the order of the grasp's ``joint_names``.
+
+    ``arm_out`` is the arm's way out, reversed, if the hand is on one.
+    """
+
+    T_world_target: PoseData
+    q_open_rad: list[Finite]
+    opening_m: NotNegative
+    T_world_base_out: PoseData
+    made_backwards_because: str
+    arm_out: ArmData | None = None
+
+
+class MovementFile(StrictData):
+    """A movement of an object in the hand as JSON.
+
+    ``path``, ``knots`` and ``limits`` are those of one stroke, ``relocations`` those after it;
+    ``cycles`` is the number of strokes. ``angle_rad`` and ``shift_m`` are what was requested, which
+    the strokes may exceed. ``ending`` is null where it is not planned how the object is put down,
+    ``torque_reserve`` in files of older formats without one.
+    """
+
+    format: Literal["opposable-movement"] = "opposable-movement"
     version: Literal[1] = 1
     written_by: str
     grasp: PlanFile
@@ -119,12 +160,18 @@ class MotionFile(StrictData):
     tube_m: NotNegative
     knots: list[KnotData]
     limits: list[LimitData]
+    cycles: int = Field(ge=1, le=MOST_CYCLES)
+    relocations: list[RelocationData]
+    angle_rad: Finite
+    shift_m: Vector3
+    ending: EndingData | None
+    torque_reserve: Finite | None
     record: MotionRecordData
 
 
-def motion_to_dict(plan: MotionPlan) -> dict[str, Any]:
-    """A motion as plain data that follows ``MotionFile``."""
-    data = MotionFile(
+def movement_to_dict(plan: MovementPlan) -> dict[str, Any]:
+    """A movement as plain data that follows ``MovementFile``."""
+    data = MovementFile(
         written_by=written_by(),
         grasp=PlanFile.model_validate(plan_to_dict(plan.grasp)),
         path=PathData(
@@ -133,6 +180,12 @@ def motion_to_dict(plan: MotionPlan) -> dict[str, Any]:
         tube_m=plan.path_tolerance,
         knots=[_knot_data(knot) for knot in plan.knots],
         limits=[LimitData.of(limit) for limit in plan.limits],
+        cycles=plan.cycles,
+        relocations=[_relocation_data(r) for r in plan.regrasps],
+        angle_rad=plan.angle,
+        shift_m=tuple(plan.shift),
+        ending=None if plan.ending is None else _ending_data(plan.grasp, plan.ending),
+        torque_reserve=plan.reserve,
         record=MotionRecordData(
             **{k: getattr(plan.record, k) for k in MotionRecordData.model_fields}
         ),
@@ -153,33 +206,146 @@ def _knot_data(knot: Knot) -> KnotData:
     )
 
 
-def write_motion(plan: MotionPlan, path: Path | str) -> None:
-    """Write a motion file."""
-    write_json(motion_to_dict(plan), path)
+def _relocation_data(relocation: Relocation) -> RelocationData:
+    return RelocationData(
+        finger=relocation.finger,
+        q_rad=relocation.postures.tolist(),
+        contacts_held=contact_data(relocation.during),
+        contacts_after=contact_data(relocation.after),
+        normalised_min_weight=relocation.margin,
+    )
 
 
-def read_motion(path: Path | str, *, hand: Hand | None = None) -> MotionPlan:
-    """Read a motion file and check it.
+def _ending_data(grasp: GraspPlan, ending: Ending) -> EndingData:
+    arm = ending.release.arm
+    return EndingData(
+        T_world_target=PoseData.of(ending.T_world_target),
+        q_open_rad=list(ending.release.q),
+        opening_m=ending.release.pregrasp_distance,
+        T_world_base_out=PoseData.of(ending.release.T_world_base_start),
+        made_backwards_because=ending.back,
+        arm_out=None if arm is None else ArmData.of(grasp, arm),
+    )
 
-    The plan is as ``plan_motion`` gave it: print it, go through its ``knots``, or have a controller
-    of your own follow it (``sim.controllers.MotionReference``).
+
+def as_movement(data: dict[str, Any], source: str) -> dict[str, Any]:
+    """Plain data of an older format as those of ``MovementFile``; any other data as they are.
+
+    Nothing is checked but what is moved: the rest is for ``MovementFile``.
 
     Args:
-        path: The file.
+        data: What a file holds.
+        source: What errors call it.
+
+    Raises:
+        FileFormatError: Of another version, or not as that format has it.
+    """
+    kind = data.get("format")
+    if kind not in MOVEMENT_FORMATS[1:]:
+        return data
+    if data.get("version") != 1:
+        raise FileFormatError(
+            f"{source} is of version {shown(data.get('version'))} of {kind}; this program reads "
+            "version 1 of it"
+        )
+    try:
+        return _older_whole(data) if kind == "opposable-manipulation" else _older_strokes(data)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise FileFormatError(
+            f"{source} is damaged: its fields are not those of {kind} "
+            f"({type(error).__name__}: {error})"
+        ) from error
+
+
+def _older_strokes(data: dict[str, Any]) -> dict[str, Any]:
+    """Data of a motion or a gait as those of a movement, all of which is requested."""
+    _only(data, "opposable-motion", "opposable-gait")
+    gait = data["format"] == "opposable-gait"
+    stroke, cycles = (data["stroke"], data["cycles"]) if gait else (data, 1)
+    if not (isinstance(cycles, int) and 1 <= cycles <= MOST_CYCLES):
+        raise ValueError(f"cycles is not a number from 1 to {MOST_CYCLES}")
+    path = stroke["path"]
+    return {
+        **stroke,
+        "format": "opposable-movement",
+        "cycles": cycles,
+        "relocations": data["relocations"] if gait else [],
+        "angle_rad": cycles * float(path["angle_rad"]),
+        "shift_m": [cycles * float(x) for x in path["shift_m"]],
+        "ending": None,
+        "torque_reserve": None,
+    }
+
+
+def _older_whole(data: dict[str, Any]) -> dict[str, Any]:
+    """Data of a manipulation as those of a movement."""
+    _only(data, "opposable-manipulation")
+    parts = [data[name] for name in ("motion", "gait") if data[name] is not None]
+    if len(parts) != 1:
+        raise TypeError("it holds a motion and a gait, or neither")
+    strokes = _older_strokes(parts[0])
+    spent = {name: data[name] for name in ("attempts", "cpu_s")}
+    asked = {name: data[name] for name in ("angle_rad", "shift_m", "ending", "torque_reserve")}
+    return {**strokes, **asked, "record": {**strokes["record"], **spent}}
+
+
+_FIELDS = {
+    "opposable-gait": "format version written_by cycles stroke relocations",
+    "opposable-manipulation": (
+        "format version written_by angle_rad shift_m motion gait ending torque_reserve attempts "
+        "cpu_s"
+    ),
+}
+"""Fields of older formats that hold a motion; those of a motion are the movement's own."""
+
+
+def _only(data: dict[str, Any], *kinds: str) -> None:
+    """Refuse data of another format than these, of another version, or with other fields.
+
+    Raises:
+        ValueError: So.
+    """
+    kind = data["format"]
+    if kind not in kinds or data["version"] != 1:
+        raise ValueError(f"a part is not version 1 of {' or '.join(kinds)}")
+    more = set(data) - set(_FIELDS[kind].split()) if kind in _FIELDS else ()
+    if more:
+        raise ValueError(f"{', '.join(sorted(more))} is no field of {kind}")
+
+
+def write_movement(plan: MovementPlan, path: Path | str) -> None:
+    """Write a movement file."""
+    write_json(movement_to_dict(plan), path)
+
+
+def read_movement(path: Path | str, *, hand: Hand | None = None) -> MovementPlan:
+    """Read a movement file and check it.
+
+    The plan is as ``plan_motion``, ``plan_gait`` or ``plan_manipulation`` gave it: print it, go
+    through its ``phases``, have a controller of your own follow it
+    (``sim.controllers.MotionReference``), or take its ``joint_trajectory`` to a hand.
+
+    Args:
+        path: The file, of this format or of one that it replaces.
         hand: The hand to use; the one that the file names if None.
+
+    Returns:
+        The plan; a ``ManipulationPlan``, which ``sim.manipulate`` executes, if it has an ending.
 
     Raises:
         FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
         PlannerError: The hand or object cannot be loaded.
     """
-    return motion_from_dict(read_json(path, "motion file"), str(path), hand=hand)
+    return movement_from_dict(read_json(path, "movement file"), str(path), hand=hand)
 
 
-def motion_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = None) -> MotionPlan:
-    """The motion that plain data hold, checked like a file.
+def movement_from_dict(
+    data: dict[str, Any], source: str, *, hand: Hand | None = None
+) -> MovementPlan:
+    """The movement that plain data hold, checked like a file.
 
     Args:
-        data: What ``motion_to_dict`` gave.
+        data: What ``movement_to_dict`` gave, or data of an older format.
         source: What errors call it, as the path of a file.
         hand: The hand to use; the one that the data name if None.
 
@@ -187,12 +353,20 @@ def motion_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = N
         FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
         PlannerError: The hand or object cannot be loaded.
     """
-    file = checked_file(MotionFile, data, source)
+    data = as_movement(data, source)
+    file = checked_file(MovementFile, data, source)
     grasp = plan_from_dict(data["grasp"], source, hand=hand)
-    return _rebuild(file, grasp, source)
+    plan = _strokes(file, grasp, source)
+    if file.ending is not None:
+        plan = _whole(plan, file, file.ending)
+    fault = _fault(plan, file.torque_reserve)
+    if fault:
+        raise FileFormatError(f"{source}: {fault}; it is damaged")
+    return plan
 
 
-def _rebuild(file: MotionFile, grasp: GraspPlan, path: str) -> MotionPlan:
+def _strokes(file: MovementFile, grasp: GraspPlan, path: str) -> MovementPlan:
+    """The strokes and relocations of a file, judged again."""
     try:
         covered = ObjectPath(
             axis=np.array(file.path.axis),
@@ -214,207 +388,126 @@ def _rebuild(file: MotionFile, grasp: GraspPlan, path: str) -> MotionPlan:
     ]
     if not np.allclose(waypoints[0].q, grasp.q, rtol=0.0, atol=SAME):
         raise FileFormatError(f"{path}: its first knot is not its grasp; it is damaged")
-    verifier = MotionVerifier(grasp.task)
+    verifier = MovementVerifier(grasp.task)
     knots = verifier.verify_knots(grasp.T_world_base, waypoints, covered, file.tube_m)
     if isinstance(knots, Failure):
-        raise FileFormatError(f"{path} holds a motion that fails its checks: {knots}")
+        raise FileFormatError(f"{path} holds a movement that fails its checks: {knots}")
     for stored, knot in zip(file.knots, knots, strict=True):
-        told, true = numbers_of(stored.contacts), numbers_of(contact_data(knot.contacts))
-        if told.shape != true.shape or not np.allclose(
-            told, true, atol=CONTACT_TOL, rtol=CONTACT_TOL
-        ):
+        if not _same(numbers_of(stored.contacts), numbers_of(contact_data(knot.contacts))):
             raise FileFormatError(
                 f"{path}: its contacts at {100 * stored.place:.0f} % of the path are not those of "
                 "its joints; it is damaged"
             )
-    return MotionPlan(
-        grasp=grasp,
-        path=covered,
-        knots=knots,
+    stroke = MovementPlan.of_stroke(
+        grasp,
+        covered,
+        knots,
         path_tolerance=file.tube_m,
-        limits=tuple(data.limit() for data in file.limits),
         record=MotionRecord(**file.record.model_dump()),
+        limits=tuple(data.limit() for data in file.limits),
     )
-
-
-MOST_CYCLES = 1000
-"""Most cycles of a file: each is judged when it is read."""
-
-
-class RelocationData(StrictData):
-    """One finger that moves on after the first stroke; joints in the order of the grasp's."""
-
-    finger: str
-    q_rad: list[list[Finite]]
-    contacts_held: list[ContactData]
-    contacts_after: list[ContactData]
-    normalised_min_weight: Finite
-
-
-class GaitFile(StrictData):
-    """A gait plan as JSON."""
-
-    format: Literal["opposable-gait"] = "opposable-gait"
-    version: Literal[1] = 1
-    written_by: str
-    cycles: int = Field(ge=1, le=MOST_CYCLES)
-    stroke: MotionFile
-    relocations: list[RelocationData]
-
-
-def gait_to_dict(plan: GaitPlan) -> dict[str, Any]:
-    """A gait as plain data that follows ``GaitFile``."""
-    data = GaitFile(
-        written_by=written_by(),
-        cycles=plan.cycles,
-        stroke=MotionFile.model_validate(motion_to_dict(plan.motion)),
-        relocations=[_relocation(r) for r in plan.relocations if r.cycle == 0],
-    )
-    return data.model_dump(mode="json")
-
-
-def _relocation(relocation: Relocation) -> RelocationData:
-    return RelocationData(
-        finger=relocation.finger,
-        q_rad=relocation.postures.tolist(),
-        contacts_held=contact_data(relocation.during),
-        contacts_after=contact_data(relocation.after),
-        normalised_min_weight=relocation.margin,
-    )
-
-
-def write_gait(plan: GaitPlan, path: Path | str) -> None:
-    """Write a gait file."""
-    write_json(gait_to_dict(plan), path)
-
-
-def read_gait(path: Path | str, *, hand: Hand | None = None) -> GaitPlan:
-    """Read a gait file and check it.
-
-    The plan is as ``plan_gait`` gave it: print it, or go through its ``phases``, strokes and moves
-    of one finger, with a controller of your own.
-
-    Args:
-        path: The file.
-        hand: The hand to use; the one that the file names if None.
-
-    Raises:
-        FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
-        PlannerError: The hand or object cannot be loaded.
-    """
-    return gait_from_dict(read_json(path, "gait file"), str(path), hand=hand)
-
-
-def gait_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = None) -> GaitPlan:
-    """The gait that plain data hold, checked like a file.
-
-    Args:
-        data: What ``gait_to_dict`` gave.
-        source: What errors call it, as the path of a file.
-        hand: The hand to use; the one that the data name if None.
-
-    Raises:
-        FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
-        PlannerError: The hand or object cannot be loaded.
-    """
-    file = checked_file(GaitFile, data, source)
-    stroke = motion_from_dict(data["stroke"], source, hand=hand)
-    plan = GaitVerifier(stroke.grasp.task).verify(stroke, file.cycles)
+    if file.cycles == 1 and not file.relocations:
+        return stroke
+    plan = verifier.repeated(stroke, file.cycles)
     if isinstance(plan, Failure):
-        raise FileFormatError(f"{source} holds a gait that fails its checks: {plan}")
-    true = [_relocation(r) for r in plan.relocations if r.cycle == 0]
+        raise FileFormatError(f"{path} holds a movement that fails its checks: {plan}")
+    true = [_relocation_data(r) for r in plan.regrasps]
     if [r.finger for r in file.relocations] != [r.finger for r in true]:
-        raise FileFormatError(f"{source}: its fingers move on in another order; it is damaged")
+        raise FileFormatError(f"{path}: its fingers move on in another order; it is damaged")
     for told, found in zip(file.relocations, true, strict=True):
         for what, a, b in (
             ("way", np.ravel(told.q_rad), np.ravel(found.q_rad)),
             ("contacts", numbers_of(told.contacts_held), numbers_of(found.contacts_held)),
             ("contacts", numbers_of(told.contacts_after), numbers_of(found.contacts_after)),
         ):
-            if a.shape != b.shape or not np.allclose(a, b, atol=CONTACT_TOL, rtol=CONTACT_TOL):
+            if not _same(a, b):
                 raise FileFormatError(
-                    f"{source}: the {what} with {told.finger} away are not those of its stroke; it "
+                    f"{path}: the {what} with {told.finger} away are not those of its stroke; it "
                     "is damaged"
                 )
     return plan
 
 
-CONSISTENT = 1e-6
-"""How far (m, rad, -) what a file tells may be from what follows from its motion."""
-
-
-class EndingData(StrictData):
-    """How the object is put down; joints in the order of the grasp's ``joint_names``.
-
-    ``arm_out`` is the arm's way out, reversed, if the hand is on one.
-    """
-
-    T_world_target: PoseData
-    q_open_rad: list[Finite]
-    opening_m: NotNegative
-    T_world_base_out: PoseData
-    made_backwards_because: str
-    arm_out: ArmData | None = None
-
-
-class ManipulationFile(StrictData):
-    """A manipulation plan as JSON, with either a motion or a gait."""
-
-    format: Literal["opposable-manipulation"] = "opposable-manipulation"
-    version: Literal[1] = 1
-    written_by: str
-    angle_rad: Finite
-    shift_m: Vector3
-    motion: MotionFile | None
-    gait: GaitFile | None
-    ending: EndingData
-    torque_reserve: Finite
-    attempts: int
-    cpu_s: Finite
-
-
-def manipulation_to_dict(plan: ManipulationPlan) -> dict[str, Any]:
-    """A manipulation as plain data that follows ``ManipulationFile``."""
-    ending, gait = plan.ending, plan.gait
-    motion = None if gait else MotionFile.model_validate(motion_to_dict(plan.motion))
-    data = ManipulationFile(
-        written_by=written_by(),
-        angle_rad=plan.angle,
-        shift_m=tuple(plan.shift),
-        motion=motion,
-        gait=GaitFile.model_validate(gait_to_dict(gait)) if gait else None,
-        ending=EndingData(
-            T_world_target=PoseData.of(ending.T_world_target),
-            q_open_rad=list(ending.release.q),
-            opening_m=ending.release.pregrasp_distance,
-            T_world_base_out=PoseData.of(ending.release.T_world_base_start),
-            made_backwards_because=ending.back,
-            arm_out=None if (arm := ending.release.arm) is None else ArmData.of(plan.grasp, arm),
-        ),
-        torque_reserve=plan.reserve,
-        attempts=plan.attempts,
-        cpu_s=plan.cpu_s,
+def _same(stored: FloatArray, true: FloatArray) -> bool:
+    """Whether numbers of a file are those that follow from its joints."""
+    return stored.shape == true.shape and np.allclose(
+        stored, true, atol=CONTACT_TOL, rtol=CONTACT_TOL
     )
-    return data.model_dump(mode="json")
 
 
-def write_manipulation(plan: ManipulationPlan, path: Path | str) -> None:
-    """Write a manipulation file."""
-    write_json(manipulation_to_dict(plan), path)
+def _whole(strokes: MovementPlan, file: MovementFile, ending: EndingData) -> ManipulationPlan:
+    """Strokes with the ending of a file, not judged yet."""
+    hand, arm = strokes.task.hand, ending.arm_out
+    release = Approach(
+        q=hand.checked_q(ending.q_open_rad, "q_open_rad"),
+        pregrasp_distance=ending.opening_m,
+        T_world_base_start=ending.T_world_base_out.pose(),
+        arm=None if arm is None else arm.path(hand),
+    )
+    made = Ending(
+        T_world_target=ending.T_world_target.pose(),
+        release=release,
+        back=ending.made_backwards_because,
+    )
+    return ManipulationPlan.of(strokes, made, angle=file.angle_rad, shift=np.array(file.shift_m))
+
+
+def _fault(plan: MovementPlan, reserve: float | None) -> str:
+    """What a file says that does not follow from its movement, "" if nothing."""
+    whole, made = plan.planned_angle, plan.planned_shift
+    if plan.angle * whole < 0.0 or abs(plan.angle) > abs(whole) + CONSISTENT:
+        return (
+            f"it is to turn by {np.rad2deg(plan.angle):.1f} degrees and its motion by "
+            f"{np.rad2deg(whole):.1f}"
+        )
+    share = plan.angle / whole if whole else 1.0
+    if not np.allclose(share * made, plan.shift, rtol=0.0, atol=CONSISTENT):
+        return "its translation is not that of its motion"
+    if reserve is not None and abs(plan.reserve - reserve) > RESERVE_TOL:
+        return "its torque reserve is not that of its forces"
+    return "" if plan.ending is None else _fault_of_ending(plan, plan.ending)
+
+
+def _fault_of_ending(plan: MovementPlan, ending: Ending) -> str:
+    """The same of how the object is put down."""
+    x, y, _ = ending.T_world_target.translation
+    made = 0.0 if ending.back else plan.angle
+    target = object_at_target(plan.task, plan.path.axis, made, (x, y))
+    if not target.isApprox(ending.T_world_target, CONSISTENT):
+        return "its object does not stand at its target as it was turned"
+    if ending.back:
+        grasp, way_in = ending.release, backwards(plan, (x, y), ending.back).release
+        same = np.allclose(grasp.q, way_in.q, rtol=0.0, atol=CONSISTENT)
+        if not (same and grasp.T_world_base_start.isApprox(way_in.T_world_base_start, CONSISTENT)):
+            return "its way out is not its way in, though the motion is made backwards"
+    elif fault := verify_release(plan, ending.release):
+        return f"its way out fails its checks: {fault}"
+    return ""
+
+
+def manipulation_from_dict(
+    data: dict[str, Any], source: str, *, hand: Hand | None = None
+) -> ManipulationPlan:
+    """A movement with an ending out of plain data; see ``movement_from_dict``.
+
+    Raises:
+        FileFormatError: As there; or it has no ending.
+        PlannerError: The hand or object cannot be loaded.
+    """
+    plan = movement_from_dict(data, source, hand=hand)
+    if not isinstance(plan, ManipulationPlan):
+        raise FileFormatError(
+            f"{source} holds a movement without an ending; give one that says how the object is "
+            "put down: manipulation_of(plan) plans that"
+        )
+    return plan
 
 
 def read_manipulation(path: Path | str, *, hand: Hand | None = None) -> ManipulationPlan:
-    """Read a manipulation file and check it.
-
-    The plan is as ``plan_manipulation`` gave it: print it, execute it with ``sim.manipulate``, or
-    take its ``joint_trajectory`` to a hand.
-
-    Args:
-        path: The file.
-        hand: The hand to use; the one that the file names if None.
+    """Read the file of a movement with an ending; see ``read_movement``.
 
     Raises:
-        FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
+        FileFormatError: As there; or it has no ending.
         PlannerError: The hand or object cannot be loaded.
     """
     return manipulation_from_dict(read_json(path, "manipulation file"), str(path), hand=hand)
@@ -437,80 +530,6 @@ def given_manipulation(given: ManipulationPlan | Path | str) -> ManipulationPlan
     return given
 
 
-def manipulation_from_dict(
-    data: dict[str, Any], source: str, *, hand: Hand | None = None
-) -> ManipulationPlan:
-    """The manipulation that plain data hold, checked like a file.
-
-    Args:
-        data: What ``manipulation_to_dict`` gave.
-        source: What errors call it, as the path of a file.
-        hand: The hand to use; the one that the data name if None.
-
-    Raises:
-        FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
-        PlannerError: The hand or object cannot be loaded.
-    """
-    file = checked_file(ManipulationFile, data, source)
-    if (file.motion is None) == (file.gait is None):
-        raise FileFormatError(f"{source} holds a motion and a gait, or neither; give one of them")
-    gait = None if file.gait is None else gait_from_dict(data["gait"], source, hand=hand)
-    motion = gait.motion if gait else motion_from_dict(data["motion"], source, hand=hand)
-    way_out = file.ending.arm_out
-    release = Approach(
-        q=motion.grasp.task.hand.checked_q(file.ending.q_open_rad, "q_open_rad"),
-        pregrasp_distance=file.ending.opening_m,
-        T_world_base_start=file.ending.T_world_base_out.pose(),
-        arm=None if way_out is None else way_out.path(motion.grasp.task.hand),
-    )
-    plan = ManipulationPlan(
-        motion=motion,
-        gait=gait,
-        angle=file.angle_rad,
-        shift=np.array(file.shift_m),
-        ending=Ending(
-            T_world_target=file.ending.T_world_target.pose(),
-            release=release,
-            back=file.ending.made_backwards_because,
-        ),
-        reserve=file.torque_reserve,
-        attempts=file.attempts,
-        cpu_s=file.cpu_s,
-    )
-    fault = _fault(plan)
-    if fault:
-        raise FileFormatError(f"{source}: {fault}; it is damaged")
-    return plan
-
-
-def _fault(plan: ManipulationPlan) -> str:
-    """What a plan tells that does not follow from its motion, "" if nothing."""
-    motion, ending = plan.motion, plan.ending
-    path, whole = motion.path, (plan.gait or motion.path)
-    if plan.angle * whole.angle < 0.0 or abs(plan.angle) > abs(whole.angle) + CONSISTENT:
-        return (
-            f"it is to turn by {np.rad2deg(plan.angle):.1f} degrees and its motion by "
-            f"{np.rad2deg(whole.angle):.1f}"
-        )
-    share = plan.angle / whole.angle if whole.angle else 1.0
-    if not np.allclose(share * whole.shift, plan.shift, rtol=0.0, atol=CONSISTENT):
-        return "its translation is not that of its motion"
-    x, y, _ = ending.T_world_target.translation
-    made = 0.0 if ending.back else plan.angle
-    target = object_at_target(plan.task, path.axis, made, (x, y))
-    if not target.isApprox(ending.T_world_target, CONSISTENT):
-        return "its object does not stand at its target as it was turned"
-    if ending.back:
-        grasp, way_in = ending.release, backwards(motion, (x, y), ending.back).release
-        same = np.allclose(grasp.q, way_in.q, rtol=0.0, atol=CONSISTENT)
-        if not (same and grasp.T_world_base_start.isApprox(way_in.T_world_base_start, CONSISTENT)):
-            return "its way out is not its way in, though the motion is made backwards"
-    elif fault := verify_release(motion, ending.release):
-        return f"its way out fails its checks: {fault}"
-    if abs(torque_reserve(motion) - plan.reserve) > RESERVE_TOL:
-        return "its torque reserve is not that of its forces"
-    return ""
-
-
-RESERVE_TOL = 1e-3
-"""How far (-) a torque reserve may be from that of the forces that are computed again."""
+read_motion = read_gait = read_movement
+write_motion = write_gait = write_manipulation = write_movement
+"""Names that files of one stroke, of several and with an ending had while they were three kinds."""

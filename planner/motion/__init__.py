@@ -1,17 +1,62 @@
-"""Motions of an object in the hand, on one grasp: planned over knots, verified like grasps."""
+"""Movements of an object in the hand: searched over knots, verified like grasps, phase by phase.
 
-from planner.motion.limits import Limit
+    task = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.45)
+    plan = plan_manipulation(task, angle=math.radians(90.0), place=(0.1, 0.05))
+
+``sim.manipulate`` executes it.
+"""
+
+from planner.motion.ending import Rests, planned_ending
+from planner.motion.gait import plan_gait
+from planner.motion.manipulation import manipulation_of, plan_manipulation, plan_regrasping
+from planner.motion.order import Lift, NoOrder, Order, find_order
 from planner.motion.path import ObjectPath
-from planner.motion.plan import Knot, MotionPlan, MotionRecord
+from planner.motion.plan import (
+    Ending,
+    GaitPlan,
+    Knot,
+    Limit,
+    ManipulationPlan,
+    MotionPlan,
+    MotionRecord,
+    MovementPlan,
+    Relocation,
+    Stroke,
+)
+from planner.motion.regrasp import cut_motion, plan_back, plan_others
 from planner.motion.search import MotionAttempt, motion_attempts, plan_motion
+from planner.motion.single_stroke import plan_single_stroke
+from planner.motion.task import manipulation_task, on_stand
 
 __all__ = [
+    "Ending",
+    "GaitPlan",
     "Knot",
+    "Lift",
     "Limit",
+    "ManipulationPlan",
     "MotionAttempt",
     "MotionPlan",
     "MotionRecord",
+    "MovementPlan",
+    "NoOrder",
     "ObjectPath",
+    "Order",
+    "Relocation",
+    "Rests",
+    "Stroke",
+    "cut_motion",
+    "find_order",
+    "manipulation_of",
+    "manipulation_task",
     "motion_attempts",
+    "on_stand",
+    "plan_back",
+    "plan_gait",
+    "plan_manipulation",
     "plan_motion",
+    "plan_others",
+    "plan_regrasping",
+    "plan_single_stroke",
+    "planned_ending",
 ]

@@ -1,25 +1,79 @@
-"""``MotionPlan``: a verified motion of an object in the hand, knot by knot, and what limits it."""
+"""``MovementPlan``: how an object moves in the hand, as a sequence of phases on one base pose.
+
+    grasp -> stroke -> [a relocation of every finger -> stroke] x (cycles - 1) -> ending
+
+A phase is a ``Stroke``: the object goes along its path, all contacts stay and roll; or a
+``Relocation``: one contact moves, the others stay and hold the object still. A motion is one stroke
+(``plan_motion``), a gait several (``plan_gait``), a manipulation has an ``Ending`` as well
+(``plan_manipulation``). All are searched by one kind of attempt (``planner.motion.context``),
+judged sample by sample by one verifier (``planner.motion.verify``), and kept in one kind of file
+(``planner.files.movements``).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
+from planner.approach.pregrasp import Approach, way_back
 from planner.attempt import SearchRecord
-from planner.contacts import ContactSet
+from planner.contacts import Contact, ContactSet
+from planner.errors import TaskError
 from planner.forces import ForceSolution
 from planner.immutable import freeze
 from planner.kinematics.state import HandState
-from planner.motion.limits import Limit
 from planner.motion.path import ObjectPath
 from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
 from planner.plan import GraspPlan, JointTrajectory, Verification
 from planner.quality import ClosureResult
 from planner.showing import Shown, in_notebook
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.objectives.joint import driving
+from planner.task import GraspTask, Obstacle
+
+LIFT_S, CARRY_S, LOWER_S, OPEN_S, RETREAT_S = 0.7, 0.8, 0.6, 0.4, 0.6
+"""Durations (s) of the pieces of a trajectory in which the base moves or the fingers open."""
+
+SMALLEST_RANGE = 1e-3
+"""Least range (rad or m) of a joint by which distances are divided."""
+
+NO_LIMIT = 1e-9
+"""Least limit (N m, N) that divides a force."""
+
+SAME_PLACE = 1e-6
+"""Distance (m) below which two places are the same."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """One limit of a path's length.
+
+    Attributes:
+        what: In words: a joint and its end, or a term and the finger it concerns.
+        finger: Name of the finger, "" for none.
+        joint: Name of the joint, "" for none.
+        path_parameter: Where on the path, 0 to 1.
+        gain: Growth of the path, as a share of the requested one, when the limit gives way by one
+            ``unit``.
+        unit: A millimetre, a degree, a hundredth of a number.
+    """
+
+    what: str
+    finger: str
+    joint: str
+    path_parameter: float
+    gain: float
+    unit: str
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"{self.what}, at {100 * self.path_parameter:.0f} % of the path"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,9 +119,100 @@ class Knot:
         return min((c.distance for c in self.verification.closest), default=np.inf)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stroke:
+    """The object goes along its path while all fingers hold it.
+
+    Attributes:
+        cycle: Its number, from 0.
+        knots: In order, each verified like a grasp.
+    """
+
+    cycle: int
+    knots: tuple[Knot, ...]
+
+    @property
+    def postures(self) -> FloatArray:
+        """Joints (m, nq) at the knots."""
+        return np.array([knot.q for knot in self.knots])
+
+    @property
+    def margin(self) -> float:
+        """Least normalised min-weight of closure (-) over all knots."""
+        return min(knot.closure.normalised_min_weight for knot in self.knots)
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"stroke {self.cycle + 1}: {len(self.knots)} knots, least closure {self.margin:.3f}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Relocation:
+    """One finger moves on while the others hold the object still.
+
+    Attributes:
+        cycle: Number of the stroke before it.
+        finger: Name of the finger.
+        T_world_object: Pose of the object, held still.
+        postures: Joints (m, nq) along the swing; the finger touches at the first and the last.
+        before: All contacts before the lift, with their forces, world.
+        during: The contacts that hold, with the forces that take over the load before the lift.
+        after: All contacts after the landing, with their forces.
+        margin: Normalised min-weight (-) of the contacts that hold.
+        grip: Least normal force (N) of each of them.
+    """
+
+    cycle: int
+    finger: str
+    T_world_object: SE3
+    postures: FloatArray
+    before: ContactSet
+    during: ContactSet
+    after: ContactSet
+    margin: float
+    grip: float
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, poses=("T_world_object",), arrays=("postures",))
+
+    @property
+    def landing(self) -> Contact:
+        """Where the finger lands, world."""
+        return self.after[self.after.fingers.index(self.finger)]
+
+    def __str__(self) -> str:
+        """One line."""
+        strongest = float(self.during.forces[:, 0].max())
+        return (
+            f"{self.finger} moves on: the others close with {self.margin:.3f} and press with up to "
+            f"{strongest:.2f} N"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ending:
+    """How an object is put down.
+
+    Attributes:
+        T_world_target: Final pose of the object.
+        release: Opened fingers and the way out where the motion ends, or where it began if the
+            motion is reversed.
+        back: Why the motion is reversed before, "" if it is not.
+    """
+
+    T_world_target: SE3
+    release: Approach
+    back: str
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, poses=("T_world_target",))
+
+
 @dataclass(frozen=True, kw_only=True)
 class MotionRecord(SearchRecord):
-    """Where a motion comes from.
+    """Where a movement comes from.
 
     Attributes:
         iterations: Evaluations of the residuals in its attempt.
@@ -79,48 +224,158 @@ class MotionRecord(SearchRecord):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MotionPlan(Shown):
-    """A motion of the object in the hand; every knot passed the checks of a grasp.
+class MovementPlan(Shown):
+    """A movement of the object in the hand; every knot and every lift passed the checks of a grasp.
 
     All poses are relative to the grasp on the table: execution lifts hand and object first, both by
     the same translation, which the plan leaves out.
 
     Attributes:
         grasp: The grasp with which it begins, with its approach, where the object is.
-        path: The path of the object; shorter than requested if that was too long.
-        knots: In order; the first is the grasp.
+        path: The path of one stroke; shorter than requested if that was too long.
+        phases: Strokes and relocations in their order, beginning and ending with a stroke.
         path_tolerance: Largest distance of the object from the path, m.
         limits: What kept the path from being longer, if the longest path was requested.
-        record: Where the motion comes from.
+        record: Where the plan comes from.
+        angle: Requested turn, rad, with its sign; the strokes may go further.
+        shift: Requested translation in the hand (3,), m, world.
+        ending: How the object is put down; None where that is not planned.
     """
 
     grasp: GraspPlan
     path: ObjectPath
-    knots: tuple[Knot, ...]
+    phases: tuple[Stroke | Relocation, ...]
     path_tolerance: float
     limits: tuple[Limit, ...]
     record: MotionRecord
+    angle: float
+    shift: FloatArray = field(default_factory=lambda: np.zeros(3))
+    ending: Ending | None = None
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, arrays=("shift",))
+
+    @classmethod
+    def of_stroke(
+        cls,
+        grasp: GraspPlan,
+        path: ObjectPath,
+        knots: Sequence[Knot],
+        *,
+        path_tolerance: float,
+        record: MotionRecord,
+        limits: tuple[Limit, ...] = (),
+    ) -> MovementPlan:
+        """A movement of one stroke, all of which is requested; see the attributes."""
+        return MovementPlan(
+            grasp=grasp,
+            path=path,
+            phases=(Stroke(cycle=0, knots=tuple(knots)),),
+            path_tolerance=path_tolerance,
+            limits=limits,
+            record=record,
+            angle=path.angle,
+            shift=path.shift,
+        )
+
+    def with_knots(self, knots: Sequence[Knot], path: ObjectPath | None = None) -> MovementPlan:
+        """The first stroke alone with other knots, and with another path if one is given."""
+        return self.of_stroke(
+            self.grasp,
+            path or self.path,
+            knots,
+            path_tolerance=self.path_tolerance,
+            record=self.record,
+            limits=self.limits,
+        )
+
+    @property
+    def motion(self) -> MovementPlan:
+        """The first stroke alone."""
+        return self.with_knots(self.knots)
+
+    @property
+    def task(self) -> GraspTask:
+        """The task, with the chosen fingers."""
+        return self.grasp.task
 
     @property
     def T_world_base(self) -> SE3:
-        """Pose of the hand's base, from the first knot to the last."""
+        """Pose of the hand's base throughout."""
         return self.grasp.T_world_base
+
+    @cached_property
+    def strokes(self) -> tuple[Stroke, ...]:
+        """The strokes, in order."""
+        return tuple(p for p in self.phases if isinstance(p, Stroke))
+
+    @cached_property
+    def relocations(self) -> tuple[Relocation, ...]:
+        """The relocations, in order."""
+        return tuple(p for p in self.phases if isinstance(p, Relocation))
+
+    @property
+    def regrasps(self) -> tuple[Relocation, ...]:
+        """The relocations after the first stroke, which every cycle repeats; () of one stroke."""
+        return tuple(r for r in self.relocations if r.cycle == 0)
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Names of the fingers in the order in which they move on."""
+        return tuple(r.finger for r in self.regrasps)
+
+    @property
+    def cycles(self) -> int:
+        """Number of strokes."""
+        return len(self.strokes)
+
+    @property
+    def knots(self) -> tuple[Knot, ...]:
+        """The knots of the first stroke, in order; the first is the grasp."""
+        return self.strokes[0].knots
+
+    @property
+    def planned_angle(self) -> float:
+        """Turn of all strokes together, rad; ``angle`` or beyond."""
+        return self.cycles * self.path.angle
+
+    @property
+    def planned_shift(self) -> FloatArray:
+        """Translation of all strokes together (3,), m, world."""
+        return self.cycles * self.path.shift
 
     @property
     def margin(self) -> float:
-        """Least normalised min-weight of closure (-) over all knots."""
-        return min(k.closure.normalised_min_weight for k in self.knots)
+        """Least normalised min-weight of closure (-) over the knots of a stroke and all lifts."""
+        return min([self.strokes[0].margin, *(r.margin for r in self.relocations)])
 
     @property
     def clearance(self) -> float:
-        """Smallest distance of geometries that must not touch, m, over all knots."""
+        """Smallest distance of geometries that must not touch, m, over the knots of a stroke."""
         return min(k.clearance for k in self.knots)
+
+    @cached_property
+    def reserve(self) -> float:
+        """Least share of its limit that an actuator of the fingers keeps, over all knots.
+
+        The forces are those that bear the weight.
+        """
+        task = self.task
+        actuation, used = task.hand.actuation, driving(task.hand, task.fingers)
+        left = 1.0
+        for knot in self.knots:
+            low, high = actuation.force_limits(knot.q)[used].T
+            force = knot.forces.actuator_forces[used]
+            limit = np.where(force > 0, high, -low)
+            left = min(left, float((1.0 - np.abs(force) / np.maximum(limit, NO_LIMIT)).min()))
+        return left
 
     @property
     def joint_room(self) -> tuple[str, float, float]:
         """The finger joint nearest to a limit, how near (share of its range), and where."""
-        hand = self.grasp.task.hand
-        index = np.concatenate([f.q_index for f in self.grasp.task.fingers])
+        hand = self.task.hand
+        index = np.concatenate([f.q_index for f in self.task.fingers])
         lower, upper = hand.q_lower[index], hand.q_upper[index]
         q = np.array([k.q[index] for k in self.knots])
         room = np.minimum(q - lower, upper - q) / np.maximum(upper - lower, SMALLEST_RANGE)
@@ -129,13 +384,13 @@ class MotionPlan(Shown):
 
     @property
     def slipped(self) -> FloatArray:
-        """Slip (n,), m, of each pad over the whole path: 0 if it only rolls."""
+        """Slip (n,), m, of each pad over a stroke: 0 if it only rolls."""
         return np.asarray(np.sum([k.slips for k in self.knots], axis=0))
 
     @property
     def pivoted(self) -> FloatArray:
-        """Rotation (n,), rad, of each tip about its contact's normal over the whole path."""
-        task, out = self.grasp.task, []
+        """Rotation (n,), rad, of each tip about its contact's normal over a stroke."""
+        task, out = self.task, []
         for a, b in pairwise(self.knots):
             before, after = (
                 (k.T_world_object.inverse() * self.T_world_base, HandState(task.hand, k.q))
@@ -151,9 +406,9 @@ class MotionPlan(Shown):
         return np.asarray(np.reshape(out, (-1, len(task.fingers))).sum(axis=0))
 
     def at(self, path_parameter: float) -> tuple[SE3, FloatArray]:
-        """Pose of the object and joints (nq,) at a path parameter, 0 to 1, between knots.
+        """Pose of the object and joints (nq,) in the first stroke at a path parameter, 0 to 1.
 
-        The object is interpolated along its screw, the joints linearly.
+        Between knots the object is interpolated along its screw, the joints linearly.
         """
         at = np.array([k.path_parameter for k in self.knots])
         i = int(np.clip(np.searchsorted(at, path_parameter, side="right") - 1, 0, len(at) - 2))
@@ -161,23 +416,47 @@ class MotionPlan(Shown):
         a, b = self.knots[i], self.knots[i + 1]
         return SE3.Interpolate(a.T_world_object, b.T_world_object, part), a.q + part * (b.q - a.q)
 
+    @property
+    def final_parameter(self) -> float:
+        """Path parameter in (0, 1] at which the last stroke has turned the object by ``angle``."""
+        if not self.angle or self.ending is None:
+            return 1.0
+        return min(1.0, self.angle / self.path.angle - (self.cycles - 1))
+
+    def turned_object(self) -> tuple[SE3, FloatArray]:
+        """Planned pose of the object and joints (nq,) when it has turned by ``angle``.
+
+        Hand and object are at the grasp, not lifted.
+        """
+        now, q = self.at(self.final_parameter)
+        if self.cycles == 1:
+            return now, q
+        begin, first = self.strokes[-1].knots[0].T_world_object, self.knots[0].T_world_object
+        turned = now.rotation @ first.rotation.T @ begin.rotation
+        return SE3(turned, begin.translation + now.translation - first.translation), q
+
     def joint_trajectory(
         self,
         *,
         approach_s: float = 1.5,
         close_s: float = 1.0,
+        lift_m: float = 0.08,
         joint_rate: float = JOINT_RATE,
         turn_rate: float = TURN_RATE,
         rate_hz: float = 50.0,
     ) -> JointTrajectory:
-        """Approach, closing and the motion as joint positions by name, for a real hand.
+        """Joint positions by name and poses of the base, for a real hand on any carrier.
 
-        Squeeze and lift are not part of it. Joints pass through the knots without overshoot.
+        Phases are approach, close, and turn, or "stroke 1", "regrasp FINGER", "stroke 2" and so on.
+        With an ending lift comes before the turn, and after it back where the plan has one, carry,
+        lower, open and retreat; the turn ends at ``angle`` then, short of the planned overshoot.
+        Contact forces are not part of it. Joints pass through the knots without overshoot.
 
         Args:
             approach_s: As for ``GraspPlan.joint_trajectory``.
             close_s: As there.
-            joint_rate: Largest rate of a joint in the motion, rad/s or m/s.
+            lift_m: How far the hand is lifted, m; only with an ending.
+            joint_rate: Largest rate of a joint after the closing, rad/s or m/s.
             turn_rate: Largest rate of the object's turn, rad/s.
             rate_hz: Samples per second.
 
@@ -192,35 +471,81 @@ class MotionPlan(Shown):
             turn_rate=turn_rate,
             rate_hz=rate_hz,
         )
-        self.add_to(builder, "turn")
+        if self.ending is None:
+            self._move(builder)
+            return builder.built()
+        base, up = self.T_world_base, np.array([0.0, 0.0, lift_m])
+        builder.move_base("lift", _moved(base, up), LIFT_S)
+        T_world_object, q = self._move(builder)
+        to_target = self.ending.T_world_target * T_world_object.inverse() * base
+        builder.move_base("carry", _moved(to_target, up), CARRY_S)
+        builder.move_base("lower", to_target, LOWER_S)
+        builder.turn("open", np.array([q, self.ending.release.q]), np.array([0.0, 1.0]), OPEN_S)
+        builder.move_base("retreat", self.way_out(to_target), RETREAT_S)
         return builder.built()
 
-    def add_to(self, builder: TrajectoryBuilder, phase: str, until: float = 1.0) -> None:
-        """Append the motion up to a path parameter in (0, 1] to a trajectory."""
+    def _move(self, builder: TrajectoryBuilder) -> tuple[SE3, FloatArray]:
+        """Append all phases, and the way back; object, before any lift, and joints at the end."""
+        end = self.final_parameter
+        for phase in self.phases:
+            if isinstance(phase, Relocation):
+                shares = np.linspace(0.0, 1.0, len(phase.postures))
+                builder.turn(f"regrasp {phase.finger}", phase.postures, shares)
+                continue
+            until = end if phase.cycle == self.cycles - 1 else 1.0
+            parameters, postures = self._postures(until)
+            name = "turn" if self.cycles == 1 else f"stroke {phase.cycle + 1}"
+            builder.turn(name, postures, parameters, until * self.path.angle)
+        if self.ending is None or not self.ending.back:
+            return self.turned_object()
+        parameters, postures = self._postures(end)
+        builder.turn("back", postures[::-1], end - parameters[::-1], end * self.path.angle)
+        return self.knots[0].T_world_object, self.knots[0].q
+
+    def _postures(self, until: float) -> tuple[FloatArray, FloatArray]:
+        """Path parameters (m,) of a stroke up to one of them, and joints (m, nq) there."""
         before = [k.path_parameter for k in self.knots if k.path_parameter < until]
         parameters = np.array([*before, until])
-        postures = np.array([self.at(s)[1] for s in parameters])
-        builder.turn(phase, postures, parameters, until * self.path.angle)
+        return parameters, np.array([self.at(s)[1] for s in parameters])
+
+    def way_out(self, T_world_base: SE3, ending: Ending | None = None) -> SE3:
+        """Pose of the base at the end of the straight way out.
+
+        Args:
+            T_world_base: Pose of the base when the fingers have opened.
+            ending: How the object is put down; the plan's if None.
+
+        Raises:
+            TaskError: The plan has no ending, and none is given.
+        """
+        chosen = ending or self.ending
+        if chosen is None:
+            raise TaskError("the plan has no ending; give one, or plan it by manipulation_of")
+        planned = self.T_world_base
+        way = way_back(self.task.hand, planned, chosen.release)
+        return _moved(T_world_base, T_world_base.rotation @ planned.rotation.T @ way)
 
     def __repr__(self) -> str:
         """One line."""
-        return f"<MotionPlan of {self.grasp.task!r}: {self.path}>"
+        strokes = f"{self.cycles} x " if self.cycles > 1 else ""
+        return f"<{type(self).__name__} of {self.task!r}: {strokes}{self.path}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: a table and a picture, made once."""
         return in_notebook(self)
 
     def __str__(self) -> str:
-        """The path, the margins, and the limits."""
+        """The path, the margins, the limits, and how the object is put down."""
         joint, room, where = self.joint_room
-        task = self.grasp.task
+        task, cycles = self.task, self.cycles
+        strokes = f"{cycles} strokes of " if cycles > 1 else ""
         lines = [
             f"{task.hand.name} ({', '.join(task.finger_names)}), {task.object.shape.spec}: "
-            f"{self.path}",
+            f"{strokes}{self.path}",
             f"  {len(self.knots)} knots, off the path by up to "
             f"{1e3 * max(k.off_path for k in self.knots):.1f} mm "
             f"(tolerance {1e3 * self.path_tolerance:.1f})",
-            f"  closure: least normalised min-weight {self.margin:.3f}",
+            f"  closure: least normalised min-weight {self.strokes[0].margin:.3f}",
             f"  clearance: least {1e3 * self.clearance:.2f} mm",
             f"  joints: {joint} comes within {100 * room:.1f} % of its range of an end, at "
             f"{100 * where:.0f} % of the path",
@@ -231,11 +556,96 @@ class MotionPlan(Shown):
             )
             + " mm in all",
         ]
+        lines += [f"  after each stroke, {r}" for r in self.regrasps]
         if self.limits:
             lines.append("  longer if these gave way:")
             lines += [f"    {limit}" for limit in self.limits]
         return "\n".join(lines)
 
 
-SMALLEST_RANGE = 1e-3
-"""Least range (rad or m) of a joint by which distances are divided."""
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ManipulationPlan(MovementPlan):
+    """Pick, turn or move in the hand, place: a movement with an ending.
+
+    Attributes:
+        ending: Final pose of the object, and how the hand lets go of it.
+    """
+
+    ending: Ending
+
+    @classmethod
+    def of(
+        cls, movement: MovementPlan, ending: Ending, *, angle: float, shift: FloatArray
+    ) -> ManipulationPlan:
+        """A movement with an ending.
+
+        Args:
+            movement: The movement.
+            ending: How the object is put down.
+            angle: Requested turn, rad; the movement may go further.
+            shift: Requested translation in the hand (3,), m, world.
+        """
+        return cls(
+            grasp=movement.grasp,
+            path=movement.path,
+            phases=movement.phases,
+            path_tolerance=movement.path_tolerance,
+            limits=movement.limits,
+            record=movement.record,
+            angle=angle,
+            shift=shift,
+            ending=ending,
+        )
+
+    @property
+    def attempts(self) -> int:
+        """Attempts made."""
+        return self.record.attempts
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of planning without building, s."""
+        return self.record.cpu_s
+
+    @property
+    def under_target(self) -> tuple[Obstacle, ...]:
+        """Obstacles that carry the object at another target above the table, as at its start."""
+        return standing_under(self.task, self.ending.T_world_target)
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<ManipulationPlan of {self.task!r}: {np.rad2deg(self.angle):.1f} degrees>"
+
+    def __str__(self) -> str:
+        """The movement and the ending."""
+        target = ", ".join(f"{v:.3f}" for v in self.ending.T_world_target.translation)
+        shift = ", ".join(f"{v:.1f}" for v in 1e3 * self.shift + 0.0)
+        lines = [
+            super().__str__(),
+            f"  requested: {np.rad2deg(self.angle):.1f} degrees, ({shift}) mm; put down "
+            f"at ({target}) m",
+            f"  the most loaded actuator keeps {100 * self.reserve:.0f} % of its limit",
+        ]
+        if self.ending.back:
+            lines.append(f"  made backwards before it is put down: {self.ending.back}")
+        return "\n".join(lines)
+
+
+MotionPlan: TypeAlias = MovementPlan
+"""A movement of one stroke, as ``plan_motion`` gives it."""
+
+GaitPlan: TypeAlias = MovementPlan
+"""A movement of several strokes, as ``plan_gait`` gives it."""
+
+
+def standing_under(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:
+    """Copies at the target of the obstacles that carry the object, if that is another place."""
+    gone = target.translation - task.T_world_object.translation
+    if np.linalg.norm(gone[:2]) < SAME_PLACE:
+        return ()
+    by = np.array([*gone[:2], 0.0])
+    return tuple(replace(o.moved(by), name=f"{o.name} at the target") for o in task.carrying)
+
+
+def _moved(pose: SE3, by: FloatArray) -> SE3:
+    return SE3(pose.rotation, pose.translation + by)

@@ -13,7 +13,6 @@ from functools import partial
 
 import numpy as np
 
-from planner.motion.jacobian import Block, MotionJacobian
 from planner.motion.problem import MotionNumbers, MotionProblem
 from planner.motion.terms import (
     PATH,
@@ -26,7 +25,7 @@ from planner.motion.terms import (
     steady_rows,
     swing_rows,
 )
-from planner.motion.unknowns import OFFSET, SHARE, SHARED
+from planner.motion.unknowns import OFFSET, SHARE, SHARED, Block, MotionJacobian
 from planner.numerics.casadi_buffers import BufferedFunction
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.field_points import Field

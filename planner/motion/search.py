@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
-from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
+from planner.attempt import Attempt, check_seed, nothing_found, search
 from planner.errors import NoGraspFoundError, TaskError
-from planner.motion.context import MotionContext, Reaches, merit
+from planner.motion.context import (
+    MotionContext,
+    Reaches,
+    attempts_in_turn,
+    finger_sets,
+    merit,
+    with_rolling_pads,
+)
 from planner.motion.path import LARGEST_TURN, ObjectPath
-from planner.motion.plan import MotionPlan
-from planner.motion.starts import finger_sets, with_rolling_pads
+from planner.motion.plan import MovementPlan
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
-MotionAttempt = Attempt[MotionPlan]
+MotionAttempt = Attempt[MovementPlan]
 """One attempt: a motion, or why there is none."""
 
 PATH_TOLERANCE = 0.02
@@ -83,46 +89,18 @@ def motion_attempts(
         TaskError: The task or the path cannot work, found out before solving.
     """
     check_task(task, path_tolerance, seed)
-    return _alternating(
-        (with_rolling_pads(task),),
+    context = partial(
+        MotionContext.of,
+        with_rolling_pads(task),
         path,
+        options,
+        n_knots=_knots(path) if full else LONGEST_KNOTS,
         full=full,
         path_tolerance=path_tolerance,
-        seed=seed,
-        improve_closure=improve_closure,
-        options=options,
+        rounds=ROUNDS * improve_closure,
         reaches=reaches,
     )
-
-
-def _alternating(
-    tasks: Sequence[GraspTask],
-    path: ObjectPath,
-    *,
-    full: bool,
-    path_tolerance: float,
-    seed: int,
-    improve_closure: bool,
-    options: SynthesisOptions,
-    reaches: Reaches | None = None,
-) -> Iterator[MotionAttempt]:
-    """Attempts that take turns between tasks that differ in their fingers; see above."""
-
-    @cache
-    def context(number: int) -> MotionContext:
-        return MotionContext.of(
-            tasks[number],
-            path,
-            options,
-            n_knots=_knots(path) if full else LONGEST_KNOTS,
-            full=full,
-            path_tolerance=path_tolerance,
-            rounds=ROUNDS * improve_closure,
-            reaches=reaches,
-        )
-
-    context(0)  # refuses a task that cannot work now, not when the first attempt is asked for
-    return run_attempts(lambda index: context(index % len(tasks)), seed=seed)
+    return attempts_in_turn([context], seed)
 
 
 def plan_motion(
@@ -136,7 +114,7 @@ def plan_motion(
     max_attempts: int = MAX_ATTEMPTS,
     best_of: int | None = None,
     options: SynthesisOptions = MOTION_OPTIONS,
-) -> MotionPlan:
+) -> MovementPlan:
     """A motion of the object in the hand, without regrasping.
 
     May be called from any number of threads, like ``plan_grasp``.
@@ -175,16 +153,21 @@ def plan_motion(
     )
     best_of = best_of or (1 if full else BEST_OF)
     check_task(task, path_tolerance, seed)
-    best, made = search(
-        _alternating(
-            finger_sets(with_rolling_pads(task)),
+    contexts = [
+        partial(
+            MotionContext.of,
+            one,
             path,
+            options,
+            n_knots=_knots(path) if full else LONGEST_KNOTS,
             full=full,
             path_tolerance=path_tolerance,
-            seed=seed,
-            improve_closure=best_of > 1,
-            options=options,
-        ),
+            rounds=ROUNDS * (best_of > 1),
+        )
+        for one in finger_sets(with_rolling_pads(task))
+    ]
+    best, made = search(
+        attempts_in_turn(contexts, seed),
         max_attempts=max_attempts,
         best_of=best_of,
         merit=partial(merit, full=full),

@@ -1,30 +1,39 @@
-"""The verdict on a motion: every knot on the true geometry, by Pinocchio and coal, like a grasp.
+"""The verdict on a movement: every knot on the true geometry, by Pinocchio and coal, like a grasp.
 
 The solver's knots are up to 30 degrees apart. Between them the object continues along its path and
-the pads roll over its surface (``planner.motion.interpolation``); these waypoints become knots too.
+the pads roll over its surface (``planner.motion.trajectory``); these waypoints become knots too.
 The first knot is verified as a grasp on the table with its approach. All knots pass the same
 checks: contact, penetration, couplings and limits, force closure with a margin, forces that bear
 the weight.
+
+Where the stroke is repeated, relocations come between (``planner.motion.regrasp``). Later strokes
+are verified like the first, with the object at its pose of that cycle. So are the swings of the
+fingers, unless the object fills the same space again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from planner.collision.pad_contact import PadContact, pad_contact_queries, pad_contacts
 from planner.collision.world import Clearance, CollisionWorld
+from planner.contacts import ContactSet
 from planner.failure import Failure
-from planner.motion.interpolation import interpolate_rolling
+from planner.motion.order import NoOrder
 from planner.motion.path import ObjectPath
-from planner.motion.plan import Knot
-from planner.motion.rolling import slips
+from planner.motion.plan import Knot, MovementPlan, Relocation, Stroke
+from planner.motion.regrasp import RegraspPlanner
 from planner.motion.solve import MotionCandidate
+from planner.motion.terms import slips
+from planner.motion.trajectory import interpolate_rolling
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import ClosureResult, force_closure
+from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.synthesis.unknowns import Unknowns
 from planner.task import GraspTask
@@ -55,6 +64,10 @@ BETWEEN_PENETRATION = 1e-4
 TURN_TOL = 1e-3
 """Largest rotation (rad) of the object off its path; the path tolerance is for positions."""
 
+SAME_POINT, SAME_NORMAL = 1e-5, 1e-3
+"""Largest difference of contacts (m) and normals (-) of a later stroke from the first that counts
+as none: far below the tolerance of a contact."""
+
 PATH_SLACK = 2e-4
 """Excess (m) over the path tolerance that a knot may have: the solver's accuracy."""
 
@@ -74,8 +87,8 @@ class Waypoint:
     q: FloatArray
 
 
-class MotionVerifier:
-    """Verifies motions of one task; the geometry is built once."""
+class MovementVerifier:
+    """Verifies movements of one task; the geometry is built once."""
 
     def __init__(self, task: GraspTask) -> None:
         """Build two worlds: that of the task, and hand and object alone."""
@@ -83,6 +96,11 @@ class MotionVerifier:
         self._world = CollisionWorld(task)
         self._lifted = replace(task, table_height=None, obstacles=())
         self._free = CollisionWorld(self._lifted)
+
+    @cached_property
+    def _regrasp(self) -> RegraspPlanner:
+        """Plans relocations; made where a movement has any."""
+        return RegraspPlanner(self._task)
 
     def verify(
         self,
@@ -251,6 +269,104 @@ class MotionVerifier:
         within = [c for c in nearest if c.distance < -BETWEEN_PENETRATION]
         return max(abs(t.pad_gap) for t in touches), within[0] if within else None
 
+    def repeated(self, stroke: MovementPlan, cycles: int) -> MovementPlan | Failure:
+        """The movement that repeats a stroke, with relocations between cycles; or why it fails.
+
+        Args:
+            stroke: The first stroke; it ends on its path.
+            cycles: Number of strokes.
+        """
+        phases: list[Stroke | Relocation] = [Stroke(cycle=0, knots=stroke.knots)]
+        first: tuple[Relocation, ...] = ()
+        if cycles > 1:
+            found = self._regrasp.relocations(stroke)
+            if isinstance(found, NoOrder):
+                return found.failure
+            if isinstance(found, Failure):
+                return found
+            first = found
+        for cycle in range(1, cycles):
+            failure = self._verify_swings(first, stroke, cycle - 1)
+            following = failure or self._stroke(stroke, cycle)
+            if isinstance(following, Failure):
+                return following.at(f"cycle {cycle + 1}")
+            phases += [_displaced_relocation(r, stroke, cycle - 1) for r in first]
+            phases.append(following)
+        path = stroke.path
+        return replace(
+            stroke, phases=tuple(phases), angle=cycles * path.angle, shift=cycles * path.shift
+        )
+
+    def _verify_swings(
+        self, relocations: tuple[Relocation, ...], stroke: MovementPlan, cycle: int
+    ) -> Failure | None:
+        """Why a swing after a later stroke fails, None if all are free."""
+        task, paths = self._regrasp.lifted, self._regrasp.paths
+        first = stroke.knots[-1].T_world_object
+        if same_space(task.object.shape, first, _displaced(first, stroke, cycle)):
+            return None  # nothing differs
+        for relocation in relocations:
+            finger = task.hand.fingers[relocation.finger]
+            pose = _displaced(relocation.T_world_object, stroke, cycle)
+            base = pose.inverse() * stroke.T_world_base
+            failure = paths.verify(finger, base, relocation.postures)
+            if failure is not None:
+                return failure
+        return None
+
+    def _stroke(self, stroke: MovementPlan, cycle: int) -> Stroke | Failure:
+        """A later stroke, verified with the object at its pose of that cycle; or why it fails."""
+        poses = [_displaced(knot.T_world_object, stroke, cycle) for knot in stroke.knots]
+        alike = [
+            self._alike(knot, pose, stroke) for knot, pose in zip(stroke.knots, poses, strict=True)
+        ]
+        same = [knot for knot in alike if knot is not None]
+        if len(same) == len(alike):
+            return Stroke(cycle=cycle, knots=tuple(same))
+        waypoints = [
+            Waypoint(
+                path_parameter=knot.path_parameter,
+                T_object_base=pose.inverse() * stroke.T_world_base,
+                q=knot.q,
+            )
+            for knot, pose in zip(stroke.knots, poses, strict=True)
+        ]
+        knots = self.verify_knots(
+            stroke.T_world_base,
+            waypoints,
+            stroke.path,
+            stroke.path_tolerance,
+            T_world_start=poses[0],
+        )
+        return knots if isinstance(knots, Failure) else Stroke(cycle=cycle, knots=knots)
+
+    def _alike(self, knot: Knot, T_world_object: SE3, stroke: MovementPlan) -> Knot | None:
+        """A knot of the first stroke with the object at another pose, if all contacts are the same.
+
+        The same contacts in the world close as before and bear the weight with the same forces, and
+        the pads slide as little as before. Clearances are computed again.
+        """
+        task = self._regrasp.lifted
+        base = task.T_world_object * T_world_object.inverse() * stroke.T_world_base
+        touches = pad_contacts(task, base, knot.q)
+        contacts = contacts_of(task, touches).transformed(
+            T_world_object * task.T_world_object.inverse()
+        )
+        apart = np.abs(contacts.positions - knot.contacts.positions).max()
+        turned = np.abs(contacts.normals - knot.contacts.normals).max()
+        if apart > SAME_POINT or turned > SAME_NORMAL:
+            return None
+        verification = verify_geometry(self._regrasp.paths.world, base, knot.q, touches)
+        if not verification.ok:
+            return None
+        moved = T_world_object.translation - knot.T_world_object.translation
+        return replace(
+            knot,
+            T_world_object=T_world_object,
+            contacts=replace(knot.contacts, center=knot.contacts.center + moved),
+            verification=verification,
+        )
+
 
 def _verify_closure(closure: ClosureResult) -> Failure | None:
     """Why contacts do not close with a margin, None if they do."""
@@ -330,3 +446,48 @@ def _between(a: SE3, b: SE3, part: float) -> SE3:
     turn = pin.exp3(part * pin.log3(new.rotation @ old.rotation.T)) @ old.rotation
     shift = old.translation + part * (new.translation - old.translation)
     return SE3(turn, shift).inverse()
+
+
+SAMPLES, AROUND, SAME_SPACE = 500, 1.2, 1e-7
+"""Points at which the distances from an object in two poses are compared, the half-width of the
+cube that they fill, in bounding radii, and the difference (m) that counts as none."""
+
+
+def same_space(shape: Shape, one: SE3, other: SE3) -> bool:
+    """Whether points around an object are equally far from it in both poses.
+
+    Args:
+        shape: The object's.
+        one: Pose of the object, world.
+        other: The other pose.
+    """
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, size=(SAMPLES, 3))
+    points = one.translation + AROUND * shape.bounding_radius * points
+    seen = [
+        shape.signed_distance((points - pose.translation) @ pose.rotation) for pose in (one, other)
+    ]
+    return bool(np.abs(seen[0] - seen[1]).max() < SAME_SPACE)
+
+
+def _displaced(T_world_object: SE3, stroke: MovementPlan, cycle: int) -> SE3:
+    """Pose of the object ``cycle`` strokes later, at the same path parameter."""
+    path = stroke.path
+    turn = pin.exp3(cycle * path.angle * path.axis)
+    return SE3(turn @ T_world_object.rotation, T_world_object.translation + cycle * path.shift)
+
+
+def _displaced_relocation(relocation: Relocation, stroke: MovementPlan, cycle: int) -> Relocation:
+    """The same relocation ``cycle`` strokes later; hand, contacts and forces stay in the world."""
+    shift = cycle * stroke.path.shift
+
+    def along(contacts: ContactSet) -> ContactSet:
+        return replace(contacts, center=contacts.center + shift)
+
+    return replace(
+        relocation,
+        cycle=cycle,
+        T_world_object=_displaced(relocation.T_world_object, stroke, cycle),
+        before=along(relocation.before),
+        during=along(relocation.during),
+        after=along(relocation.after),
+    )

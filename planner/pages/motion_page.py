@@ -11,15 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.files.movements import gait_to_dict, manipulation_to_dict, motion_to_dict
-from planner.motion import Knot, MotionPlan
-from planner.motion.gait import GaitPlan, Relocation, Stroke
-from planner.motion.manipulation import ManipulationPlan
+from planner.files.movements import movement_to_dict
+from planner.motion import Knot, MovementPlan
 from planner.pages.blocks import Block, Facts, Heading, PlotsHere, Sentence, Table, Verdict
 from planner.pages.page import Page, without_folder
 from planner.pages.plan_page import bands_of, hand_motion, task_facts
@@ -32,49 +29,37 @@ RATE = 30.0
 """Samples of a motion per second in a page."""
 
 
-def motion_page(plan: AnyMotion) -> Page:
+def motion_page(plan: MovementPlan) -> Page:
     """The page of a motion; its numbers are the plan's file."""
-    motion = plan if isinstance(plan, MotionPlan) else plan.motion
-    grasp, stage = motion.grasp, stage_of(motion.grasp)
-    what, data = _kind(plan)
+    grasp, stage = plan.grasp, stage_of(plan.grasp)
     return Page(
         title=f"{grasp.task.hand.name} moves {without_folder(grasp.task.object.shape.spec)} in the "
         "hand",
-        subtitle=f"{what}: {_path(plan)}",
+        subtitle=f"Movement plan: {_path(plan)}",
         verdict=Verdict(
             good=True,
             text="Verified",
             reason="At every knot the pads touch, force closure holds (least normalised min-weight "
-            f"{plan_margin(plan):.3f}), forces bear the weight, and nothing else collides.",
+            f"{plan.margin:.3f}), forces bear the weight, and nothing else collides.",
         ),
-        summary=_summary(plan, motion, stage.shown.note),
+        summary=_summary(plan, stage.shown.note),
         scene=_scene(plan, grasp, stage),
-        data=data,
+        data=movement_to_dict(plan),
         kind="motion",
     )
 
 
-def _kind(plan: AnyMotion) -> tuple[str, dict[str, Any]]:
-    if isinstance(plan, MotionPlan):
-        return "Motion plan", motion_to_dict(plan)
-    if isinstance(plan, GaitPlan):
-        return "Gait plan", gait_to_dict(plan)
-    return "Manipulation plan", manipulation_to_dict(plan)
+def _path(plan: MovementPlan) -> str:
+    strokes = f"{plan.cycles} strokes of " if plan.cycles > 1 else ""
+    if plan.ending is None:
+        return f"{strokes}{plan.path}"
+    strokes = f", in {plan.cycles} strokes" if plan.cycles > 1 else ""
+    return f"turn by {np.rad2deg(plan.angle):.1f} degrees{strokes}, and put down"
 
 
-def _path(plan: AnyMotion) -> str:
-    if isinstance(plan, MotionPlan):
-        return str(plan.path)
-    if isinstance(plan, GaitPlan):
-        return f"{plan.cycles} strokes of {plan.motion.path}"
-    gait = "" if plan.gait is None else f", in {plan.gait.cycles} strokes"
-    return f"turn by {np.rad2deg(plan.angle):.1f} degrees{gait}, and put down"
-
-
-def _scene(plan: AnyMotion, grasp: GraspPlan, stage: Stage) -> Scene:
+def _scene(plan: MovementPlan, grasp: GraspPlan, stage: Stage) -> Scene:
     trajectory = plan.joint_trajectory(rate_hz=RATE)
     found = object_motion(plan, trajectory)
-    axis = (plan if isinstance(plan, MotionPlan) else plan.motion).path.axis
     bands = bands_of(trajectory)
     start = next((b.begin for b in bands if b.name.startswith(("turn", "stroke"))), 0.0)
     return Scene(
@@ -92,7 +77,7 @@ def _scene(plan: AnyMotion, grasp: GraspPlan, stage: Stage) -> Scene:
             ),
         ),
         contacts=(_contacts(grasp.task.finger_names, found.contacts, float(grasp.task.mu)),),
-        plots=_plots(grasp.task.finger_names, found, axis),
+        plots=_plots(grasp.task.finger_names, found, plan.path.axis),
         bands=bands,
         start=start,
         views=stage.views(grasp.contacts),
@@ -167,52 +152,44 @@ def _of_knots(title: str, unit: str, found: ObjectMotion, value: Callable[[Knot]
     return Plot(title=title, unit=unit, lines=(Line(name="knots", values=values),))
 
 
-def _summary(plan: AnyMotion, motion: MotionPlan, note: str) -> tuple[Block, ...]:
-    joint, room, where = motion.joint_room
+def _summary(plan: MovementPlan, note: str) -> tuple[Block, ...]:
+    joint, room, where = plan.joint_room
     rows = [
-        ("path", str(motion.path)),
-        ("knots", str(len(motion.knots))),
-        ("least normalised min-weight", f"{plan_margin(plan):.3f} of at most 1"),
-        ("least clearance", f"{1e3 * motion.clearance:.2f} mm"),
+        ("path", str(plan.path)),
+        ("knots", str(len(plan.knots))),
+        ("least normalised min-weight", f"{plan.margin:.3f} of at most 1"),
+        ("least clearance", f"{1e3 * plan.clearance:.2f} mm"),
         (
             "off the path",
-            f"by up to {1e3 * max(k.off_path for k in motion.knots):.2f} mm of "
-            f"{1e3 * motion.path_tolerance:.1f} mm",
+            f"by up to {1e3 * max(k.off_path for k in plan.knots):.2f} mm of "
+            f"{1e3 * plan.path_tolerance:.1f} mm",
         ),
         (
             "joint nearest to a limit",
             f"{joint}, {100 * room:.0f} % of its range away, at {100 * where:.0f} % of the path",
         ),
     ]
-    if isinstance(plan, ManipulationPlan):
-        rows.append(("most loaded actuator", f"keeps {100 * plan.reserve:.0f} % of its limit"))
+    rows.append(("most loaded actuator", f"keeps {100 * plan.reserve:.0f} % of its limit"))
+    if plan.ending is not None:
         target = ", ".join(f"{v:.3f}" for v in plan.ending.T_world_target.translation)
         rows.append(("put down at", f"({target}) m"))
         if plan.ending.back:
             rows.append(("turned back before", plan.ending.back))
     blocks: list[Block] = [PlotsHere(), Heading(text="Motion"), Facts(rows=tuple(rows))]
     blocks.append(Heading(text="Pads"))
-    blocks.append(_pads(motion))
-    gait = plan.gait if isinstance(plan, ManipulationPlan) else plan
-    if isinstance(gait, GaitPlan):
-        blocks += [Heading(text="Strokes and relocations"), _phases(gait)]
-    if motion.limits:
+    blocks.append(_pads(plan))
+    if plan.cycles > 1:
+        blocks += [Heading(text="Strokes and relocations"), _phases(plan)]
+    if plan.limits:
         blocks.append(Heading(text="Longer if these gave way"))
-        blocks += [Sentence(text=str(limit)) for limit in motion.limits]
-    blocks += [Heading(text="Task"), Facts(rows=task_facts(motion.grasp.task))]
+        blocks += [Sentence(text=str(limit)) for limit in plan.limits]
+    blocks += [Heading(text="Task"), Facts(rows=task_facts(plan.grasp.task))]
     if note:
         blocks.append(Sentence(text=note))
     return tuple(blocks)
 
 
-def plan_margin(plan: AnyMotion) -> float:
-    """Least normalised min-weight (-) of a plan."""
-    if isinstance(plan, ManipulationPlan):
-        return plan.motion.margin if plan.gait is None else plan.gait.margin
-    return plan.margin
-
-
-def _pads(motion: MotionPlan) -> Table:
+def _pads(motion: MovementPlan) -> Table:
     fingers = motion.grasp.task.finger_names
     rows = tuple(
         (name, f"{1e3 * slid:.2f}", f"{np.rad2deg(turned):.1f}")
@@ -221,13 +198,9 @@ def _pads(motion: MotionPlan) -> Table:
     return Table(columns=("finger", "slides (mm)", "pivots (degrees)"), rows=rows, fingers=True)
 
 
-def _phases(gait: GaitPlan) -> Table:
+def _phases(gait: MovementPlan) -> Table:
     rows = tuple(str(phase).partition(": ")[::2] for phase in gait.phases)
     return Table(columns=("phase", "what happens"), rows=rows)
-
-
-AnyMotion = MotionPlan | GaitPlan | ManipulationPlan
-"""A plan of how an object moves in the hand, of either kind, or a whole manipulation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -245,7 +218,7 @@ class ObjectMotion:
     knots: tuple[Knot | None, ...]
 
 
-def object_motion(plan: AnyMotion, trajectory: JointTrajectory) -> ObjectMotion:
+def object_motion(plan: MovementPlan, trajectory: JointTrajectory) -> ObjectMotion:
     """Follow the object along ``plan.joint_trajectory(...)``."""
     follower = _Follower(plan)
     first = 0
@@ -261,14 +234,10 @@ def object_motion(plan: AnyMotion, trajectory: JointTrajectory) -> ObjectMotion:
 
 
 class _Follower:
-    def __init__(self, plan: AnyMotion) -> None:
-        self.motion = plan if isinstance(plan, MotionPlan) else plan.motion
-        gait = plan.gait if isinstance(plan, ManipulationPlan) else plan
-        phases = gait.phases if isinstance(gait, GaitPlan) else ()
-        self.strokes = [p for p in phases if isinstance(p, Stroke)]
-        self.relocations = [p for p in phases if isinstance(p, Relocation)]
-        self.cycles = len(self.strokes)
-        self.end = plan.final_parameter if isinstance(plan, ManipulationPlan) else 1.0
+    def __init__(self, plan: MovementPlan) -> None:
+        self.motion, self.strokes = plan, plan.strokes
+        self.relocations = list(plan.relocations)
+        self.end = plan.final_parameter
         self.T_base_world = self.motion.T_world_base.inverse()
         self.held = self.motion.grasp.contacts_in_object
         self.T_base_object = self.T_base_world * self.motion.grasp.task.T_world_object
@@ -306,8 +275,8 @@ class _Follower:
         self.knots += [None] * len(bases)
 
     def _stroke(self, bases: Sequence[SE3], cycle: int, *, backwards: bool) -> None:
-        knots = self.strokes[cycle].knots if self.strokes else self.motion.knots
-        is_last = cycle + 1 >= self.cycles
+        knots = self.strokes[cycle].knots
+        is_last = cycle + 1 == len(self.strokes)
         shares = minimum_jerk(np.linspace(0.0, 1.0, len(bases) + 1)[1:])
         shares = (1.0 - shares if backwards else shares) * (self.end if is_last else 1.0)
         for base, share in zip(bases, shares.tolist(), strict=True):

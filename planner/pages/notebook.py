@@ -106,7 +106,7 @@ def plan_html(plan: GraspPlan) -> str:
 
 
 def motion_html(motion: Any) -> str:
-    """A motion (``planner.motion.MotionPlan``): path, margins, and the grasp it begins with."""
+    """A motion (``planner.motion.MovementPlan``): path, margins, and the grasp it begins with."""
     plan: GraspPlan = motion.grasp
     task, (joint, room, where) = plan.task, motion.joint_room
     rows = [

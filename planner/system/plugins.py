@@ -9,7 +9,7 @@ A package names a group and what it brings in its ``pyproject.toml``::
     [project.entry-points."opposable.formats"]
     my-format = "my_package:FORMAT"          # a planner.exchange.GraspFormat
     [project.entry-points."opposable.protocols"]
-    my_test = "my_package:cases"             # (settings, seed) -> cases
+    my_test = "my_package:cases"             # (settings, seed) -> cases; sim.protocols.Protocol
     [project.entry-points."opposable.senses"]
     my_skin = "my_package:make_sense"        # sim.tactile.TouchContext -> sense
     [project.entry-points."opposable.controllers"]

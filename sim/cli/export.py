@@ -71,8 +71,8 @@ def export(
     schema: Annotated[
         str | None,
         option(
-            "Print the JSON Schema of our own files: plan, motion, gait, manipulation, report, "
-            "manipulation-report, contacts or grasp-table.",
+            "Print the JSON Schema of our own files: plan, movement, report, manipulation-report, "
+            "contacts or grasp-table.",
             "KIND",
         ),
     ] = None,
@@ -183,15 +183,13 @@ def _print_schema(kind: str) -> None:
 
     from planner.errors import NotFoundError
     from planner.exchange.table_forms import TableFile
-    from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
+    from planner.files import ContactsFile, MovementFile, PlanFile
     from sim.manipulation import ManipulationReportFile
     from sim.report_file import ReportFile
 
     models: dict[str, type[BaseModel]] = {
         "plan": PlanFile,
-        "motion": MotionFile,
-        "gait": GaitFile,
-        "manipulation": ManipulationFile,
+        "movement": MovementFile,
         "report": ReportFile,
         "manipulation-report": ManipulationReportFile,
         "contacts": ContactsFile,

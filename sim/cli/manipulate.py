@@ -262,10 +262,10 @@ def _plan_only(
         PlannerError: Bad input, or nothing was found.
     """
     from planner.errors import TaskError
-    from planner.files import write_gait, write_motion
-    from planner.files.movements import gait_to_dict, motion_to_dict
+    from planner.files import write_movement
+    from planner.files.movements import movement_to_dict
     from planner.motion import plan_motion
-    from planner.motion.gait import GaitPlan, plan_gait
+    from planner.motion.gait import plan_gait
 
     file = output or Path("gait.json" if request.gait else "motion.json")
     check_films(file, picture, drawing.video)
@@ -279,17 +279,14 @@ def _plan_only(
             if request.gait
             else plan_motion(task, best_of=request.best_of, **moved)
         )
-    if isinstance(found, GaitPlan):
-        write_gait(found, file)
-    else:
-        write_motion(found, file)
+    write_movement(found, file)
     drawn = ""
     if picture is not None or drawing.video is not None:
         from sim.manipulation.drawing import draw_motion
 
         drawn = draw_motion(found, picture=picture, video=drawing.video, arrows=drawing.arrows)
     if as_json:
-        print_json(gait_to_dict(found) if isinstance(found, GaitPlan) else motion_to_dict(found))
+        print_json(movement_to_dict(found))
     else:
         tell(str(found), f"written to {file}", *filter(None, [drawn]))
 
@@ -363,14 +360,13 @@ def _warn_of_friction(believed: float, true: float) -> None:
 
 
 def _read(file: Path, place: tuple[float, float]) -> ManipulationPlan:
-    """The manipulation of a file, which may be a motion or a gait that is put down at a place."""
-    from planner.files import read_gait, read_json, read_manipulation, read_motion
-    from planner.motion.manipulation import manipulation_of
+    """The manipulation of a file; a movement without an ending is put down at a place."""
+    from planner.files import read_json
+    from planner.files.movements import movement_from_dict
+    from planner.motion.manipulation import ManipulationPlan, manipulation_of
     from sim.manipulation import rests
 
-    kind = read_json(file, "plan file").get("format")
-    if kind == "opposable-motion":
-        return manipulation_of(read_motion(file), place=place, rests=rests)
-    if kind == "opposable-gait":
-        return manipulation_of(read_gait(file), place=place, rests=rests)
-    return read_manipulation(file)
+    plan = movement_from_dict(read_json(file, "plan file"), str(file))
+    if isinstance(plan, ManipulationPlan):
+        return plan
+    return manipulation_of(plan, place=place, rests=rests)

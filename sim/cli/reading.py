@@ -26,9 +26,6 @@ UNITS = {"m": 1.0, "mm": 1e-3}
 ORDERS = ("wxyz", "xyzw")
 """Of a quaternion."""
 
-MOVEMENTS = ("opposable-motion", "opposable-gait", "opposable-manipulation")
-"""Formats of plans that are movements."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions:
@@ -132,6 +129,7 @@ def one_plan(path: Path) -> GraspPlan:
     """
     from planner.errors import TaskError, few_of, shown
     from planner.files import format_told, read_plan
+    from planner.files.json_csv import MOVEMENT_FORMATS
 
     files = listed_plans([path])
     if len(files) > 1:
@@ -140,7 +138,7 @@ def one_plan(path: Path) -> GraspPlan:
             f"{few_of(file.name for file in files)}"
         )
     kind = format_told(files[0])
-    if kind in MOVEMENTS:
+    if kind in MOVEMENT_FORMATS:
         raise TaskError(
             f"{files[0]} is of the format {shown(kind)}, and the plan of a grasp is taken; "
             f"opposable manipulate --plan {files[0]} executes it in simulation, and opposable "

@@ -281,9 +281,9 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
     from sim.looking.painter import why_not
     from sim.looking.picture import check_video
     from sim.protocols import (
-        IN_ALL,
         PROTOCOLS,
         Settings,
+        in_all,
         protocol_table,
         run_protocol,
         trials_of,
@@ -301,7 +301,7 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
     every = asked.protocol == "all"
     if not every and asked.protocol not in PROTOCOLS:
         raise NotFoundError("protocol", asked.protocol, (HOLD, CREEP, *PROTOCOLS, "all"))
-    trials = trials_of(IN_ALL if every else [asked.protocol], asked.only, Settings(), asked.seed)
+    trials = trials_of(in_all() if every else [asked.protocol], asked.only, Settings(), asked.seed)
     loaded = [(path, read_plan(path)) for path in listed_plans(plans)]
     folder = asked.folder
     make_folder(folder)

@@ -32,12 +32,12 @@ from planner.arrays import check_fields, checked_count
 from planner.errors import FileFormatError, NotFoundError, TaskError, shown
 from planner.files.data import PlanFile
 from planner.files.json_csv import checked_file
-from planner.files.movements import ManipulationFile
+from planner.files.movements import MovementFile, as_movement
 from planner.hands.hand import Hand
 from planner.pages.page import without_folder
 from planner.spatial import FloatArray, IntArray
 from planner.task import GraspTask
-from sim.manipulation.page_parts import motion_of, obstacles_of
+from sim.manipulation.page_parts import obstacles_of
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.pages.parts import task_of_plan
@@ -280,8 +280,9 @@ def _of_runs(report: ManipulationReport | ManipulationReportFile, source: str) -
         angle, shift = np.rad2deg(report.asked), 1e3 * report.asked_shift
     else:
         recording = _states(report, source)
-        plan = checked_file(ManipulationFile, _plan(report, source), f"{source}'s plan")
-        task = task_of_plan(motion_of(plan).grasp, f"{source}'s plan")
+        whose = f"{source}'s plan"
+        plan = checked_file(MovementFile, as_movement(_plan(report, source), whose), whose)
+        task = task_of_plan(plan.grasp, whose)
         task = replace(task, obstacles=obstacles_of(plan, task))
         angle, shift = report.asked_deg, np.array(report.asked_shift_mm)
     told = [f"turn it by {angle:g} degrees"] if angle else []

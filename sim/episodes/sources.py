@@ -14,6 +14,7 @@ from typing import Any
 from planner.batch import GraspSet
 from planner.errors import FileFormatError, NotFoundError, TaskError, shown
 from planner.files import plan_files
+from planner.files.json_csv import MOVEMENT_FORMATS
 from planner.files.movements import manipulation_from_dict
 from planner.files.plans import plan_from_dict
 from planner.plan import GraspPlan
@@ -28,7 +29,7 @@ from sim.trial import simulate
 BATCH = "manifest.json"
 """File by which the folder of a batch is known."""
 
-PLANS = ("opposable-plan", "opposable-manipulation")
+PLANS = ("opposable-plan", *MOVEMENT_FORMATS)
 """Formats of files in a folder that are executed."""
 
 USUAL_RATE = 50.0
@@ -173,7 +174,7 @@ def _of_file(path: Path, trials: Trials) -> Iterator[Source]:
     if kind == "opposable-plan":
         plan = plan_from_dict(data, name)
         yield Source(name=name, hand=plan.task.hand.name, report=partial(trials.execute, plan))
-    elif kind == "opposable-manipulation":
+    elif kind in MOVEMENT_FORMATS:
         hand = manipulation_from_dict(data, name).task.hand.name
         yield Source(name=name, hand=hand, report=partial(trials.turn, data, name))
     elif kind in _READERS:

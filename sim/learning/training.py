@@ -58,7 +58,7 @@ from sim.learning.senses import checked_senses, columns
 from sim.learning.teacher import Demonstrator
 from sim.learning.trials import Conditions, Plans, TurnTask
 from sim.manipulation import ManipulationReport
-from sim.manipulation.pressing import ASKED_SHARE, force_limit
+from sim.manipulation.log import ASKED_SHARE, force_limit
 
 _DAMAGED = (OSError, ValueError, KeyError, EOFError)
 

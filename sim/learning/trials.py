@@ -18,11 +18,15 @@ from planner.arrays import check_fields
 from planner.contacts import MOST_FRICTION
 from planner.errors import NoGraspFoundError, TaskError
 from planner.files import read_manipulation, write_manipulation
-from planner.files.movements import manipulation_from_dict, manipulation_to_dict
+from planner.files.movements import manipulation_from_dict, movement_to_dict
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.motion.manipulation import ManipulationPlan, manipulation_task, plan_manipulation
-from planner.motion.manipulation.search import ONE_STROKE
+from planner.motion.manipulation import (
+    ONE_STROKE,
+    ManipulationPlan,
+    manipulation_task,
+    plan_manipulation,
+)
 from planner.objects import parse_object
 from planner.spatial import SE3
 from sim.learning.senses import ObjectRange
@@ -194,7 +198,7 @@ class Plans:
             if found is None:
                 planned = self._plan(number)
                 # as a file has it, which is what a run that goes on reads
-                data = manipulation_to_dict(planned)
+                data = movement_to_dict(planned)
                 found = manipulation_from_dict(data, f"plan {number}", hand=self.hand)
             self._made[number] = found
         return self._made[number]

@@ -10,15 +10,15 @@ from sim.manipulation.in_hand import (
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.report_file import ManipulationReportFile, read_manipulation_report
-from sim.manipulation.results import PhaseResult
 from sim.manipulation.run import ManipulationRun, manipulate
-from sim.manipulation.simulation import ManipulationSim, Push
+from sim.manipulation.simulation import ManipulationOptions, ManipulationSim, Push
 from sim.manipulation.standing import rests, settled
 from sim.manipulation.timeline import (
     IN_THE_AIR,
     PHASES,
     ManipulationPhase,
     ManipulationTimeline,
+    PhaseResult,
     SuccessCriteria,
 )
 
@@ -28,6 +28,7 @@ __all__ = [
     "InHandController",
     "ManipulationLog",
     "ManipulationObservation",
+    "ManipulationOptions",
     "ManipulationPhase",
     "ManipulationReport",
     "ManipulationReportFile",

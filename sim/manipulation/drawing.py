@@ -10,9 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.motion import MotionPlan
-from planner.motion.gait import GaitPlan, Stroke
-from planner.motion.plan import Knot
+from planner.motion.plan import Knot, MovementPlan, Stroke
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.looking.picture import Tape, draw_tape
@@ -47,21 +45,20 @@ def draw_grasp(plan: GraspPlan, picture: Path, *, arrows: bool) -> str:
 
 
 def draw_motion(
-    plan: MotionPlan | GaitPlan, *, picture: Path | None, video: Path | None, arrows: bool
+    plan: MovementPlan, *, picture: Path | None, video: Path | None, arrows: bool
 ) -> str:
-    """Draw a motion or a gait: its first grasp, and a film of the whole, both in the air.
+    """Draw a movement: its first grasp, and a film of the whole, both in the air.
 
     Args:
-        plan: The motion or gait.
+        plan: The movement.
         picture: File of the picture, if one is wanted.
         video: File of the film, if one is wanted.
         arrows: Draw the planned contact forces; fingers that move on are drawn without any.
     """
-    motion = plan.motion if isinstance(plan, GaitPlan) else plan
-    in_the_air = replace(motion.grasp.task, table_height=None, obstacles=())
+    in_the_air = replace(plan.task, table_height=None, obstacles=())
     poses = list(_poses(plan))
     return _draw(
-        replace(motion.grasp, task=in_the_air), poses, picture=picture, video=video, arrows=arrows
+        replace(plan.grasp, task=in_the_air), poses, picture=picture, video=video, arrows=arrows
     )
 
 
@@ -85,10 +82,7 @@ def _draw(
     return "; ".join(dict.fromkeys(str(drawn) for drawn in told))
 
 
-def _poses(plan: MotionPlan | GaitPlan) -> Iterator[Pose]:
-    if not isinstance(plan, GaitPlan):
-        yield from _stroke(plan.knots)
-        return
+def _poses(plan: MovementPlan) -> Iterator[Pose]:
     for phase in plan.phases:
         if isinstance(phase, Stroke):
             yield from _stroke(phase.knots)

@@ -154,7 +154,7 @@ class StateMachine:
         moves: tuple[Relocation, ...] | Failure = Failure(kind="turn_over", text="the turn is over")
         if state == "turn":
             moves = self._fingers_back()
-        elif state == "regrasp" and self._plan.gait is not None:
+        elif state == "regrasp" and self._plan.cycles > 1:
             moves = situation.other_order(self._moved)
         if not isinstance(moves, Failure):
             self._regrasp(moves)
@@ -176,27 +176,26 @@ class StateMachine:
     @property
     def _cycle(self) -> tuple[Relocation, ...]:
         """How the fingers of a gait move on after a stroke."""
-        gait = self._plan.gait
-        return () if gait is None else tuple(r for r in gait.relocations if r.cycle == 0)
+        return self._plan.regrasps
 
     @property
     def _turned(self) -> bool:
         """Whether no stroke follows: the turn is made, or there were enough of them."""
-        gait = self._plan.gait
-        if gait is None or self._stroke == gait.cycles + MORE_STROKES:
+        cycles = self._plan.cycles
+        if cycles == 1 or self._stroke == cycles + MORE_STROKES:
             return True
         return self._situation.left <= CLOSE_TO
 
     def _turn(self) -> None:
         self._stroke += 1
-        if self._plan.gait is not None:
+        if self._plan.cycles > 1:
             about = f"stroke {self._stroke}"
         else:
             about = "again" if self._went_back else ""
         self._enter("turn", "turn", about=about)
 
     def _fingers_back(self) -> tuple[Relocation, ...] | Failure:
-        if self._plan.gait is not None or self._went_back:
+        if self._plan.cycles > 1 or self._went_back:
             return Failure(kind="regrasped", text="regrasps were made already")
         if self._plan.ending.back or self._plan.shift.any():
             return Failure(kind="not_repeatable", text="it is to be moved, or turned back")

@@ -16,7 +16,6 @@ from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.manipulation.page_parts import (
     Part,
-    motion_of,
     obstacles_of,
     parts_of,
     planned_contacts,
@@ -78,7 +77,7 @@ def manipulation_page(report: ManipulationReportFile, task: GraspTask | None = N
     recording = _states(parts)
     stage, last = None, parts[-1]
     if recording is not None and len(recording) and last.plan is not None:
-        task = task or task_of_plan(motion_of(last.plan).grasp)
+        task = task or task_of_plan(last.plan.grasp)
         stage = moving_stage(task, recording, obstacles_of(last.plan, task))
     fault = _fault_time(parts)
     return Page(
@@ -296,17 +295,17 @@ def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
         ("turn asked for", shown(report.asked_deg, "degrees")),
         ("shift asked for", shown(report.asked_shift_mm, "mm")),
     ]
-    grasp = None if plan is None else motion_of(plan).grasp
+    grasp = None if plan is None else plan.grasp
     more = () if grasp is None else task_rows(grasp.task)
     blocks += [Heading(text="Task"), Facts(rows=(*rows, *more))]
     if plan is not None and grasp is not None:
         origin = [
-            ("attempts", shown(plan.attempts)),
-            ("planned in", shown(plan.cpu_s, "s of CPU")),
+            ("attempts", shown(plan.record.attempts)),
+            ("planned in", shown(plan.record.cpu_s, "s of CPU")),
             ("torque in reserve, as a share", shown(plan.torque_reserve)),
         ]
-        if plan.gait is not None:
-            origin.append(("strokes", shown(plan.gait.cycles)))
+        if plan.cycles > 1:
+            origin.append(("strokes", shown(plan.cycles)))
         blocks += [Heading(text="Plan"), *plan_blocks(grasp, origin)]
     blocks += physics_blocks(report.physics, (("controller", report.controller),))
     blocks += [

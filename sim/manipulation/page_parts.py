@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from planner.files.data import ContactData
 from planner.files.json_csv import checked_file
-from planner.files.movements import ManipulationFile, MotionFile
-from planner.motion.manipulation.ending import standing_under
+from planner.files.movements import MovementFile, as_movement
+from planner.motion.plan import standing_under
 from planner.pages.scene import Contacts
 from planner.spatial import FloatArray
 from planner.task import GraspTask, Obstacle
@@ -46,14 +46,16 @@ class Part:
         return None if data is None else Recording.from_data(data)
 
     @cached_property
-    def plan(self) -> ManipulationFile | None:
+    def plan(self) -> MovementFile | None:
         """Its plan; None without.
 
         Raises:
             FileFormatError: It is damaged, or of another version.
         """
-        data = self.report.plan
-        return None if data is None else checked_file(ManipulationFile, data, "the report's plan")
+        data, source = self.report.plan, "the report's plan"
+        if data is None:
+            return None
+        return checked_file(MovementFile, as_movement(data, source), source)
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -86,16 +88,10 @@ def parts_of(report: ManipulationReportFile) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-def motion_of(plan: ManipulationFile) -> MotionFile:
-    """The motion of a plan; of a gait its first stroke."""
-    if plan.gait is not None:
-        return plan.gait.stroke
-    assert plan.motion is not None  # a file holds one of them
-    return plan.motion
-
-
-def obstacles_of(plan: ManipulationFile, task: GraspTask) -> tuple[Obstacle, ...]:
+def obstacles_of(plan: MovementFile, task: GraspTask) -> tuple[Obstacle, ...]:
     """The task's obstacles, and what carries the object at its target."""
+    if plan.ending is None:
+        return task.obstacles
     return (*task.obstacles, *standing_under(task, plan.ending.T_world_target.pose()))
 
 
@@ -104,7 +100,7 @@ def planned_forces(part: Part) -> FloatArray:
     forces = np.full((len(part), len(part.report.fingers)), np.nan)
     if part.plan is None:
         return forces
-    knots = [[c.force_normal_N for c in k.contacts] for k in motion_of(part.plan).knots]
+    knots = [[c.force_normal_N for c in k.contacts] for k in part.plan.knots]
     return _masked(part, _along(part, part.plan, knots))
 
 
@@ -131,15 +127,14 @@ def _planned(part: Part) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Points, normals and forces (m, n, 3), world, of a part with plan and states."""
     plan, recording = part.plan, part.recording
     assert plan is not None and recording is not None
-    motion = motion_of(plan)
-    carried = recording.T_world_object if plan.gait is None else recording.T_world_base
-    base = motion.grasp.grasp.T_world_base
-    frames = [(k.T_world_object if plan.gait is None else base).pose() for k in motion.knots]
+    carried = recording.T_world_object if plan.cycles == 1 else recording.T_world_base
+    base = plan.grasp.grasp.T_world_base
+    frames = [(k.T_world_object if plan.cycles == 1 else base).pose() for k in plan.knots]
     turns = Rotation.from_quat(carried[:, [4, 5, 6, 3]]).as_matrix()
     out = []
     for read, shift in ((_position, True), (_normal, False), (force_of, False)):
         local = []
-        for frame, knot in zip(frames, motion.knots, strict=True):
+        for frame, knot in zip(frames, plan.knots, strict=True):
             vectors = np.array([read(c) for c in knot.contacts])
             local.append((vectors - shift * frame.translation) @ frame.rotation)
         world = np.einsum("mij,mnj->mni", turns, _along(part, plan, local))
@@ -155,9 +150,9 @@ def _normal(contact: ContactData) -> FloatArray:
     return np.array(contact.normal_into_object_world)
 
 
-def _along(part: Part, plan: ManipulationFile, knots: Sequence[Any]) -> FloatArray:
+def _along(part: Part, plan: MovementFile, knots: Sequence[Any]) -> FloatArray:
     """What every knot has (k, n, ...), at the path parameter of every sample (m, n, ...)."""
-    places = [k.place for k in motion_of(plan).knots]
+    places = [k.place for k in plan.knots]
     at = np.clip(np.array(part.channel("path_parameter"), dtype=np.float64), 0.0, 1.0)
     return np.asarray(interp1d(places, np.array(knots), axis=0)(at))
 

@@ -22,9 +22,17 @@ from sim.controllers import Observation
 from sim.controllers.grasp import RECLOSING_TIME, closing_ended
 from sim.manipulation.machine import CLOSE_TO, PhaseCall
 from sim.manipulation.regrasping import Regrasping
-from sim.manipulation.results import Measured, off_target, placed, too_short, undisturbed
 from sim.manipulation.simulation import ManipulationSim
-from sim.manipulation.timeline import ManipulationPhase, ManipulationTimeline, SuccessCriteria
+from sim.manipulation.timeline import (
+    ManipulationPhase,
+    ManipulationTimeline,
+    Measured,
+    SuccessCriteria,
+    off_target,
+    placed,
+    too_short,
+    undisturbed,
+)
 
 STILL_SPEED = np.deg2rad(3.0)
 """Rate (rad/s) below which a turn that has reached its angle has ended."""
@@ -34,7 +42,7 @@ LEAST_OF_STROKE = 0.4
 
 
 class Phases:
-    """The phases of one run.
+    """The phases of one sim.
 
     Attributes:
         regrasping: Fingers that move on.
@@ -44,15 +52,15 @@ class Phases:
     def __init__(
         self,
         plan: ManipulationPlan,
-        run: ManipulationSim,
+        sim: ManipulationSim,
         timeline: ManipulationTimeline,
         criteria: SuccessCriteria,
     ) -> None:
         """Prepare."""
-        self._plan, self._run = plan, run
+        self._plan, self._sim = plan, sim
         self._timeline, self._criteria = timeline, criteria
         self._turn_begun = False
-        self.regrasping = Regrasping(plan, run, timeline)
+        self.regrasping = Regrasping(plan, sim, timeline)
         self.quality: dict[ManipulationPhase, QualityReport] = {}
 
     @property
@@ -90,31 +98,31 @@ class Phases:
         return fault, numbers | self._in_hand()
 
     def _stand(self) -> Measured:
-        fault = self._run.run("stand", self._timeline.stand)
+        fault = self._sim.run("stand", self._timeline.stand)
         return self._standing(fault)
 
     def _approach(self) -> Measured:
-        self._run.mover.go(self._plan.motion.T_world_base, self._timeline.approach)
-        fault = self._run.run("approach", self._timeline.approach)
+        self._sim.mover.go(self._plan.T_world_base, self._timeline.approach)
+        fault = self._sim.run("approach", self._timeline.approach)
         return self._standing(fault)
 
     def _close(self) -> Measured:
-        wait, simulation = self._timeline.close_wait, self._run.simulation
-        until = closing_ended(self._run.driver, wait, simulation.timestep)
-        fault = self._run.run(
+        wait, simulation = self._timeline.close_wait, self._sim.simulation
+        until = closing_ended(self._sim.driver, wait, simulation.timestep)
+        fault = self._sim.run(
             "close", self._timeline.close, wait=wait + RECLOSING_TIME, until=until
         )
         return self._standing(fault)
 
     def _squeeze(self) -> Measured:
-        fault = self._run.run("squeeze", self._timeline.squeeze)
-        self._run.reading.mark_reference()
+        fault = self._sim.run("squeeze", self._timeline.squeeze)
+        self._sim.reading.mark_reference()
         reason, numbers = self._standing(fault)
         task = self._plan.task
-        forces = self._run.simulation.normal_forces()
+        forces = self._sim.simulation.normal_forces()
         each = list(zip(task.finger_names, forces.tolist(), strict=True))
         numbers |= {f"{finger}_N": force for finger, force in each}
-        felt = self._run.reading.normal_forces()
+        felt = self._sim.reading.normal_forces()
         missing = [task.finger_names[i] for i in np.flatnonzero(felt == 0.0)]
         touching = len(each) - len(missing)
         if not reason and touching < task.fingers_needed:
@@ -124,8 +132,8 @@ class Phases:
 
     def _verify(self, phase: ManipulationPhase) -> Measured:
         """Hold on, then analyse the measured contacts by the planner's own code."""
-        fault = self._run.run(phase, self._timeline.verify)
-        simulation = self._run.simulation
+        fault = self._sim.run(phase, self._timeline.verify)
+        simulation = self._sim.simulation
         merged = merge_per_finger(hand_contacts(simulation.scene, simulation.data))
         if fault or len(merged) == 0:
             return fault or "nothing touches the object", {}
@@ -141,9 +149,9 @@ class Phases:
         return reason, numbers
 
     def _lift(self) -> Measured:
-        timeline, simulation = self._timeline, self._run.simulation
-        self._run.mover.go(_raised(self._plan.motion.T_world_base, timeline.height), timeline.lift)
-        fault = self._run.run("lift", timeline.lift)
+        timeline, simulation = self._timeline, self._sim.simulation
+        self._sim.mover.go(_raised(self._plan.T_world_base, timeline.height), timeline.lift)
+        fault = self._sim.run("lift", timeline.lift)
         numbers = self._in_hand()
         first = float(simulation.plan.task.T_world_object.translation[2])
         numbers["rise_mm"] = 1e3 * (float(simulation.T_world_object.translation[2]) - first)
@@ -158,30 +166,30 @@ class Phases:
     @property
     def _turned(self) -> float:
         """How far the object has come since the turn began, as it is read, rad, with its sign."""
-        return self._run.reading.turned()
+        return self._sim.reading.turned()
 
     def _deviation(self) -> float:
         """Standard deviation (rad) of the turn by which the next one aims further."""
-        run = self._run
-        return run.reading.deviation() if run.driver.aims_by_belief else 0.0
+        sim = self._sim
+        return sim.reading.deviation() if sim.driver.aims_by_belief else 0.0
 
     def _turn(self) -> Measured:
         """The turn, or its next stroke, from the measured pose."""
         first, self._turn_begun = not self._turn_begun, True
         if first:
-            self._run.reading.mark_reference()
-        if self._plan.gait is not None:
+            self._sim.reading.mark_reference()
+        if self._plan.cycles > 1:
             return self._stroke()
         deviation = self._deviation()
         if not first or deviation:  # not first: fingers went back to where the motion began
-            self._run.driver.begin_stroke(self._plan.angle - self._turned, deviation)
+            self._sim.driver.begin_stroke(self._plan.angle - self._turned, deviation)
         fault = self._follow("turn")
         numbers = self._in_hand()
         return fault or self._shortfall(numbers), numbers
 
     def _back(self) -> Measured:
         """The motion backwards, to where it began."""
-        self._run.driver.begin_back()
+        self._sim.driver.begin_back()
         fault = self._follow("back")
         numbers = self._in_hand()
         asked = float(np.rad2deg(self._plan.angle))
@@ -191,12 +199,12 @@ class Phases:
 
     def _in_hand(self) -> dict[str, float]:
         """How the object lies in the palm, against how it lay when the turn began."""
-        turn, tilt, shift = self._run.recorder.moved()
+        turn, tilt, shift = self._sim.recorder.moved()
         numbers = {
             "turn_deg": float(np.rad2deg(turn)),
             "tilt_deg": float(np.rad2deg(tilt)),
             "shift_mm": 1e3 * float(np.linalg.norm(shift)),
-            "fingers": float(len(self._run.touching_fingers)),
+            "fingers": float(len(self._sim.touching_fingers)),
         }
         if self._plan.shift.any():
             asked = self._plan.grasp.T_world_palm.rotation.T @ self._plan.shift
@@ -217,7 +225,7 @@ class Phases:
     def _stroke(self) -> Measured:
         before = self._turned
         deviation = self._deviation()
-        asked = abs(self._run.driver.begin_stroke(self._plan.angle - before, deviation).goal)
+        asked = abs(self._sim.driver.begin_stroke(self._plan.angle - before, deviation).goal)
         fault = self._follow("turn")
         numbers = self._in_hand()
         made = abs(self._turned - before)
@@ -231,7 +239,7 @@ class Phases:
 
     def _follow(self, phase: ManipulationPhase) -> str:
         """Run until the reference's turn is made; what ended it early, "" if nothing."""
-        reference, dt = self._run.driver.reference, self._run.simulation.timestep
+        reference, dt = self._sim.driver.reference, self._sim.simulation.timestep
         last = reference.left
 
         def made(_: Observation) -> bool:
@@ -242,7 +250,7 @@ class Phases:
             return bool(there and abs(rate) < STILL_SPEED)
 
         fastest = abs(reference.goal) / self._timeline.turn_rate
-        return self._run.run(phase, fastest, wait=self._timeline.turn_wait, until=made)
+        return self._sim.run(phase, fastest, wait=self._timeline.turn_wait, until=made)
 
     def _tilted(self, numbers: dict[str, float]) -> str:
         tilt = numbers["tilt_deg"]
@@ -252,14 +260,14 @@ class Phases:
 
     def _obstacle(self) -> str:
         """Why the object does not follow, as far as the controller reports it."""
-        holding = self._run.driver.holding
-        saturated = ", ".join(self._run.driver.saturated_actuators())
+        holding = self._sim.driver.holding
+        saturated = ", ".join(self._sim.driver.saturated_actuators())
         had_no_more = f"{saturated} had no more to give" if saturated else "it did not follow"
         return holding.gave_up or had_no_more
 
     def _hold(self) -> Measured:
         before = self._in_hand()
-        fault = self._run.run("hold", self._timeline.hold)
+        fault = self._sim.run("hold", self._timeline.hold)
         numbers = self._in_hand()
         numbers["drift_mm"] = abs(numbers["shift_mm"] - before["shift_mm"])
         numbers["drift_deg"] = abs(numbers["turn_deg"] - before["turn_deg"])
@@ -267,36 +275,36 @@ class Phases:
 
     def _carry(self, ending: Ending) -> Measured:
         above = _raised(ending.T_world_target, self._timeline.height)
-        self._run.mover.go(self._run.base_for(above), self._timeline.carry)
-        fault = self._run.run("carry", self._timeline.carry)
-        return fault, off_target(above, self._run.simulation.T_world_object)
+        self._sim.mover.go(self._sim.base_for(above), self._timeline.carry)
+        fault = self._sim.run("carry", self._timeline.carry)
+        return fault, off_target(above, self._sim.simulation.T_world_object)
 
     def _lower(self, ending: Ending) -> Measured:
         target = ending.T_world_target
-        self._run.mover.go(self._run.base_for(target), self._timeline.lower)
-        fault = self._run.run("lower", self._timeline.lower)
-        return fault, off_target(target, self._run.simulation.T_world_object)
+        self._sim.mover.go(self._sim.base_for(target), self._timeline.lower)
+        fault = self._sim.run("lower", self._timeline.lower)
+        return fault, off_target(target, self._sim.simulation.T_world_object)
 
     def _let_go(self, phase: ManipulationPhase, duration: float, ending: Ending) -> Measured:
-        fault = self._run.run(phase, duration)
+        fault = self._sim.run(phase, duration)
         return self._standing_at_target(fault, ending)
 
     def _retreat(self, ending: Ending) -> Measured:
-        out = self._plan.way_out(self._run.T_world_base, ending)
-        self._run.mover.go(out, self._timeline.retreat)
-        fault = self._run.run("retreat", self._timeline.retreat)
-        if not fault and self._run.touched:
+        out = self._plan.way_out(self._sim.T_world_base, ending)
+        self._sim.mover.go(out, self._timeline.retreat)
+        fault = self._sim.run("retreat", self._timeline.retreat)
+        if not fault and self._sim.touched:
             fault = "the hand still touches the object"
         return self._standing_at_target(fault, ending)
 
     def _standing(self, fault: str) -> Measured:
-        first = self._run.simulation.plan.task.T_world_object
-        reason, numbers = undisturbed(first, self._run.simulation.T_world_object, self._criteria)
+        first = self._sim.simulation.plan.task.T_world_object
+        reason, numbers = undisturbed(first, self._sim.simulation.T_world_object, self._criteria)
         return fault or reason, numbers
 
     def _standing_at_target(self, fault: str, ending: Ending) -> Measured:
         target = ending.T_world_target
-        reason, numbers = placed(target, self._run.simulation.T_world_object, self._criteria)
+        reason, numbers = placed(target, self._sim.simulation.T_world_object, self._criteria)
         return fault or reason, numbers
 
 

@@ -21,14 +21,13 @@ from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import hand_contacts, merge_per_finger, with_planned_friction
 from sim.controllers import Observation
 from sim.controllers.monitors import RAMP
-from sim.manipulation.results import Measured
+from sim.manipulation.driver import FingerSwing
 from sim.manipulation.simulation import ManipulationSim
-from sim.manipulation.swing import FingerSwing
-from sim.manipulation.timeline import ManipulationTimeline
+from sim.manipulation.timeline import ManipulationTimeline, Measured
 
 MEASURED_MARGIN = 0.02
 """Least normalised min-weight (-) of the measured contacts that are to hold while a finger is away;
-planned is ``planner.motion.gait.order.CLOSURE_MARGIN``."""
+planned is ``planner.motion.order.CLOSURE_MARGIN``."""
 
 GATE_PERIOD = 0.05
 """Time (s) between looks at whether a finger may be lifted."""
@@ -42,17 +41,17 @@ class Regrasping:
     """
 
     def __init__(
-        self, plan: ManipulationPlan, run: ManipulationSim, timeline: ManipulationTimeline
+        self, plan: ManipulationPlan, sim: ManipulationSim, timeline: ManipulationTimeline
     ) -> None:
         """Prepare."""
-        self._plan, self._run, self._timeline = plan, run, timeline
+        self._plan, self._sim, self._timeline = plan, sim, timeline
         self._task = plan.task
-        self._grip = run.driver.holding.grip
+        self._grip = sim.driver.holding.grip
         self.refused: tuple[str, ...] = ()
 
     def perform(self, move: Relocation) -> Measured:
         """Move one finger on."""
-        run, holding = self._run, self._run.driver.holding
+        sim, holding = self._sim, self._sim.driver.holding
         i = self._task.finger_names.index(move.finger)
         numbers: dict[str, float] = {}
         holding.keep()
@@ -60,17 +59,17 @@ class Regrasping:
         fault = self._gated(move.finger, numbers)
         if not fault:
             holding.leave(move.finger)
-            fault = run.run(
+            fault = sim.run(
                 "regrasp", RAMP, wait=RAMP, until=lambda _: not holding.schedule.holding[i]
             ) or self._gated(move.finger, numbers)
         if fault:
             holding.join(move.finger)
             holding.grip = self._grip
-            if run.touched:
+            if sim.touched:
                 self.refused = (*self.refused, move.finger)
             return fault, numbers
         self.refused = ()
-        fault = self._moved(move, i) or run.run("regrasp", RAMP)
+        fault = self._moved(move, i) or sim.run("regrasp", RAMP)
         holding.grip = self._grip
         if not fault:
             off = self._off_landing(move)
@@ -81,27 +80,27 @@ class Regrasping:
 
     def _gated(self, finger: str, numbers: dict[str, float]) -> str:
         """Wait until the others hold; why they do not, "" if they do."""
-        end = self._run.simulation.time + self._timeline.lift_wait
-        while (why := self._refused(finger, numbers)) and self._run.simulation.time < end:
-            fault = self._run.run("regrasp", GATE_PERIOD)
+        end = self._sim.simulation.time + self._timeline.lift_wait
+        while (why := self._refused(finger, numbers)) and self._sim.simulation.time < end:
+            fault = self._sim.run("regrasp", GATE_PERIOD)
             if fault:
                 return fault
         return why and f"{finger} cannot be lifted: {why}"
 
     def _refused(self, finger: str, numbers: dict[str, float]) -> str:
         """Why a finger may not be lifted now, "" if it may."""
-        measured = self._run.reading.contacts()
+        measured = self._sim.reading.contacts()
         numbers["margin"] = margin = margin_without(measured, self._task, finger)
         if margin < MEASURED_MARGIN:
             return (
                 f"the measured contacts of the others close with {margin:.3f} (at least "
                 f"{MEASURED_MARGIN})"
             )
-        return self._run.driver.holding.gave_up
+        return self._sim.driver.holding.gave_up
 
     def _moved(self, move: Relocation, i: int) -> str:
         """Move a finger along its way until it has landed; why it ended early, "" if it did not."""
-        run, holding = self._run, self._run.driver.holding
+        sim, holding = self._sim, self._sim.driver.holding
         swing = FingerSwing(self._plan.grasp, move, self._timeline.finger_rate)
         stuck = False
 
@@ -114,10 +113,10 @@ class Regrasping:
                 holding.join(move.finger)
             return stuck or bool(holding.schedule.touching[i])
 
-        run.driver.swing = swing
+        sim.driver.swing = swing
         longest = swing.duration + self._timeline.land_wait
-        fault = run.run("regrasp", 0.0, wait=longest, until=landed)
-        run.driver.swing = None
+        fault = sim.run("regrasp", 0.0, wait=longest, until=landed)
+        sim.driver.swing = None
         if fault:
             return fault
         if stuck:
@@ -128,7 +127,7 @@ class Regrasping:
 
     def _off_landing(self, move: Relocation) -> float:
         """Distance (m) of a finger's measured contact from where it was to land, in the palm."""
-        scene, data = self._run.simulation.scene, self._run.simulation.data
+        scene, data = self._sim.simulation.scene, self._sim.simulation.data
         merged = merge_per_finger(hand_contacts(scene, data))
         if move.finger not in merged.fingers:
             return float("nan")

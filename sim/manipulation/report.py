@@ -9,37 +9,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arrays import finite
-from planner.files.movements import manipulation_from_dict, manipulation_to_dict
 from planner.motion.manipulation import ManipulationPlan
 from planner.quality import QualityReport
-from planner.showing import Shown, in_notebook
 from planner.spatial import FloatArray
-from planner.version import written_by
-from sim.controllers import Event
 from sim.controllers.base import event_lines
-from sim.manipulation.log import ManipulationLog
-from sim.manipulation.modes import mode_table, told_modes
-from sim.manipulation.pressing import FingerForce, finger_forces
+from sim.manipulation.log import FingerForce, ManipulationLog, finger_forces, mode_table, told_modes
 from sim.manipulation.report_file import ManipulationReportFile
-from sim.manipulation.results import PhaseResult, short_of
 from sim.manipulation.simulation import DROPPED
-from sim.manipulation.timeline import IN_THE_AIR, TURNING, ManipulationTimeline, SuccessCriteria
-from sim.recording import Recording
+from sim.manipulation.timeline import (
+    IN_THE_AIR,
+    TURNING,
+    ManipulationTimeline,
+    PhaseResult,
+    SuccessCriteria,
+    short_of,
+)
+from sim.report import ExecutionReport
 from sim.screen import reality_lines
 from sim.verdict import Fault, first_collision, lost
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ManipulationReport(Shown):
-    """What happened, and whether it is what was asked for.
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ManipulationReport(ExecutionReport):
+    """What happened, and whether it is what was asked for; see ``ExecutionReport`` too.
 
     Attributes:
-        hand: Name of the hand.
-        object: Specification of the object's shape.
-        mass_kg: Its true mass.
-        seed: Seed of the plan.
-        controller: Name of the class of the controller that held and turned the object.
-        fingers: Fingers that take part.
         results: The phases that were run, in order; the last one failed if not all were run.
         complete: Whether the object was placed as planned, with a retry or without.
         put_down: Whether it was put down half-way.
@@ -48,7 +42,6 @@ class ManipulationReport(Shown):
         back: Why the motion was made backwards before the object was put down, "" if it was not.
         R_world_palm: (3, 3), world from palm while the object was turned.
         log: What was judged, over time.
-        recording: States at the same times.
         plan: What was executed.
         planned_modes: (m, n), contact modes as planned, at every sample.
         measured_modes: (m, n), as measured.
@@ -58,24 +51,11 @@ class ManipulationReport(Shown):
         timeline: Durations.
         force_limit: Largest normal force with which a finger may press for a success with closure,
             N.
-        events: What the controller noticed.
-        physics: Name and numbers of ``PhysicsOptions``, as plain data.
-        reality: Fields of ``sim.reality.Reality``, and under "drawn" what was drawn of them; None
-            where sensors, drives and object were as believed.
         pictures: Files of pictures, by phase.
-        picture_reason: Why there are none, "" otherwise.
         earlier: What was done before, where the object was put down and all was begun again; what
             is told here is about the rest of the turn then.
-        command: What the command line was told, "" of a script.
-        drawn: Pictures and film that were drawn, and how, in one line; not in the file.
     """
 
-    hand: str
-    object: str
-    mass_kg: float
-    seed: int
-    controller: str
-    fingers: tuple[str, ...]
     results: tuple[PhaseResult, ...]
     complete: bool
     put_down: bool
@@ -84,7 +64,6 @@ class ManipulationReport(Shown):
     back: str
     R_world_palm: FloatArray
     log: ManipulationLog
-    recording: Recording
     plan: ManipulationPlan
     planned_modes: NDArray[np.str_]
     measured_modes: NDArray[np.str_]
@@ -93,22 +72,8 @@ class ManipulationReport(Shown):
     criteria: SuccessCriteria
     timeline: ManipulationTimeline
     force_limit: float
-    events: tuple[Event, ...]
-    physics: dict[str, Any]
-    reality: dict[str, Any] | None
     pictures: dict[str, str]
-    picture_reason: str
     earlier: ManipulationReport | None = None
-    command: str = ""
-    drawn: str = ""
-
-    def __getstate__(self) -> dict[str, Any]:
-        """How it is sent to another process: its plan as a file has it."""
-        return {**vars(self), "plan": manipulation_to_dict(self.plan)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """How it arrives there."""
-        vars(self).update(state, plan=manipulation_from_dict(state["plan"], "a report's plan"))
 
     @property
     def reason(self) -> str:
@@ -252,10 +217,6 @@ class ManipulationReport(Shown):
         ended = "complete" if self.complete else f"failed in {self.reason}"
         return f"<ManipulationReport: {self.hand}, {self.object}, {turned}, {ended}"[:196] + ">"
 
-    def _repr_html_(self) -> str:
-        """What a notebook shows of it: a table and a picture, made once."""
-        return in_notebook(self)
-
     def _judged(self) -> str:
         """The turn in words: success with or without closure, or none."""
         if self.success_with_closure:
@@ -307,22 +268,11 @@ class ManipulationReport(Shown):
             "duration_s": self.results[-1].end if self.results else 0.0,
         }
 
-    def to_dict(self, *, states: bool = True) -> dict[str, Any]:
-        """Plain data that follows ``ManipulationReportFile``; what is not finite becomes None.
-
-        Args:
-            states: Whether plan and recorded states are part of it: a few hundred kilobytes to some
-                megabytes, from which a page can be made.
-        """
-        return self.to_file(states=states).model_dump(mode="json")
-
     def to_file(self, *, states: bool = True) -> ManipulationReportFile:
         """The same as the data of a file, which pages are made of."""
         return ManipulationReportFile.model_validate(
             {
-                "written_by": written_by(),
-                "command": self.command,
-                "success": self.success,
+                **self._shared(states=states),
                 "success_with_closure": self.success_with_closure,
                 "complete": self.complete,
                 "put_down_half_way": self.put_down,
@@ -330,12 +280,6 @@ class ManipulationReport(Shown):
                 "reason": self.reason,
                 "faults": self.faults,
                 "collision": "" if self.collision is None else self.collision.detail,
-                "hand": self.hand,
-                "object": self.object,
-                "mass_kg": self.mass_kg,
-                "seed": self.seed,
-                "controller": self.controller,
-                "fingers": list(self.fingers),
                 "asked_deg": float(np.rad2deg(self.asked)),
                 "asked_shift_mm": (1e3 * self.asked_shift).tolist(),
                 "shifted_mm": finite(1e3 * self.shifted),
@@ -372,31 +316,15 @@ class ManipulationReport(Shown):
                 "quality_after": None if self.after is None else self.after.to_dict(),
                 "criteria": asdict(self.criteria),
                 "timeline": asdict(self.timeline),
-                "physics": self.physics,
-                "reality": self.reality,
-                "events": [
-                    {"time_s": e.time, "kind": e.kind, "finger": e.finger, "detail": e.detail}
-                    for e in self.events
-                ],
                 "pictures": self.pictures,
-                "picture_reason": self.picture_reason,
-                "samples": finite(
-                    self.log.to_dict()
-                    | {
-                        "contact_mode_planned": self.planned_modes.tolist(),
-                        "contact_mode_measured": self.measured_modes.tolist(),
-                    }
-                ),
-                "plan": self._plan_to_dict() if states else None,
-                "recording": self.recording.to_dict() if states else None,
+                "samples": {
+                    **self.log.to_dict(),
+                    "contact_mode_planned": self.planned_modes.tolist(),
+                    "contact_mode_measured": self.measured_modes.tolist(),
+                },
                 "earlier": None if self.earlier is None else self.earlier.to_file(states=states),
             }
         )
-
-    def _plan_to_dict(self) -> dict[str, Any] | None:
-        """The plan as its file has it; None for a hand made in Python, which no file can name."""
-        named = self.plan.task.hand.reference is not None
-        return manipulation_to_dict(self.plan) if named else None
 
     def _largest(self, values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
         turning = values[self.log.during(*TURNING)]

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
-
-from pydantic import create_model, model_validator
 
 from planner.files.json_csv import checked_file
 from planner.schema import StrictData
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.timeline import ManipulationPhase
-from sim.recording import RecordingData
-from sim.report_file import REPORT_VERSION, EventData, check_lengths, report_data, upgraded
+from sim.report_file import ExecutionFile, report_data, upgraded
 
 
 class PhaseData(StrictData):
@@ -39,55 +35,30 @@ class ForceData(StrictData):
     time_s: float
 
 
-def _channels() -> dict[str, Any]:
-    """Types of all channels of a log, by their names in files."""
-    types: dict[str, Any] = {}
-    for one in fields(ManipulationLog):
-        kind: Any = one.metadata["kind"]
-        kind = float | None if kind is float else kind
-        for _ in (*one.metadata["shape"], *[0] * one.metadata["per_finger"]):
-            kind = list[kind]
-        types[one.metadata["in_file"]] = (list[kind], ...)
-    for name in ("contact_mode_planned", "contact_mode_measured"):
-        types[name] = (list[list[str]], ...)
-    return types
-
-
 if TYPE_CHECKING:
     ManipulationSamples = StrictData
 else:
-    ManipulationSamples = create_model(
+    ManipulationSamples = ManipulationLog.data_model(
         "ManipulationSamples",
-        __base__=StrictData,
-        __doc__="Recorded over time, every 20 ms; lists per finger follow ``fingers``.",
-        **_channels(),
+        "Recorded over time, every 20 ms; lists per finger follow ``fingers``.",
+        contact_mode_planned=list[list[str]],
+        contact_mode_measured=list[list[str]],
     )
 
 
-class ManipulationReportFile(StrictData):
-    """A manipulation report as JSON; ``plan``, ``recording`` and ``command`` as in ``ReportFile``.
+class ManipulationReportFile(ExecutionFile):
+    """A manipulation report as JSON.
 
-    The plan is that of its own file (``opposable export --schema manipulation``).
+    The plan is that of its own file (``opposable export --schema movement``).
     """
 
     format: Literal["opposable-manipulation-report"] = "opposable-manipulation-report"
-    version: Literal[3] = REPORT_VERSION
-    written_by: str
-    command: str = ""
-    success: bool
     success_with_closure: bool
     complete: bool
     put_down_half_way: bool
     dropped: bool
-    reason: str
     faults: str
     collision: str
-    hand: str
-    object: str
-    mass_kg: float
-    seed: int
-    controller: str
-    fingers: list[str]
     asked_deg: float
     asked_shift_mm: list[float]
     shifted_mm: list[float | None]
@@ -99,21 +70,9 @@ class ManipulationReportFile(StrictData):
     quality_before: dict[str, Any] | None
     quality_after: dict[str, Any] | None
     criteria: dict[str, float | None]
-    timeline: dict[str, float]
-    physics: dict[str, float | str | list[float]]
-    reality: dict[str, Any] | None
-    events: list[EventData]
     pictures: dict[str, str]
-    picture_reason: str
     samples: ManipulationSamples
-    plan: dict[str, Any] | None
-    recording: RecordingData | None
     earlier: ManipulationReportFile | None
-
-    @model_validator(mode="after")
-    def _one_length(self) -> ManipulationReportFile:
-        check_lengths(self.samples, self.recording)
-        return self
 
 
 def read_manipulation_report(path: Path | str) -> ManipulationReportFile:

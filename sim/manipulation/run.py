@@ -11,34 +11,37 @@ import copy
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from planner.errors import PlannerError
 from planner.failure import Failure
 from planner.files import given_manipulation
+from planner.motion.ending import backwards, find_release, object_at_target, stands
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
-from planner.motion.manipulation.ending import backwards, object_at_target, stands
-from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
-from planner.task import GraspTask
-from sim.estimation import AnyEstimator
 from sim.looking.picture import Drawn, check_video, draw_tape
-from sim.manipulation.in_hand import AnyTurningController, GuidedController, in_hand_controller
-from sim.manipulation.log import ManipulationLog
+from sim.manipulation.in_hand import GuidedController, in_hand_controller
+from sim.manipulation.log import (
+    ASKED_SHARE,
+    ManipulationLog,
+    force_limit,
+    measured_modes,
+    planned_modes,
+    planned_points,
+)
 from sim.manipulation.machine import StateMachine
-from sim.manipulation.modes import measured_modes, planned_modes, planned_points
 from sim.manipulation.phases import Phases
-from sim.manipulation.pressing import ASKED_SHARE, force_limit
 from sim.manipulation.report import ManipulationReport
-from sim.manipulation.results import PhaseResult
-from sim.manipulation.simulation import ManipulationSim, Push
+from sim.manipulation.simulation import (
+    ManipulationKeywords,
+    ManipulationOptions,
+    ManipulationSim,
+)
 from sim.manipulation.standing import rests
-from sim.manipulation.timeline import TURNING, ManipulationTimeline, SuccessCriteria
-from sim.physics import AnyPhysics
-from sim.reality import AnyReality
+from sim.manipulation.timeline import TURNING, PhaseResult
 from sim.simulation import Simulation
 
 
@@ -49,40 +52,30 @@ class ManipulationRun:
         plan: What is executed.
         sim: Scene, driver and samples.
         results: The phases that were run.
+        options: Under which conditions.
     """
 
     def __init__(
         self,
         plan: ManipulationPlan,
-        *,
-        controller: AnyTurningController | None = None,
-        true_task: GraspTask | None = None,
-        physics: AnyPhysics | None = None,
-        timeline: ManipulationTimeline | None = None,
-        criteria: SuccessCriteria | None = None,
-        push: Push | None = None,
-        reality: AnyReality | None = None,
-        estimator: AnyEstimator | None = None,
+        options: ManipulationOptions | None = None,
+        **changes: Unpack[ManipulationKeywords],
     ) -> None:
-        """Build the scene and put hand and object at their start; see ``manipulate``."""
+        """Build the scene and put hand and object at their start.
+
+        Args:
+            plan: What to execute.
+            options: Under which conditions; defaults if None.
+            changes: Fields of ``ManipulationOptions`` by name that are to be others.
+        """
         self.plan = plan
+        self.options = options = replace(options or ManipulationOptions(), **changes)
         self.results: list[PhaseResult] = []
-        self._timeline = timeline or ManipulationTimeline()
-        self._criteria = criteria or SuccessCriteria()
-        self._force_limit = self._criteria.normal_N or force_limit(plan)
+        self._force_limit = options.criteria.normal_N or force_limit(plan)
         most = ASKED_SHARE * self._force_limit
-        holding = in_hand_controller(plan.grasp, controller, max_normal=most)
-        self.sim = ManipulationSim(
-            plan,
-            controller=holding,
-            timeline=self._timeline,
-            true_task=true_task,
-            physics=physics,
-            push=push,
-            reality=reality,
-            estimator=estimator or getattr(holding, "estimator", None),
-        )
-        self._phases = Phases(plan, self.sim, self._timeline, self._criteria)
+        holding = in_hand_controller(plan.grasp, options.controller, max_normal=most)
+        self.sim = ManipulationSim(plan, holding, options)
+        self._phases = Phases(plan, self.sim, options.timeline, options.criteria)
 
     def perform(
         self,
@@ -154,28 +147,28 @@ class ManipulationRun:
 
     def fingers_back(self) -> tuple[Relocation, ...] | Failure:
         """How all fingers go back to where the motion began; or why they cannot."""
-        return plan_back(self.plan.motion, self.sim.driver.reference.place)
+        return plan_back(self.plan, self.sim.driver.reference.place)
 
     def other_order(self, moved: Iterable[str]) -> tuple[Relocation, ...] | Failure:
         """How the fingers that have not moved go on in another order; or why they cannot."""
-        refused, gait = self._phases.regrasping.refused, self.plan.gait
-        if gait is None or not refused:
+        refused = self._phases.regrasping.refused
+        if self.plan.cycles == 1 or not refused:
             return Failure(kind="turn_over", text="the turn is over")
-        return plan_others(gait.motion, tuple(moved), refused)
+        return plan_others(self.plan, tuple(moved), refused)
 
     def put_down(self) -> Ending | Failure:
         """How the object is put down where it is; or why it cannot be."""
         plan, simulation = self.plan, self.sim.simulation
-        axis, back = plan.motion.path.axis, plan.ending.back
+        axis, back = plan.path.axis, plan.ending.back
         first, now = simulation.plan.task.T_world_object, self.sim.reading.T_world_object()
         turned = signed_twist(now.rotation @ first.rotation.T, axis)
         x, y = now.translation[:2].tolist()
         task = replace(plan.task, T_world_object=first)
         if back or not stands(task, axis, turned, rests=rests):
-            if plan.gait is not None:
+            if plan.cycles > 1:
                 return Failure(kind="falls", text="it would not stand")
-            return backwards(plan.motion, (x, y), back or "half-way it does not stand")
-        release = find_release(cut_motion(plan.motion, self.sim.driver.reference.place))
+            return backwards(plan, (x, y), back or "half-way it does not stand")
+        release = find_release(cut_motion(plan, self.sim.driver.reference.place))
         if isinstance(release, Failure):
             return release
         target = object_at_target(task, axis, turned, (x, y))
@@ -183,7 +176,7 @@ class ManipulationRun:
 
     def _report(self, machine: StateMachine) -> ManipulationReport:
         plan, log = self.plan, self.sim.recorder.log()
-        points = planned_points(plan.motion, log.path_parameter, log.phase, log.away)
+        points = planned_points(plan, log.path_parameter, log.phase, log.away)
         wanted = np.isfinite(points[..., 0])
         simulation = self.sim.simulation
         true_task, holding = simulation.plan.task, self.sim.driver.holding
@@ -192,7 +185,7 @@ class ManipulationRun:
             hand=plan.task.hand.name,
             object=plan.task.object.shape.spec,
             mass_kg=true_task.object.mass,
-            seed=plan.motion.record.seed,
+            seed=plan.record.seed,
             controller=type(driving).__name__,
             fingers=plan.task.finger_names,
             results=tuple(self.results),
@@ -209,8 +202,8 @@ class ManipulationRun:
             measured_modes=measured_modes(log.time, log.points, log.sliding, wanted),
             before=self._phases.quality.get("verify"),
             after=self._phases.quality.get("verify again"),
-            criteria=self._criteria,
-            timeline=self._timeline,
+            criteria=self.options.criteria,
+            timeline=self.options.timeline,
             force_limit=self._force_limit,
             events=simulation.events,
             physics=simulation.scene.physics.to_dict(),
@@ -239,37 +232,21 @@ def _told(wanted: dict[Path, PhaseResult], drawn: Drawn) -> dict[str, Any]:
 
 def manipulate(
     plan: ManipulationPlan | Path | str,
+    options: ManipulationOptions | None = None,
     *,
-    controller: AnyTurningController | None = None,
-    true_task: GraspTask | None = None,
-    physics: AnyPhysics | None = None,
-    timeline: ManipulationTimeline | None = None,
-    criteria: SuccessCriteria | None = None,
-    push: Push | None = None,
-    reality: AnyReality | None = None,
-    estimator: AnyEstimator | None = None,
     on_step: Callable[[Simulation], None] | None = None,
     pictures: Path | None = None,
     video: Path | None = None,
     arrows: bool = False,
     retry: bool = False,
     view: bool = False,
+    **changes: Unpack[ManipulationKeywords],
 ) -> ManipulationReport:
     """Execute a plan and judge it.
 
     Args:
         plan: What to execute, or the path of its file.
-        controller: What drives the fingers until they open: a name, a controller, or a class or
-            function that makes one from ``plan.grasp``; ``ObjectImpedance`` if None. What one of
-            your own sees is told in ``sim.manipulation.in_hand``.
-        true_task: The task as it really is, where mass or pose differ from the plan's.
-        physics: How MuJoCo computes, with the true friction; defaults if None.
-        timeline: Durations; defaults if None.
-        criteria: Where phases fail; defaults if None.
-        push: A disturbance during the turn.
-        reality: Errors of sensors, drives and object that the plan does not know; none if None.
-        estimator: What tells the controller where the object is: a name, or what makes one; see
-            ``sim.simulation.Simulation``.
+        options: Under which conditions; defaults if None.
         on_step: Called with the simulation after every time step; may stop it.
         pictures: Folder for a picture at the end of each phase, which is where it went wrong if it
             failed; it must exist.
@@ -278,36 +255,19 @@ def manipulate(
         retry: Whether a turn that fails is made up for, once; the push is not repeated. The way of
             the hand from where it let go to where it begins anew is not simulated.
         view: Show it in MuJoCo's viewer, in real time.
+        changes: Fields of ``ManipulationOptions`` by name: ``controller="impedance"``,
+            ``true_task``, ``physics``, ``timeline``, ``criteria``, ``push``, ``reality``,
+            ``estimator``.
 
     Raises:
         NotFoundError: No controller has that name.
         TaskError: The controller is none, ``view`` without a display, or a video that cannot be
             written.
     """
-    plan = given_manipulation(plan)
-    fresh = copy.deepcopy(controller) if retry else None  # as it is before the first run
-
-    def run_of(
-        plan: ManipulationPlan,
-        controller: AnyTurningController | None,
-        there: GraspTask | None,
-        push: Push | None,
-    ) -> ManipulationRun:
-        made = ManipulationRun(
-            plan,
-            controller=controller,
-            true_task=there,
-            physics=physics,
-            timeline=timeline,
-            criteria=criteria,
-            push=push,
-            reality=reality,
-            estimator=estimator,
-        )
-        made.sim.simulation.on_step = on_step
-        return made
-
-    run = run_of(plan, controller, true_task, push)
+    plan, options = given_manipulation(plan), replace(options or ManipulationOptions(), **changes)
+    fresh = copy.deepcopy(options.controller) if retry else None  # as it is before the first run
+    run = ManipulationRun(plan, options)
+    run.sim.simulation.on_step = on_step
     report = run.perform(pictures=pictures, video=video, arrows=arrows, retry=retry, view=view)
     if not report.put_down:
         return report
@@ -319,7 +279,9 @@ def manipulate(
         return replace(report, results=(*report.results[:-1], last))
     there = run.sim.simulation.plan.task
     there = replace(there, T_world_object=_stood(plan, report.log, standing)[0])
-    return replace(run_of(rest, fresh, there, None).perform(view=view), earlier=report)
+    again = ManipulationRun(rest, options, controller=fresh, true_task=there, push=None)
+    again.sim.simulation.on_step = on_step
+    return replace(again.perform(view=view), earlier=report)
 
 
 def _rest_of(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) -> ManipulationPlan:
@@ -328,24 +290,24 @@ def _rest_of(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) 
     Raises:
         PlannerError: There is none.
     """
-    task, motion = plan.task, plan.motion
+    task = plan.task
     standing, made = _stood(plan, log, T_world_object)
     at_x, at_y = plan.ending.T_world_target.translation[:2].tolist()
     return plan_manipulation(
         replace(task, T_world_object=standing),
-        axis=motion.path.axis,
+        axis=plan.path.axis,
         angle=plan.angle - made,
         shift=plan.shift,
         place=(at_x, at_y),
-        seed=motion.record.seed + 1,
-        regrasp=plan.gait is not None,
+        seed=plan.record.seed + 1,
+        regrasp=plan.cycles > 1,
         rests=rests,
     )
 
 
 def _stood(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) -> tuple[SE3, float]:
     """Upright pose of an object that was put down, and the turn (rad) that was made of it."""
-    task, axis = plan.task, plan.motion.path.axis
+    task, axis = plan.task, plan.path.axis
     made = 0.0  # brought back in the hand it stands as at first
     if not plan.ending.back:
         counted = float(log.turn[log.during(*TURNING)[-1]])  # whole turns too

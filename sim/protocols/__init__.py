@@ -17,15 +17,16 @@ from sim.protocols.disturbance import Settings
 from sim.protocols.drake import hold_in_drake
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport, protocol_table, write_csv
-from sim.protocols.run import IN_ALL, PROTOCOLS, run_protocol, trials_of, unsuitable
+from sim.protocols.run import PROTOCOLS, Protocol, in_all, run_protocol, trials_of, unsuitable
 
 __all__ = [
-    "IN_ALL",
     "PROTOCOLS",
     "Outcome",
+    "Protocol",
     "ProtocolReport",
     "Settings",
     "hold_in_drake",
+    "in_all",
     "protocol_table",
     "run_protocol",
     "trials_of",

@@ -20,7 +20,7 @@ from planner.errors import FileFormatError
 from planner.version import written_by
 from sim.protocols.outcome import Outcome
 from sim.reality import drawn_text
-from sim.screen import OnScreen, number, percent, reality_lines
+from sim.screen import Report, number, percent, reality_lines
 from sim.tables import table
 
 PROTOCOL_VERSION = 2
@@ -34,7 +34,7 @@ MOST_FAILED = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ProtocolReport(OnScreen):
+class ProtocolReport(Report):
     """What became of all trials.
 
     Attributes:

@@ -9,21 +9,22 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Collection, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
 from rich.console import Console
 
-from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError
+from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.files import given_plan, plan_from_dict, plan_to_dict
+from planner.files.json_csv import Journal
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.system.plugins import plugin, plugin_names
+from planner.registry import Registry
 from planner.task import GraspTask
 from sim.controllers import AnyController, controller_maker, controller_name
 from sim.estimation import NONE, AnyEstimator, estimator_name
@@ -43,7 +44,7 @@ from sim.protocols.report import ProtocolReport
 from sim.protocols.shake_pushes import on_an_arm, pushes_cases, shake_cases
 from sim.protocols.variations import reality_cases, robust_cases, with_errors
 from sim.reality import REALITIES, AnyReality, Drawn, drawn_numbers, drawn_text
-from sim.recording import CHANNELS, Samples
+from sim.recording import Samples
 from sim.runner import Runner, made_with
 from sim.scene import build_scene
 from sim.simulation import filmed
@@ -51,37 +52,79 @@ from sim.verdict import Fault
 
 MakeCases: TypeAlias = Callable[[Settings, int], Sequence[Case]]
 
-PROTOCOLS: Mapping[str, MakeCases] = MappingProxyType(
-    {
-        "dexgraspbench": lambda settings, seed: dexgraspbench_cases(),
-        "forces": forces_cases,
-        "shake": lambda settings, seed: shake_cases(settings),
-        "robust": robust_cases,
-        "drake": lambda settings, seed: drake_cases(),
-        "reality": reality_cases,
-        "pushes": pushes_cases,
-    }
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """A test of plans.
+
+    An installed package brings one of these, or a function that makes trials with the attributes
+    ``unsuitable`` and ``in_all`` where they are to be others than the defaults here.
+
+    Attributes:
+        cases: Makes the trials out of settings and the seed of random directions and errors.
+        unsuitable: Why it cannot take a task; "" if it can.
+        in_all: Whether "all" stands for it too.
+        replayed: Whether commands and numbers are its own, whatever controller and settings are.
+        draws_anew: Whether its trials each draw errors anew; those of others all have the same.
+    """
+
+    cases: MakeCases
+    unsuitable: Callable[[GraspTask], str] = lambda task: ""
+    in_all: bool = False
+    replayed: bool = False
+    draws_anew: bool = False
+
+
+PROTOCOLS: Registry[Protocol | MakeCases] = Registry("protocol", group="protocols")
+"""Name -> protocol; installed packages bring more (``planner.system.plugins``). "drake", which
+needs another package, and "reality" and "pushes", which test the controller more than the grasp,
+are run by their names alone."""
+
+PROTOCOLS.update(
+    dexgraspbench=Protocol(
+        cases=lambda settings, seed: dexgraspbench_cases(),
+        unsuitable=lambda task: unsuitable_for_dexgraspbench(task.hand),
+        in_all=True,
+        replayed=True,
+    ),
+    forces=Protocol(cases=forces_cases, in_all=True),
+    shake=Protocol(
+        cases=lambda settings, seed: shake_cases(settings),
+        unsuitable=lambda task: on_an_arm(task.hand),
+        in_all=True,
+    ),
+    robust=Protocol(cases=robust_cases, in_all=True),
+    drake=Protocol(
+        cases=lambda settings, seed: drake_cases(),
+        unsuitable=lambda task: unsuitable_for_drake(task.hand),
+        replayed=True,
+    ),
+    reality=Protocol(cases=reality_cases, draws_anew=True),
+    pushes=Protocol(cases=pushes_cases, draws_anew=True),
 )
-"""Name -> what makes the trials out of settings and the seed of random directions and errors.
 
-Installed packages bring more (``planner.system.plugins``)."""
 
-IN_ALL = tuple(name for name in PROTOCOLS if name not in ("drake", "reality", "pushes"))
-"""Protocols that "all" stands for: "drake" needs another package, "reality" and "pushes" test the
-controller more than the grasp; these are run by their names."""
+def protocol_named(name: str) -> Protocol:
+    """The protocol of a name.
 
-REPLAYED = ("dexgraspbench", "drake")
-"""Protocols with commands and numbers of their own, whatever controller and settings are."""
+    Raises:
+        NotFoundError: There is none.
+        ModelError: A package brings it that cannot be imported.
+    """
+    found = PROTOCOLS.named(name)
+    if isinstance(found, Protocol):
+        return found
+    never = Protocol(cases=found)
+    return replace(
+        never,
+        unsuitable=getattr(found, "unsuitable", never.unsuitable),
+        in_all=bool(getattr(found, "in_all", never.in_all)),
+    )
 
-DRAWN_ANEW = ("reality", "pushes")
-"""Protocols whose trials each draw errors anew; those of the others all have the same."""
 
-_UNSUITABLE: Mapping[str, Callable[[GraspTask], str]] = {
-    "dexgraspbench": lambda task: unsuitable_for_dexgraspbench(task.hand),
-    "drake": lambda task: unsuitable_for_drake(task.hand),
-    "shake": lambda task: on_an_arm(task.hand),
-}
-"""Name -> why the protocol cannot take a task, of those that cannot take every one."""
+def in_all() -> tuple[str, ...]:
+    """Names of the protocols that "all" stands for."""
+    return tuple(name for name in PROTOCOLS if protocol_named(name).in_all)
 
 
 def cases_of(protocol: str, settings: Settings, seed: int) -> tuple[Case, ...]:
@@ -90,15 +133,12 @@ def cases_of(protocol: str, settings: Settings, seed: int) -> tuple[Case, ...]:
     Raises:
         NotFoundError: There is no such protocol.
     """
-    make = PROTOCOLS.get(protocol) or plugin("protocols", protocol)
-    if make is None:
-        raise NotFoundError("protocol", protocol, (*PROTOCOLS, *plugin_names("protocols")))
-    return tuple(make(settings, seed))
+    return tuple(protocol_named(protocol).cases(settings, seed))
 
 
 def unsuitable(protocol: str, task: GraspTask) -> str:
     """Why a protocol cannot take a task; "" if it can."""
-    return _UNSUITABLE[protocol](task) if protocol in _UNSUITABLE else ""
+    return protocol_named(protocol).unsuitable(task)
 
 
 def trials_of(
@@ -190,7 +230,7 @@ def run_protocol(
             the protocol needs a package that is not installed.
         FileFormatError: ``file`` cannot be written.
     """
-    begin = time.perf_counter()
+    begin, about = time.perf_counter(), protocol_named(protocol)
     if workers == 0:
         raise TaskError("workers is 0; give the number of processes, or -1 for one per core")
     settings, plan = settings or Settings(), given_plan(plan)
@@ -198,11 +238,11 @@ def run_protocol(
     (names,) = trials_of([protocol], only, settings, seed).values()
     cases = [case for case in cases_of(protocol, settings, seed) if case.name in names]
     make = controller_maker(controller)
-    if reason := unsuitable(protocol, plan.task):
+    if reason := about.unsuitable(plan.task):
         raise TaskError(reason)
     if protocol == "drake" and (reason := drake_missing()):
         raise TaskError(reason)
-    label = "replay" if protocol in REPLAYED else controller_name(controller)
+    label = "replay" if about.replayed else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
     reality = REALITIES.given(reality)
     if protocol == "reality":
@@ -214,13 +254,15 @@ def run_protocol(
     ]
     _plan_of(text, plan.task.hand)
     outcomes: list[Outcome] = []
-    lines = _Lines(file)
+    journal = None if file is None else Journal(file, anew=True)
 
     def keep(outcome: Outcome) -> None:
         outcomes.append(outcome)
-        lines.write({"plan": name, "protocol": protocol, "controller": label, **outcome.to_dict()})
+        if journal is not None:
+            head = {"plan": name, "protocol": protocol, "controller": label}
+            journal.add({**head, **outcome.to_dict()})
 
-    with lines:
+    with nullcontext() if journal is None else journal:
         Runner(
             console=console or Console(quiet=True),
             check=check,
@@ -230,13 +272,13 @@ def run_protocol(
         assert outcomes[0].fault is not None
         raise TaskError(f"no trial could be run: {outcomes[0].fault.detail}")
     task = plan.task
-    own = {} if protocol in REPLAYED else asdict(settings)
-    if not (protocol in REPLAYED or reality.ideal):
+    own = {} if about.replayed else asdict(settings)
+    if not (about.replayed or reality.ideal):
         own["reality"] = reality.to_dict()
-        if protocol not in DRAWN_ANEW:
+        if not about.draws_anew:
             drawn = drawn_numbers(Drawn.of(reality, plan.task.hand), plan.task.hand)
             own["reality"]["drawn_in_words"] = drawn_text([drawn])
-    if protocol not in REPLAYED and (used := estimator_name(estimator, reality)) != NONE:
+    if not about.replayed and (used := estimator_name(estimator, reality)) != NONE:
         own["estimator"] = used
     stated = drake_physics(physics.mu) if protocol == "drake" else physics_of(plan, physics)
     if protocol == "dexgraspbench":
@@ -292,31 +334,6 @@ def _film(video: Path | None, case: Case) -> Path | None:
     return video.with_name(f"{video.stem}-{case.index:03d}-{name}{video.suffix}")
 
 
-class _Lines:
-    """A file of JSON lines that is written as results come; nothing without a path."""
-
-    def __init__(self, path: Path | None) -> None:
-        """Open it."""
-        try:
-            self._stream = None if path is None else path.open("w", encoding="utf-8")
-        except OSError as error:
-            raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
-
-    def __enter__(self) -> None:
-        """It is open."""
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        if self._stream is not None:
-            self._stream.close()
-
-    def write(self, row: dict[str, Any]) -> None:
-        """One more line, on disk at once."""
-        if self._stream is not None:
-            self._stream.write(json.dumps(row) + "\n")
-            self._stream.flush()
-
-
 _plans: dict[str, GraspPlan] = {}
 """The plan that this process works on, by its text."""
 
@@ -351,7 +368,7 @@ def _not_run(job: _Job, reason: str) -> Outcome:
         held=False,
         fault=Fault(reason="not run", detail=reason, time=0.0),
         fingers=fingers,
-        samples=Samples.of({name: () for name in CHANNELS}, len(fingers)),
+        samples=Samples.of({name: () for name in Samples.channels()}, len(fingers)),
         load=np.zeros(0),
     )
 

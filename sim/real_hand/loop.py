@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console, ConsoleOptions, RenderResult
 
-from planner.arrays import checked_number, finite, short_repr
+from planner.arrays import checked_number, finite
 from planner.errors import HandError, PlannerError, TaskError
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray
@@ -38,6 +38,7 @@ from sim.real_hand.interface import (
 )
 from sim.real_hand.log import LogWriter
 from sim.real_hand.safety import CommandLimiter, CommandLimits, Guard, Safety, Stopped
+from sim.screen import Report
 from sim.tables import table_of
 
 MICRO = 1e6
@@ -68,8 +69,8 @@ class Times:
         return f"{self.p50:.0f} / {self.p99:.0f} / {self.worst:.0f} us"
 
 
-@dataclass(frozen=True, kw_only=True)
-class LoopReport:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LoopReport(Report):
     """How a run went.
 
     Attributes:
@@ -122,9 +123,14 @@ class LoopReport:
     efforts_checked: bool
 
     @property
-    def done(self) -> bool:
+    def success(self) -> bool:
         """Whether all phases were run to their end."""
         return not self.reason
+
+    @property
+    def done(self) -> bool:
+        """The same."""
+        return self.success
 
     @property
     def stopped(self) -> bool:
@@ -136,10 +142,6 @@ class LoopReport:
         head = {"format": FORMAT, "version": VERSION, "done": self.done}
         data: dict[str, Any] = finite(head | asdict(self))
         return data
-
-    def __repr__(self) -> str:
-        """One line."""
-        return short_repr(self)
 
     def __str__(self) -> str:
         """The outcome in a line."""

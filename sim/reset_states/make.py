@@ -15,6 +15,7 @@ import numpy as np
 from planner.batch.pool import check_backend, default_backend, finished
 from planner.errors import FileFormatError, TaskError
 from planner.files import write_json
+from planner.files.json_csv import Journal
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray, pose_from_wxyz
@@ -23,12 +24,12 @@ from planner.version import written_by
 from sim.reset_states.formats import STATES_FILE, StateSet, state_format, state_formats
 from sim.reset_states.hold import REASONS, SCENE_FILE, write_scene
 from sim.reset_states.shards import (
+    JOURNAL,
     SHARD,
     SUMMARY,
     Distinct,
     Shard,
     ShardJob,
-    append_line,
     coverage,
     held_shard,
     journal,
@@ -37,6 +38,7 @@ from sim.reset_states.shards import (
     shard_path,
 )
 from sim.reset_states.starts import (
+    WORK,
     Cell,
     PlanJob,
     StatesAsked,
@@ -116,20 +118,20 @@ def make_states(
     check_backend(default_backend(workers), workers)
     hand, cells = cells_of(asked)
     root = Path(folder)
-    open_folder(root, asked, hand.digest)
     tell = progress or (lambda _: None)
-    summary = {
-        "format": "opposable-states-summary",
-        "version": 1,
-        "written_by": written_by(),
-        "hand": hand.name,
-        "physics": str(asked.physics),
-        "cells": [
-            _make_cell(asked, hand, cell, task, root, workers, formats, tell)
-            for cell, task in cells
-        ],
-    }
-    write_json(summary, root / SUMMARY)
+    with open_folder(root, asked, hand.digest):
+        summary = {
+            "format": "opposable-states-summary",
+            "version": 1,
+            "written_by": written_by(),
+            "hand": hand.name,
+            "physics": str(asked.physics),
+            "cells": [
+                _make_cell(asked, hand, cell, task, root, workers, formats, tell)
+                for cell, task in cells
+            ],
+        }
+        write_json(summary, root / SUMMARY)
     return summary
 
 
@@ -240,9 +242,11 @@ def _planned(
             backend=default_backend(workers),
             given_up=_no_plan,
         )
-        for plan in append_line(folder, results):
-            made[plan["key"]] = plan
-            report()
+        with Journal(folder / WORK / JOURNAL) as lines:
+            for plan in results:
+                lines.add(plan)
+                made[plan["key"]] = plan
+                report()
     return [dict(made[job.key]) for job in jobs]
 
 

@@ -32,12 +32,12 @@ states differ in besides (gravity, mass, friction, commands) does not make them 
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import time
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import copyfile
@@ -46,6 +46,7 @@ from typing import Any
 import numpy as np
 
 from planner.batch.pool import end_with
+from planner.batch.store import lock_folder
 from planner.errors import FileFormatError, shown
 from planner.files import read_json, write_json
 from planner.files.json_csv import read_json_lines, refuse_other_request, whole_file
@@ -175,8 +176,9 @@ FORMAT, VERSION = "opposable-states-cache", 1
 JOURNAL = "sources.jsonl"
 
 
-def open_folder(folder: Path, asked: StatesAsked, hand_digest: str) -> None:
-    """Begin a cache, or go on with one.
+@contextmanager
+def open_folder(folder: Path, asked: StatesAsked, hand_digest: str) -> Iterator[None]:
+    """Begin a cache, or go on with one; within the block no other process writes to it.
 
     Args:
         folder: Its folder.
@@ -184,8 +186,18 @@ def open_folder(folder: Path, asked: StatesAsked, hand_digest: str) -> None:
         hand_digest: Digest of the hand's files.
 
     Raises:
-        FileFormatError: The folder holds another cache, or something else.
+        FileFormatError: The folder holds another cache or something else, or another process is
+            writing to it.
     """
+    _begin(folder, asked, hand_digest)
+    lock = lock_folder(folder, "states")
+    try:
+        yield
+    finally:
+        os.close(lock)
+
+
+def _begin(folder: Path, asked: StatesAsked, hand_digest: str) -> None:
     path = folder / MANIFEST
     wanted = {"format": FORMAT, "version": VERSION, "hand_sha256": hand_digest, **asked.to_dict()}
     if path.exists():
@@ -214,18 +226,6 @@ def journal(folder: Path) -> dict[str, Mapping[str, Any]]:
     """Plans of a cell that were made, by their key; half a line, left by a kill, is skipped."""
     plans = read_json_lines(folder / WORK / JOURNAL)
     return {plan["key"]: plan for plan in plans if isinstance(plan.get("key"), str)}
-
-
-def append_line(folder: Path, plans: Iterable[Mapping[str, Any]]) -> Iterable[Mapping[str, Any]]:
-    """Add plans to the journal of a cell as they come, and pass them on."""
-    path = folder / WORK / JOURNAL
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a", encoding="utf-8") as stream:
-        stream.write("\n")  # after half a line, if there is one
-        for plan in plans:
-            stream.write(json.dumps(plan) + "\n")
-            stream.flush()
-            yield plan
 
 
 BANDS, SECTORS, TURNS = 6, 12, 12

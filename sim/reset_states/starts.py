@@ -35,8 +35,9 @@ from planner.files import write_json
 from planner.files.json_csv import plain_name, whole_file
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.motion import MotionPlan, plan_motion
+from planner.motion import MovementPlan, plan_motion
 from planner.motion.gait import plan_gait
+from planner.numerics.kernels import compiled_searches
 from planner.objects import GraspObject, parse_object
 from planner.search import plan_grasp
 from planner.shapes import Mesh, Shape, shape_from_dict, shape_to_dict
@@ -333,7 +334,8 @@ def planned_sources(job: PlanJob) -> dict[str, Any]:
     end_with(job.parent)
     task = task_of(job.recipe)
     try:
-        found = list(_sources(job, task))
+        with compiled_searches():  # one plan of many
+            found = list(_sources(job, task))
     except NoGraspFoundError as error:
         return {"key": job.key, "reason": str(error).splitlines()[0], "sources": []}
     except PlannerError as error:
@@ -366,18 +368,17 @@ def _sources(job: PlanJob, task: GraspTask) -> Iterator[Source]:
             seed=job.seed,
             max_attempts=MOTION_ATTEMPTS,
         )
-        yield from _knots(job, gait.motion)
-        own, number = gait.motion.grasp.task, len(gait.motion.knots)
-        for move in gait.relocations:
-            if move.cycle == 0:  # later cycles repeat the postures
-                number += 1
-                q = move.postures[len(move.postures) // 2]
-                less = own.with_fingers(move.during.fingers)
-                T_base = gait.T_world_base
-                yield from _pose(job, number, less, move.during, T_base, q, move.T_world_object)
+        yield from _knots(job, gait)
+        own, number = gait.task, len(gait.knots)
+        for move in gait.regrasps:  # later cycles repeat the postures
+            number += 1
+            q = move.postures[len(move.postures) // 2]
+            less = own.with_fingers(move.during.fingers)
+            T_base = gait.T_world_base
+            yield from _pose(job, number, less, move.during, T_base, q, move.T_world_object)
 
 
-def _knots(job: PlanJob, motion: MotionPlan) -> Iterator[Source]:
+def _knots(job: PlanJob, motion: MovementPlan) -> Iterator[Source]:
     for number, knot in enumerate(motion.knots):
         yield from _pose(
             job,

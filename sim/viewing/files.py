@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import import_module
-from typing import Any
 
 from planner.errors import NoGraspFoundError
 from planner.files import plan_from_dict
-from planner.files.movements import gait_from_dict, manipulation_from_dict, motion_from_dict
-from planner.pages.motion_page import AnyMotion, motion_page
+from planner.files.json_csv import MOVEMENT_FORMATS
+from planner.files.movements import movement_from_dict
+from planner.pages.motion_page import motion_page
 from planner.pages.page import Page
 from planner.pages.plan_page import plan_page, with_alternatives
 from planner.plan import GraspPlan
@@ -57,22 +56,14 @@ PLAN = Kind(
 """See ``sim.viewing.kinds``."""
 
 
-READERS: dict[str, Callable[[dict[str, Any], str], AnyMotion]] = {
-    "opposable-motion": motion_from_dict,
-    "opposable-gait": gait_from_dict,
-    "opposable-manipulation": manipulation_from_dict,
-}
-"""Format of a file -> what reads it."""
-
-
 def _motion(target: Target, options: ViewOptions) -> Page:
     assert target.data is not None
-    return motion_page(READERS[target.format](target.data, str(target.path)))
+    return motion_page(movement_from_dict(target.data, str(target.path)))
 
 
 MOTION = Kind(
-    name="a motion, gait or manipulation plan",
-    recognises=lambda target: target.format in READERS,
+    name="a plan of a movement in the hand",
+    recognises=lambda target: target.format in MOVEMENT_FORMATS,
     shown=_motion,
 )
 """See ``sim.viewing.kinds``."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from random import Random
 
 from planner.files import read_manipulation, read_motion
-from planner.files.movements import manipulation_to_dict, motion_to_dict
+from planner.files.movements import movement_to_dict
 
 from ..hostile import changed_json, damaged
 from ..samples import Samples
@@ -26,11 +26,11 @@ def case(rng: Random, samples: Samples) -> Callable[[], object]:
     def read() -> None:
         if whole:
             manipulation = read_manipulation("motion.json")
-            json.dumps(manipulation_to_dict(manipulation), allow_nan=False)
+            json.dumps(movement_to_dict(manipulation), allow_nan=False)
             str(manipulation)
         else:
             motion = read_motion("motion.json")
-            json.dumps(motion_to_dict(motion), allow_nan=False)
+            json.dumps(movement_to_dict(motion), allow_nan=False)
             str(motion)
 
     return read

@@ -3,6 +3,12 @@
 Turns about the vertical come easily to hands: tips roll around the object. Where the object is
 tilted or moved, tips may pivot on their contacts instead; the pivot is bounded here. The fallback
 schedule tells which fingers and pads are tried in turn, and how far beyond the angle they turn.
+
+``OnArm``: manipulations planned for a hand alone, made by the hand on its arm.
+
+While the hand turns the object its base stands still. So the turn is planned for the hand without
+its arm, where the arm can bring the palm, and judged again with the arm and the way in, the lift,
+the carry and the way out that the arm makes.
 """
 
 from __future__ import annotations
@@ -10,16 +16,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from planner.approach.arm_path import LIFT_HEIGHT, verify_arm_path
+from planner.approach.pregrasp import way_back
 from planner.attempt import nothing_found
-from planner.errors import TaskError
+from planner.collision.world import CollisionWorld
+from planner.errors import HandError, TaskError
 from planner.failure import Failure
-from planner.motion.manipulation.ending import Rests, planned_ending
-from planner.motion.manipulation.on_arm import OnArm
-from planner.motion.manipulation.plan import ManipulationPlan, torque_reserve
-from planner.motion.manipulation.task import with_fingers
+from planner.hand_loading import load_hand
+from planner.hands.arm import read_mount
+from planner.kinematics.arm_ik import reach, straight_path
+from planner.kinematics.state import HandState
+from planner.motion.context import tripods, with_rolling_pads
+from planner.motion.ending import Rests, planned_ending, standing
 from planner.motion.path import (
     LARGEST_TURN,
     ObjectPath,
@@ -28,12 +40,15 @@ from planner.motion.path import (
     checked_shift,
     tilts,
 )
-from planner.motion.plan import MotionPlan
+from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
 from planner.motion.search import MotionAttempt, motion_attempts
-from planner.motion.starts import tripods, with_rolling_pads
-from planner.spatial import FloatArray
+from planner.motion.task import with_fingers
+from planner.motion.verify import MovementVerifier, Waypoint
+from planner.plan import SolveRecord
+from planner.spatial import SE3, FloatArray
 from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.task import GraspTask
+from planner.verification.grasp import verify_grasp
 
 CANDIDATES = 3
 """Plans of which the best is taken, unless one is good enough to be taken at once; fewer where the
@@ -209,7 +224,8 @@ def plan_single_stroke(
             found.append(whole)
     if found:
         best = max(found, key=merit)
-        return replace(best, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
+        record = replace(best.record, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
+        return replace(best, record=record)
     asked = ObjectPath(axis=direction, angle=angle, shift=moved)
     sets = " or ".join(", ".join(names) for names in dict.fromkeys(tried))
     raise nothing_found(
@@ -220,7 +236,7 @@ def plan_single_stroke(
 
 
 def _whole(
-    motion: MotionPlan,
+    motion: MovementPlan,
     on_arm: OnArm | None,
     angle: float,
     shift: FloatArray,
@@ -236,15 +252,7 @@ def _whole(
         return ending
     if on_arm is not None and (blocked := on_arm.blocked(carried, ending)):
         return blocked
-    return ManipulationPlan(
-        motion=carried,
-        angle=angle,
-        shift=shift,
-        ending=ending,
-        reserve=torque_reserve(carried),
-        attempts=0,
-        cpu_s=0.0,
-    )
+    return ManipulationPlan.of(carried, ending, angle=angle, shift=shift)
 
 
 def good_enough(found: Sequence[ManipulationPlan]) -> bool:
@@ -255,8 +263,8 @@ def good_enough(found: Sequence[ManipulationPlan]) -> bool:
 def merit(plan: ManipulationPlan) -> float:
     """How good a plan is (-), from 1 on good enough to be taken at once."""
     if plan.task.object.shape.ball_like:
-        return plan.motion.margin / GOOD_ON_BALLS
-    return min(plan.reserve / GOOD_RESERVE, plan.motion.margin / GOOD_MARGIN)
+        return plan.margin / GOOD_ON_BALLS
+    return min(plan.reserve / GOOD_RESERVE, plan.margin / GOOD_MARGIN)
 
 
 def _with_overshoot(
@@ -270,7 +278,7 @@ def _with_overshoot(
     return ObjectPath(axis=axis, angle=whole, shift=whole / angle * shift)
 
 
-def _pivoting(motion: MotionPlan) -> Failure | None:
+def _pivoting(motion: MovementPlan) -> Failure | None:
     """Which tip pivots too far on its contact when the object is tilted or moved, None for none.
 
     Torsional friction, which the controller does not model, would hold the object back.
@@ -288,3 +296,122 @@ def _pivoting(motion: MotionPlan) -> Failure | None:
         text=f"{name} pivots on its contact by {degrees:.0f} degrees",
         numbers={"pivot_deg": degrees},
     )
+
+
+SPARE = 0.02
+"""How much farther (m) than planned the arm must reach at the target: the object lies in the hand
+by some millimetres and degrees otherwise than planned, and the hand makes up for that."""
+
+
+class OnArm:
+    """The arm of one task.
+
+    Attributes:
+        alone: The task for the hand alone, whose base is free.
+    """
+
+    def __init__(self, task: GraspTask) -> None:
+        """Take the hand off its arm.
+
+        Raises:
+            HandError: The hand was not loaded from a description of a hand on an arm.
+        """
+        mount = None if task.hand.path is None else read_mount(task.hand.path)
+        if mount is None or task.T_world_base is None:
+            raise HandError(
+                f"{task.hand.name} is on an arm that no description tells of; load it from its "
+                "hand.toml, which names the hand alone"
+            )
+        self._task, self._root = task, SE3(task.T_world_base)
+        hand = load_hand(mount.hand_path)
+        self._columns = [task.hand.joint_names.index(name) for name in hand.joint_names]
+        if task.hand.rolls:
+            hand = hand.rolling
+        self.alone = replace(task, hand=hand, T_world_base=None)
+
+    def reaches(self, T_world_base: SE3, q: FloatArray) -> bool:
+        """Whether the arm brings the palm there that the hand alone has at a base pose and q."""
+        return self._reached(self.alone, T_world_base, q) is not None
+
+    def carried(self, motion: MovementPlan) -> MovementPlan | Failure:
+        """A motion of the hand alone with the arm below it, judged again; or why it fails."""
+        alone = motion.grasp.task
+        arm = self._reached(alone, motion.T_world_base, motion.grasp.q)
+        if arm is None:
+            return Failure(
+                kind="out_of_reach", text="the arm cannot bring the palm to where the motion is"
+            )
+        hand = self._task.hand.rolling if alone.hand.rolls else self._task.hand
+        task = replace(alone, hand=hand, T_world_base=self._root)
+        postures = np.tile(arm, (len(motion.knots), 1))
+        postures[:, self._columns] = [knot.q for knot in motion.knots]
+        verifier = MovementVerifier(task)
+        grasp = verify_grasp(
+            task,
+            self._root,
+            postures[0],
+            record=SolveRecord(
+                iterations=motion.record.iterations, status="motion", objective="motion"
+            ),
+        )
+        if isinstance(grasp, Failure):
+            return grasp.at("start, with the arm")
+        waypoints = [
+            Waypoint(
+                path_parameter=knot.path_parameter,
+                T_object_base=knot.T_world_object.inverse() * self._root,
+                q=q,
+            )
+            for knot, q in zip(motion.knots, postures, strict=True)
+        ]
+        knots = verifier.verify_knots(self._root, waypoints, motion.path, motion.path_tolerance)
+        if isinstance(knots, Failure):
+            return knots.at("with the arm")
+        return replace(motion.with_knots(knots), grasp=grasp)
+
+    def blocked(self, motion: MovementPlan, ending: Ending) -> Failure | None:
+        """Why the arm cannot carry the object to where it is put down; None if it can."""
+        end = motion.knots[0 if ending.back else -1]
+        there = motion.grasp.task if ending.back else standing(motion)
+        if isinstance(there, Failure):
+            return there
+        world, hand, now = CollisionWorld(there), there.hand, np.array(end.q)
+        to = ending.T_world_target.translation - end.T_world_object.translation
+        up = np.array([0.0, 0.0, LIFT_HEIGHT])
+        out = way_back(hand, self._root, ending.release)
+        away = ending.T_world_target.translation - self._root.translation
+        away[2] = 0.0
+        for what, shift in (
+            ("lift the object after the turn", up),
+            ("carry the object to where it is put down", np.array([to[0], to[1], 0.0])),
+            ("lower the object", -up),
+            ("reach further than planned", SPARE * away / max(float(np.linalg.norm(away)), 1e-9)),
+            ("leave the object", out),
+        ):
+            path = straight_path(hand, now, self._root.rotation.T @ shift)
+            if path is None:
+                text = f"the arm cannot {what} within its limits"
+                return Failure(kind="arm_unreachable", text=text)
+            if shift is not out and (
+                touched := verify_arm_path(world, self._root, end.q, path, clearance=0.0, held=True)
+            ):
+                return touched.at(what)
+            now[hand.arm_index] = path[-1]
+        return None
+
+    def _reached(self, task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray | None:
+        """All joints (nq,) with the arm where it brings the palm there; None if it cannot."""
+        T_world_palm = T_world_base * HandState(task.hand, q).T_base_palm
+        whole = np.array(self._first)
+        whole[self._columns] = q
+        reached = reach(self._task.hand, self._root.inverse() * T_world_palm, whole)
+        return reached.q if reached.there else None
+
+    @cached_property
+    def _first(self) -> FloatArray:
+        """Joints (nq,) with the arm ready."""
+        q = np.array(self._task.hand.neutral)
+        arm = self._task.hand.arm
+        assert arm is not None
+        q[arm.index] = arm.ready
+        return q

@@ -3,25 +3,30 @@
 The object is put down in its final attitude if it stands in it: after a turn about the vertical, a
 turn onto its own symmetry, or a turn onto another stable face. The hand must also find a way out
 there. Otherwise the motion is reversed first, and the object is put down as it was picked up.
+
+The release after a motion: fingers opened where the motion ends, and a straight way out.
+
+It is an approach in reverse, planned by the same code. At the end of the motion the table is as far
+below the object's lowest point as at the start. Obstacles that carried the object carry it again,
+at the height at which the turned object lies on them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
-from planner.approach.pregrasp import Approach
+from planner.approach.pregrasp import Approach, find_approach, verify_approach
 from planner.collision.resting import lift_to_rest
+from planner.collision.world import CollisionWorld
 from planner.failure import Failure
-from planner.immutable import freeze
-from planner.motion.plan import MotionPlan
-from planner.motion.release import SINKS, find_release
+from planner.motion.plan import Ending, MovementPlan
 from planner.spatial import SE3, FloatArray
-from planner.task import GraspTask, Obstacle
+from planner.task import GraspTask
 
 Rests: TypeAlias = Callable[[GraspTask], bool]
 """Whether the object of a task stays where the task has it; ``sim.manipulation.rests`` is one."""
@@ -35,32 +40,9 @@ ALIKE = 1e-4
 DIRECTIONS = 200
 """Number of directions in which the extents are compared."""
 
-SAME_PLACE = 1e-6
-"""Distance (m) below which two places are the same."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Ending:
-    """How an object is put down.
-
-    Attributes:
-        T_world_target: Final pose of the object.
-        release: Opened fingers and the way out where the motion ends, or where it began if the
-            motion is reversed.
-        back: Why the motion is reversed before, "" if it is not.
-    """
-
-    T_world_target: SE3
-    release: Approach
-    back: str
-
-    def __post_init__(self) -> None:
-        """Keep copies that nobody changes."""
-        freeze(self, poses=("T_world_target",))
-
 
 def planned_ending(
-    motion: MotionPlan,
+    motion: MovementPlan,
     angle: float,
     place: tuple[float, float] | None,
     *,
@@ -86,7 +68,7 @@ def planned_ending(
     return release.at("cannot let go at the end")
 
 
-def backwards(motion: MotionPlan, place: tuple[float, float] | None, why: str) -> Ending:
+def backwards(motion: MovementPlan, place: tuple[float, float] | None, why: str) -> Ending:
     """The ending that reverses the motion and puts the object down as it was picked up."""
     grasp, path = motion.grasp, motion.path
     release = Approach(
@@ -148,10 +130,52 @@ def object_at_target(
     return SE3(turned, np.array([x, y, height + (lift or 0.0)]))
 
 
-def standing_under(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:
-    """Copies at the target of the obstacles that carry the object, if that is another place."""
-    gone = target.translation - task.T_world_object.translation
-    if np.linalg.norm(gone[:2]) < SAME_PLACE:
-        return ()
-    by = np.array([*gone[:2], 0.0])
-    return tuple(replace(o.moved(by), name=f"{o.name} at the target") for o in task.carrying)
+SINKS = 0.01
+"""Largest change of height (m) of a turned object on the obstacles that carry it."""
+
+
+def find_release(motion: MovementPlan) -> Approach | Failure:
+    """Opened fingers and a straight way out at the end of a motion; or why there are none.
+
+    Poses are relative to the grasp, like those of the motion: put down elsewhere, hand and object
+    move together.
+    """
+    there, end = standing(motion), motion.knots[-1]
+    if isinstance(there, Failure):
+        return there
+    return find_approach(CollisionWorld(there), motion.T_world_base, end.q, end.contacts.normals)
+
+
+def verify_release(motion: MovementPlan, release: Approach) -> Failure | None:
+    """Why a way out at the end of a motion fails, None if it is free."""
+    there, end = standing(motion), motion.knots[-1]
+    if isinstance(there, Failure):
+        return there
+    return verify_approach(CollisionWorld(there), motion.T_world_base, end.q, release)
+
+
+def standing(motion: MovementPlan) -> GraspTask | Failure:
+    """The task with table and obstacles below the object at the end of a motion; or why not.
+
+    The object stays where the motion has it.
+    """
+    end, task = motion.knots[-1], motion.grasp.task
+    table, carrying = task.table_height, task.carrying
+    if table is not None:
+        first, last = task.T_world_object, end.T_world_object
+        risen = task.lowest_point(last) - task.lowest_point(first)
+        table += risen
+        gone = last.translation - first.translation
+        carrying = tuple(o.moved(np.array([*gone[:2], risen])) for o in carrying)
+        if carrying:
+            shape = task.object.shape
+            lift = lift_to_rest(shape, end.T_world_object, carrying, -SINKS, SINKS)
+            if lift is None:
+                return Failure(
+                    kind="no_rest",
+                    text=f"turned like that the object does not lie on {carrying[0].name!r} and "
+                    f"the others that carried it: it is in them even {1e3 * SINKS:.0f} mm higher",
+                )
+            carrying = tuple(o.moved(np.array([0.0, 0.0, -lift])) for o in carrying)
+            table -= lift
+    return replace(task, T_world_object=end.T_world_object, table_height=table, obstacles=carrying)

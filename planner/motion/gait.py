@@ -3,7 +3,7 @@
 A stroke is a motion (``planner.motion``) that ends with the object on its path. It is planned so
 that the opposing finger can be lifted when the trailing fingers have moved on and the leading ones
 have not: at that time the fingers reach around more of the object than at any other. Then all
-orders of lifts are searched (``planner.motion.gait.order``). The hand repeats the same postures in
+orders of lifts are searched (``planner.motion.order``). The hand repeats the same postures in
 every cycle, so the object must look the same to it after a stroke: a solid of revolution about its
 axis, or a prism along itself. This is verified cycle by cycle, not assumed.
 """
@@ -11,28 +11,41 @@ axis, or a prism along itself. This is verified cycle by cycle, not assumed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from planner.arrays import checked_number
-from planner.attempt import Attempt, nothing_found, run_attempts, search
+from planner.attempt import Attempt, nothing_found, search
 from planner.errors import NoGraspFoundError, TaskError
-from planner.failure import Failure
 from planner.kinematics.state import HandState
-from planner.motion.context import MotionContext
-from planner.motion.gait.order import NO_ORDER
-from planner.motion.gait.plan import GaitPlan
-from planner.motion.gait.verify import GaitVerifier
+from planner.motion.context import MotionContext, attempts_in_turn
+from planner.motion.order import NO_ORDER, Lift, NoOrder, Order, find_order
 from planner.motion.path import ObjectPath, checked_axis, checked_shift
+from planner.motion.plan import GaitPlan, MovementPlan, Relocation, Stroke
+from planner.motion.regrasp import cut_motion, plan_back, plan_others
 from planner.motion.search import MOTION_OPTIONS, PATH_TOLERANCE, UP, check_task
-from planner.motion.stances import Stance
+from planner.motion.terms import Stance
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.seeds.opposition import frame_of
 from planner.task import GraspTask
+
+__all__ = [
+    "GaitPlan",
+    "Lift",
+    "NoOrder",
+    "Order",
+    "Relocation",
+    "Stroke",
+    "cut_motion",
+    "find_order",
+    "plan_back",
+    "plan_gait",
+    "plan_others",
+]
 
 STROKES = tuple(np.deg2rad([30.0, 24.0, 36.0, 20.0]))
 """Angles (rad) of a stroke; attempts alternate between them. Longer strokes need fewer cycles,
@@ -58,7 +71,7 @@ def plan_gait(
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
     options: SynthesisOptions = MOTION_OPTIONS,
-) -> GaitPlan:
+) -> MovementPlan:
     """A motion of the object in the hand that is longer than one grasp allows, by regrasping.
 
     May be called from any number of threads, like ``plan_grasp``.
@@ -87,12 +100,10 @@ def plan_gait(
     _check_fingers(task)
     shift = checked_shift(shift)
     pieces = _pieces(checked_axis(axis), angle, shift)
-    verifier = GaitVerifier(task)
 
-    @cache
-    def context(number: int) -> _GaitContext:
-        path, cycles, held = pieces[number]
-        stroke = MotionContext.of(
+    contexts = [
+        partial(
+            MotionContext.of,
             task,
             path,
             options,
@@ -101,33 +112,14 @@ def plan_gait(
             path_tolerance=path_tolerance,
             exact_end=True,
             stances=_stances(task, path) if held and cycles > 1 else (),
+            cycles=cycles,
         )
-        return _GaitContext(stroke, cycles, verifier)
-
-    attempts = run_attempts(lambda index: context(index % len(pieces)), seed=seed)
-    plan, made = search(attempts, max_attempts=max_attempts)
+        for path, cycles, held in pieces
+    ]
+    plan, made = search(attempts_in_turn(contexts, seed), max_attempts=max_attempts)
     if plan is None:
         raise _nothing_found(task, pieces[0], made)
     return plan
-
-
-@dataclass(frozen=True)
-class _GaitContext:
-    """What attempts with the same stroke share."""
-
-    stroke: MotionContext
-    cycles: int
-    verifier: GaitVerifier
-
-    @property
-    def build_s(self) -> float:
-        """Time that building the problem took, s."""
-        return self.stroke.build_s
-
-    def attempt(self, rng: np.random.Generator) -> GaitPlan | Failure:
-        """A stroke, and the gait that repeats it if one is found."""
-        stroke = self.stroke.attempt(rng)
-        return stroke if isinstance(stroke, Failure) else self.verifier.verify(stroke, self.cycles)
 
 
 def _with_all(task: GraspTask) -> GraspTask:
@@ -149,7 +141,7 @@ def _check_fingers(task: GraspTask) -> None:
 
 
 def _nothing_found(
-    task: GraspTask, piece: tuple[ObjectPath, int, bool], made: list[Attempt[GaitPlan]]
+    task: GraspTask, piece: tuple[ObjectPath, int, bool], made: list[Attempt[MovementPlan]]
 ) -> NoGraspFoundError:
     """The error of an exhausted budget, with the last failure of the lifts if any were tried."""
     path, cycles, _ = piece

@@ -43,7 +43,7 @@ def manipulation_task(
         object: The object, with the largest mass that it may have.
         mu: Sliding friction (-), the least that there may be.
         fingers: Finger names; if None the hand's default set, of which planning may leave some out
-            (``planner.motion.manipulation.single_stroke``).
+            (``planner.motion.single_stroke``).
     """
     task = GraspTask.create(hand, object, mu=mu, fingers=fingers)
     return replace(task, grip_force=max(LEAST_GRIP, _carrying_force(task, len(task.finger_names))))

@@ -1,31 +1,46 @@
-"""``plan_manipulation``: one stroke or several; ``plan_regrasping``: several with regrasps between.
+"""``plan_manipulation``: pick an object up, turn or move it in the hand, put it down.
 
-A turn by several strokes is a ``planner.motion.gait.GaitPlan``: strokes of one motion, between
-which the fingers move on one at a time. Approach and ending are those of any manipulation.
+    task = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.45)
+    plan = plan_manipulation(task, angle=math.radians(90.0), place=(0.1, 0.05))
+
+The movement has one stroke (``planner.motion.single_stroke``), or several with regrasps between
+(``planner.motion.gait``); approach and ending are the same. ``sim.manipulate`` executes it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from planner.arrays import checked_number
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.failure import Failure
-from planner.motion.gait import GaitPlan, plan_gait
-from planner.motion.manipulation.ending import Rests, planned_ending, stands
-from planner.motion.manipulation.plan import ManipulationPlan, torque_reserve
-from planner.motion.manipulation.single_stroke import (
-    LEAST_OVERSHOOT,
-    MAX_ATTEMPTS,
-    plan_single_stroke,
-)
+from planner.motion.ending import Rests, planned_ending, stands
+from planner.motion.gait import plan_gait
 from planner.motion.path import LARGEST_TURN, check_place, checked_axis, checked_shift, tilts
-from planner.motion.plan import MotionPlan
+from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
+from planner.motion.single_stroke import LEAST_OVERSHOOT, MAX_ATTEMPTS, plan_single_stroke
+from planner.motion.task import manipulation_task, on_stand
 from planner.spatial import FloatArray
 from planner.task import GraspTask
+
+__all__ = [
+    "Ending",
+    "ManipulationPlan",
+    "Rests",
+    "manipulation_of",
+    "manipulation_task",
+    "on_stand",
+    "plan_manipulation",
+    "plan_regrasping",
+    "plan_single_stroke",
+    "planned_ending",
+]
 
 ONE_STROKE = math.radians(150.0)
 """Turn (rad) about the vertical beyond which regrasps are planned first: one stroke hardly ever
@@ -79,19 +94,12 @@ def plan_regrasping(
             max_attempts=max_attempts,
         )
         attempts, cpu_s = attempts + gait.record.attempts, cpu_s + gait.record.cpu_s
-        ending = planned_ending(gait.motion, angle, place, rests=rests)
+        ending = planned_ending(gait, angle, place, rests=rests)
         if isinstance(ending, Failure) or ending.back:
             why = ending.text if isinstance(ending, Failure) else ending.back
             continue
-        return ManipulationPlan(
-            motion=gait.motion,
-            angle=angle,
-            ending=ending,
-            reserve=torque_reserve(gait.motion),
-            attempts=attempts,
-            cpu_s=cpu_s,
-            gait=gait,
-        )
+        made = replace(gait, record=replace(gait.record, attempts=attempts, cpu_s=cpu_s))
+        return ManipulationPlan.of(made, ending, angle=angle, shift=np.zeros(3))
     raise NoGraspFoundError(
         f"{GAITS} gaits of {task.object.name} with {task.hand.name} end where the object cannot be "
         f"put down: {why}. Try another seed, a higher object or other fingers",
@@ -151,29 +159,16 @@ def plan_manipulation(
             "is free: turn by half a turn at most, without regrasps, or take the hand alone"
         )
 
-    def stroke() -> ManipulationPlan:
-        return plan_single_stroke(
-            task,
-            axis=axis,
-            angle=angle,
-            shift=shift,
-            place=place,
-            seed=seed,
-            max_attempts=max_attempts,
-            rests=rests,
-        )
-
-    def strokes() -> ManipulationPlan:
-        return plan_regrasping(
-            task,
-            axis=axis,
-            angle=angle,
-            place=place,
-            seed=seed,
-            max_attempts=max_attempts,
-            rests=rests,
-        )
-
+    asked: dict[str, Any] = {
+        "axis": axis,
+        "angle": angle,
+        "place": place,
+        "seed": seed,
+        "max_attempts": max_attempts,
+        "rests": rests,
+    }
+    stroke = partial(plan_single_stroke, task, shift=shift, **asked)
+    strokes = partial(plan_regrasping, task, **asked)
     if regrasp or abs(angle) > LARGEST_TURN:
         return strokes()
     on_arm = task.hand.arm is not None
@@ -205,15 +200,15 @@ def _neither(one_stroke: NoGraspFoundError, regrasps: PlannerError) -> NoGraspFo
 
 
 def manipulation_of(
-    motion: MotionPlan | GaitPlan,
+    movement: MovementPlan,
     *,
     place: tuple[float, float] | None = None,
     rests: Rests | None = None,
 ) -> ManipulationPlan:
-    """A motion or a gait with an ending: pick the object up, move it as planned, put it down.
+    """A movement with an ending: pick the object up, move it as planned, put it down.
 
     Args:
-        motion: The motion or gait; all of it is requested, there is no overshoot.
+        movement: Of one stroke or several; all of it is requested, there is no overshoot.
         place: Where the object is to stand, x and y in m, world; where it was if None.
         rests: As for ``plan_manipulation``.
 
@@ -221,22 +216,11 @@ def manipulation_of(
         TaskError: No table, or the object cannot be put down at its end.
     """
     check_place(place)
-    gait = motion if isinstance(motion, GaitPlan) else None
-    stroke = motion if isinstance(motion, MotionPlan) else motion.motion
-    angle = gait.angle if gait else stroke.path.angle
-    if stroke.grasp.task.table_height is None:
+    angle = movement.planned_angle
+    if movement.task.table_height is None:
         raise TaskError("there is no table to pick from and to place on; plan with table_height")
-    ending = planned_ending(stroke, angle, place, rests=rests)
-    if isinstance(ending, Failure) or (gait is not None and ending.back):
+    ending = planned_ending(movement, angle, place, rests=rests)
+    if isinstance(ending, Failure) or (movement.cycles > 1 and ending.back):
         why = ending.text if isinstance(ending, Failure) else ending.back
         raise TaskError(f"the object cannot be put down at the end: {why}; plan another motion")
-    return ManipulationPlan(
-        motion=stroke,
-        gait=gait,
-        angle=angle,
-        shift=gait.shift if gait else stroke.path.shift,
-        ending=ending,
-        reserve=torque_reserve(stroke),
-        attempts=motion.record.attempts,
-        cpu_s=motion.record.cpu_s,
-    )
+    return ManipulationPlan.of(movement, ending, angle=angle, shift=movement.planned_shift)

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
-from planner.motion.plan import MotionPlan
+from planner.motion.plan import MovementPlan
 from planner.spatial import SE3, FloatArray
 
 ROOTS = 2
@@ -31,7 +31,7 @@ PAIRS = 24
 """Nearest pairs that count."""
 
 
-def out_of_the_way(motion: MotionPlan) -> MotionPlan:
+def out_of_the_way(motion: MovementPlan) -> MovementPlan:
     """The motion with idle fingers moved away from everything else.
 
     The first knot stays: it is the grasp. A hand without idle fingers gets its motion back.
@@ -47,7 +47,7 @@ def out_of_the_way(motion: MotionPlan) -> MotionPlan:
         q = _spread(world, T_world_base, knot.q, offset, joints, idle)
         offset = q - knot.q
         knots.append(replace(knot, q=q))
-    return replace(motion, knots=tuple(knots))
+    return motion.with_knots(knots)
 
 
 def _joints(hand: Hand, taking_part: tuple[str, ...]) -> list[int]:
