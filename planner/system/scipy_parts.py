@@ -46,7 +46,8 @@ class _EmptyPackages:
         found = PathFinder.find_spec(fullname, path)
         if found is None or found.submodule_search_locations is None:
             return None
-        spec = ModuleSpec(fullname, self, is_package=True)
+        loader: Any = self
+        spec = ModuleSpec(fullname, loader, is_package=True)
         spec.submodule_search_locations = found.submodule_search_locations
         return spec
 

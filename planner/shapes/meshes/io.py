@@ -120,7 +120,7 @@ def _read_once(path: Path) -> tuple[FloatArray, IntArray]:
     key = _key_of(path, content)
     known = read_arrays(READ, key)
     if known is not None and _are_triangles(known):
-        return known["vertices"], known["faces"]
+        return known["vertices"], known["faces"].astype(np.int64, copy=False)
     vertices, faces = _read(path)
     write_arrays(READ, key, {"vertices": vertices, "faces": faces})
     return vertices, faces
