@@ -16,7 +16,7 @@ from planner.synthesis.link_capsules import collision_pairs, finger_capsules, ro
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import build_problem
 from planner.synthesis.terms import clearance
-from planner.synthesis.terms.clearance import FINGERS
+from planner.synthesis.terms.fingers import FINGERS
 
 CLEAR = SynthesisOptions().clear_fingers
 """Distance between fingers that is asked for if nothing is said, m."""
