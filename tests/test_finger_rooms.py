@@ -15,8 +15,8 @@ from planner.spatial import FloatArray
 from planner.synthesis.link_capsules import collision_pairs, finger_capsules, rooms_at_rest
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import build_problem
-from planner.synthesis.terms import clearance
-from planner.synthesis.terms.clearance import FINGERS
+from planner.synthesis.terms import fingers
+from planner.synthesis.terms.fingers import FINGERS
 
 CLEAR = SynthesisOptions().clear_fingers
 """Distance between fingers that is asked for if nothing is said, m."""
@@ -72,7 +72,7 @@ def test_neighbours_have_less_room_than_is_asked_for(narrow: Hand) -> None:
 def test_the_hands_own_posture_is_allowed(narrow: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
     for clear in (CLEAR, 0.0, 0.02):  # however much is asked
         assert margins(narrow, clear).min() > 0.0
-    monkeypatch.setattr(clearance, "rooms_at_rest", as_if_every_pair_had_room)
+    monkeypatch.setattr(fingers, "rooms_at_rest", as_if_every_pair_had_room)
     assert margins(narrow, CLEAR).min() < -1e-6
 
 

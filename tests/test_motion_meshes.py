@@ -21,7 +21,8 @@ from planner.spatial import SE3
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds.mesh import MeshSeeder, TurningSeeder, turning_seeder_for
-from planner.synthesis.terms.clearance import FINGERS, OBJECT, OBSTACLE, TABLE
+from planner.synthesis.terms.clearance import OBJECT, OBSTACLE, TABLE
+from planner.synthesis.terms.fingers import FINGERS
 from planner.task import GraspTask
 
 THREE = ["thumb", "index", "middle"]

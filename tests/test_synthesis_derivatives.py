@@ -31,7 +31,7 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start, build_problem
 from planner.synthesis.problem_cache import problems_for
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.terms.clearance import FINGERS
+from planner.synthesis.terms.fingers import FINGERS
 from planner.task import GraspTask, Obstacle
 
 STEP = 1e-6
