@@ -312,7 +312,7 @@ def measure(case: Row) -> Row:
         "reason": report.reason,
         "faults": report.faults,
         "collided": report.collision is not None,
-        "regrasps": plan.gait is not None,
+        "regrasps": plan.cycles > 1,
         "place_off_mm": last.get("off_mm"),
         "place_heading_deg": None if heading is None else abs(heading),
         "angle_off_deg": None if turned is None else abs(turned - math.degrees(turn.angle)),

@@ -147,7 +147,7 @@ def evaluate(p: ProblemTables, run: RunTables, x: FloatArray) -> float:
         kept.counts[0], kept.counts[1] = rows.count[0], rows.count[1]
     rows.count[0], rows.count[1] = kept.counts[0], kept.counts[1]
     link_rows(run.links, x, rows)
-    worst = max(kept.worst[0], largest(rows, kept.counts[0]))
+    worst: float = max(kept.worst[0], largest(rows, kept.counts[0]))
     resistance_rows(p.contacts, run.resistance, work, x, rows)
     return worst
 
