@@ -39,7 +39,7 @@ from planner.exchange.table import read_table, write_table
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from sim.tables import Row
 

@@ -28,9 +28,9 @@ from benchmarks.common import (
 from benchmarks.summary import Cell, Frame, amount, of, summary, table_data
 from benchmarks.synthesis import over_baseline
 from planner.errors import NoGraspFoundError, TaskError
-from planner.plan_metrics import Measure
 from planner.quality.ball import epsilon_frogger
-from planner.search import Attempt, plan_grasp
+from planner.search.grasp import Attempt, plan_grasp
+from planner.search.metrics import Measure
 from planner.task import DEFAULT_MU
 from sim.cli.options import MuOption, ObjectiveOption, names
 from sim.tables import Row, number

@@ -16,7 +16,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.shapes import Shape, shape_key
 from planner.shapes.meshes.io import MESH_SUFFIXES
 from planner.synthesis.options import SynthesisOptions

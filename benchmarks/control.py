@@ -51,13 +51,13 @@ from planner.verification.grasp import with_grip
 from sim.cli.execution import reality_of
 from sim.cli.options import RealityOption
 from sim.controllers import CONTROLLERS, ObjectImpedance
-from sim.physics import PhysicsOptions
 from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.protocols.disturbance import DROPPED, DisturbanceTrial, Settings
 from sim.protocols.forces import PushCase
 from sim.protocols.outcome import Conditions
 from sim.protocols.variations import robust_cases
-from sim.reality import Reality
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.reality import Reality
 from sim.tables import Row, number
 from sim.verdict import Fault
 

@@ -1,6 +1,6 @@
 """Hold exported grasps in MuJoCo and in Drake: held here, there, in both.
 
-Each plan is exported (``sim.scene_export``), and the export is held for 2 s under gravity by the
+Each plan is exported (``sim.scene.export``), and the export is held for 2 s under gravity by the
 check that ships with it, in MuJoCo, and in Drake (``sim.protocols.drake``). Of --physics Drake
 takes the friction alone.
 """
@@ -17,13 +17,13 @@ from benchmarks.bench import HandOptions, ObjectsOption
 from benchmarks.common import PRIMITIVES, cells_of, task_of
 from benchmarks.summary import Columns, of, share, summary
 from planner.errors import TaskError
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from sim.cli.execution import physics_of
 from sim.cli.options import PhysicsOption, SimMuOption
 from sim.protocols.drake import hold_in_drake
 from sim.protocols.drake_scene import drake_missing
-from sim.scene_export import export_scene
-from sim.scene_export.check import hold
+from sim.scene.export import export_scene
+from sim.scene.export.check import hold
 from sim.tables import Row
 
 

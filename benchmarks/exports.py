@@ -26,7 +26,7 @@ from planner.exchange import GivenGrasp, Reading, export_plans
 from planner.exchange.formats import FORMATS, format_named, load_formats
 from planner.exchange.joints import T_object_body
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import rotation_angle
 from sim.tables import Row
 

@@ -17,7 +17,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-import planner.search
+import planner.search.grasp
 from sim.manipulation.run import ManipulationRun
 from sim.trial import Trial, simulate
 
@@ -69,7 +69,7 @@ def _film(owner: Any, method: str, folder: Path, shown: list[Any]) -> None:
 
 def _keep_plans(plans: list[Any]) -> None:
     """Note what ``plan_grasp`` finds."""
-    home: Any = planner.search
+    home: Any = planner.search.grasp
     original = home.search
 
     @wraps(original)

@@ -10,7 +10,7 @@ from benchmarks.bench import HandOptions, ObjectsOption
 from benchmarks.common import PRIMITIVES, Setting, cells_of, task_of
 from benchmarks.summary import Columns, of, share, summary
 from planner.errors import NoGraspFoundError
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.synthesis.problem_cache import problems_for
 from sim.cli.execution import physics_of, reality_of
 from sim.cli.options import PhysicsOption, RealityOption, SimMuOption

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 from planner.errors import NotFoundError, TaskError
 from sim.controllers import GraspController, MakeController, ObjectImpedance
-from sim.estimation import ESTIMATORS, NONE
 from sim.learning import open_loop, policy_controller
 from sim.learning.controller import POLICY
-from sim.reality import Reality
+from sim.sensing.estimation import ESTIMATORS, NONE
+from sim.sensing.reality import Reality
 
 
 def _as_it_is(reality: Reality) -> Reality:
@@ -33,7 +33,7 @@ class Loop:
         holding: Makes what holds a grasp.
         turning: Makes what holds and turns the object of a manipulation, out of its grasp; None for
             the closed loop of ``manipulate``.
-        estimator: Name of what tells it where the object is, out of ``sim.estimation``.
+        estimator: Name of what tells it where the object is, out of ``sim.sensing.estimation``.
         told: The reality whose sensors it reads, out of that of the trial; what it changes of
             drives and world it changes for all.
         usual: Whether it is a column where none are named.

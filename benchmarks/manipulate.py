@@ -64,8 +64,8 @@ from sim.controllers.follow import RATE, SPEED
 from sim.learning import PolicyMaker, named_driver
 from sim.manipulation import ManipulationReport, Push, manipulate, rests, settled
 from sim.manipulation.in_hand import AnyTurningController
-from sim.physics import PhysicsOptions
-from sim.reality import Reality
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.reality import Reality
 from sim.simulation import Simulation
 from sim.tables import Row
 

@@ -34,15 +34,15 @@ from planner.errors import NoGraspFoundError
 from planner.plan import GraspPlan
 from planner.quality import analyse
 from planner.quality.ball import epsilon_frogger
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import DEFAULT_MU
 from sim.cli.execution import reality_of
 from sim.cli.options import RealityOption
-from sim.physics import PhysicsOptions
-from sim.reality import Reality
 from sim.report import TrialReport
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.reality import Reality
 from sim.simulation import Simulation
 from sim.tables import Row
 from sim.trial import Timeline, Trial

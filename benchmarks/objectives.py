@@ -16,8 +16,8 @@ import typer
 from benchmarks.bench import HandOptions, NumberOption, ObjectsOption
 from benchmarks.common import cells_of, seed_of, task_of
 from benchmarks.summary import Cell, Frame, amount, ratio, summary
-from planner.plan_metrics import METRICS, evaluate_metrics
-from planner.search import attempts
+from planner.search.grasp import attempts
+from planner.search.metrics import METRICS, evaluate_metrics
 from planner.synthesis import OBJECTIVES
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from sim.cli.options import AttemptsOption, names

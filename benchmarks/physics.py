@@ -24,10 +24,10 @@ from planner.verification.grasp import plan_forces
 from sim.cli.execution import reality_of
 from sim.cli.options import RealityOption
 from sim.creep import CREEP_BUDGET, least_creep, remedies
-from sim.physics import PRESETS, PhysicsOptions
 from sim.protocols.creep import measure_creep
-from sim.reality import Reality
-from sim.scene import build_scene
+from sim.scene.build import build_scene
+from sim.scene.physics import PRESETS, PhysicsOptions
+from sim.sensing.reality import Reality
 from sim.tables import Row, number
 from sim.trial import simulate
 

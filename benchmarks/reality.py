@@ -32,16 +32,16 @@ from benchmarks.summary import Cell, Frame, counted, of, summary
 from planner.errors import HandError, NotFoundError, PlannerError, TaskError
 from planner.motion.manipulation import ManipulationPlan
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from sim.cli.execution import reality_of
 from sim.cli.options import names
-from sim.estimation import EstimateLog
 from sim.manipulation import ManipulationReport
-from sim.physics import PhysicsOptions
 from sim.protocols.disturbance import Settings
 from sim.protocols.outcome import Conditions
 from sim.protocols.shake_pushes import PushesCase
-from sim.reality import Reality
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.estimation import EstimateLog
+from sim.sensing.reality import Reality
 from sim.tables import Row
 from sim.trial import simulate
 

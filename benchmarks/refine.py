@@ -28,8 +28,8 @@ from benchmarks.summary import of, parts, ratio, share, spread, summary
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.plan import GraspPlan
-from planner.refine import refine_grasp
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
+from planner.search.refine import refine_grasp
 from planner.spatial import SE3, FloatArray
 from planner.verification.grasp import verify_grasp
 from sim.cli.options import numbers

@@ -22,8 +22,8 @@ from planner.task import GRAVITY
 from sim.controllers import CONTROLLERS, Controller, Observation, SlipDetector
 from sim.controllers.monitors import LOADED, SLIP_SPEED
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.reality import Reality, RealityOfTrial
-from sim.tactile.layout import TIME_TOL
+from sim.sensing.reality import Reality, RealityOfTrial
+from sim.sensing.touch.layout import TIME_TOL
 from sim.verdict import Fault
 
 SLIP_TIME = 0.01

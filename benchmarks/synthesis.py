@@ -40,7 +40,7 @@ from planner.batch import GraspFeatures, diversity
 from planner.errors import PlannerError, TaskError
 from planner.numerics.kernels import compiled_searches
 from planner.quality.ball import epsilon_frogger, epsilon_l1
-from planner.search import Attempt, attempts
+from planner.search.grasp import Attempt, attempts
 from planner.shapes import Mesh
 from planner.system.disk_cache import CACHE_VARIABLE
 from planner.system.threads import timed

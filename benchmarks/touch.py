@@ -23,16 +23,16 @@ from benchmarks.watch import TouchWatch
 from planner.motion.manipulation import manipulation_task, plan_manipulation
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GRAVITY, GraspTask
 from sim.controllers import Event
 from sim.manipulation.run import ManipulationRun
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.reality import Reality
+from sim.sensing.reality import Reality
+from sim.sensing.touch import ContactEstimator, PadContact, TaxelArray, TaxelLayout, contact_image
 from sim.simulation import Simulation
 from sim.tables import Row
-from sim.tactile import ContactEstimator, PadContact, TaxelArray, TaxelLayout, contact_image
 
 OBJECTS = {
     "arrays": ("",),

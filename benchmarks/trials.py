@@ -22,7 +22,7 @@ from benchmarks.summary import counted, of, summary
 from planner.plan import GraspPlan
 from sim.cli.execution import reality_of
 from sim.cli.options import RealityOption, names
-from sim.reality import Reality
+from sim.sensing.reality import Reality
 from sim.simulation import Simulation
 from sim.tables import Row
 from sim.trial import Trial

@@ -17,7 +17,7 @@ from benchmarks.bench import HandOptions, ObjectsOption
 from benchmarks.common import cells_of, checked_hand, seed_of
 from benchmarks.summary import counted, of, parts, ratio, share, summary
 from planner.objects import parse_object
-from planner.search import attempts
+from planner.search.grasp import attempts
 from planner.shapes import Mesh, Shape
 from planner.task import GraspTask
 from sim.cli.execution import reality_of

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 from sim.controllers import Observation, PadReading
+from sim.sensing.touch import TOUCH_SENSES, TouchContext, make_sense
+from sim.sensing.touch.taxels import TaxelSense
 from sim.simulation import Simulation
-from sim.tactile import TOUCH_SENSES, TouchContext, make_sense
-from sim.tactile.taxels import TaxelSense
 
 SENSES = ("taxels", "effort", "binary")
 """Senses that look on."""

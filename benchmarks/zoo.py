@@ -29,7 +29,7 @@ from planner.hand_loading import load_hand
 from planner.hands.catalog import foreign_hand_names, hand_names
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.cli.common import make_folder

@@ -12,7 +12,7 @@ import numpy as np
 
 from planner import SE3, GraspTask, HandState
 from planner.hand_loading import load_hand
-from sim.scene import build_scene
+from sim.scene.build import build_scene
 
 HAND = "shadow_hand"  # name, or path of a hand.toml
 POSTURE = "pinch"  # a posture that the description names

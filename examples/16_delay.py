@@ -20,7 +20,7 @@ from planner.spatial import FloatArray
 from sim.controllers import ImpedanceGains, ObjectImpedance
 from sim.controllers.impedance import BANDWIDTH, LEARNING_RATE, effective_inertia
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.reality import Reality
+from sim.sensing.reality import Reality
 
 HAND = "allegro_hand"
 OBJECT = "sphere"

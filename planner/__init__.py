@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from planner.objects import GraspObject, parse_object
     from planner.plan import GraspPlan
     from planner.quality import analyse, force_closure
-    from planner.refine import refine_grasp
-    from planner.search import attempts, plan_grasp, plans
+    from planner.search.grasp import attempts, plan_grasp, plans
+    from planner.search.refine import refine_grasp
     from planner.spatial import SE3
     from planner.task import GraspTask, Obstacle
 
@@ -109,21 +109,21 @@ _HOMES = {
     "SE3": "planner.spatial",
     "SymbolicHand": "planner.kinematics.symbolic",
     "analyse": "planner.quality",
-    "attempts": "planner.search",
+    "attempts": "planner.search.grasp",
     "compiled_searches": "planner.numerics.kernels",
     "distribute_forces": "planner.forces",
     "force_closure": "planner.quality",
     "manipulation_task": "planner.motion",
     "parse_object": "planner.objects",
     "plan_gait": "planner.motion",
-    "plan_grasp": "planner.search",
+    "plan_grasp": "planner.search.grasp",
     "plan_grasps": "planner.batch",
     "plan_manipulation": "planner.motion",
     "plan_motion": "planner.motion",
     "plan_several": "planner.batch",
-    "plans": "planner.search",
+    "plans": "planner.search.grasp",
     "read_plan": "planner.files",
-    "refine_grasp": "planner.refine",
+    "refine_grasp": "planner.search.refine",
     "refine_grasps": "planner.batch",
     "write_plan": "planner.files",
 }

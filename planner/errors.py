@@ -170,7 +170,7 @@ class NoGraspFoundError(PlannerError):
     """The budget of a search ended without a grasp.
 
     Attributes:
-        attempts: Every ``planner.search.Attempt`` with its reason.
+        attempts: Every ``planner.search.grasp.Attempt`` with its reason.
     """
 
     def __init__(self, message: str, attempts: tuple[Any, ...]) -> None:

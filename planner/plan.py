@@ -67,7 +67,7 @@ class BestOf:
     Attributes:
         found: Plans that the search found.
         metric: Metric by which they were compared, or several with weights
-            (``planner.plan_metrics.Measure``).
+            (``planner.search.metrics.Measure``).
         value: Of the plan, in the metric's unit.
         improving: Whether the attempts built on each other (``keep="best"``).
     """

@@ -16,15 +16,15 @@ from planner.showing import register_notebook, register_page
 from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
-    from sim.carrier import Timeline
     from sim.contacts import contacts_from_mujoco
     from sim.controllers import Controller, GraspController, ObjectImpedance, Observation
     from sim.manipulation import ManipulationReport, ManipulationTimeline, manipulate
-    from sim.physics import PhysicsOptions
     from sim.protocols import ProtocolReport, run_protocol
-    from sim.reality import Reality
     from sim.report import TrialReport
-    from sim.scene import Scene
+    from sim.scene.build import Scene
+    from sim.scene.carrier import Timeline
+    from sim.scene.physics import PhysicsOptions
+    from sim.sensing.reality import Reality
     from sim.simulation import Simulation
     from sim.trial import Trial, TrialOptions, simulate
 
@@ -57,12 +57,12 @@ _HOMES = {
     "ManipulationTimeline": "sim.manipulation",
     "ObjectImpedance": "sim.controllers",
     "Observation": "sim.controllers",
-    "PhysicsOptions": "sim.physics",
+    "PhysicsOptions": "sim.scene.physics",
     "ProtocolReport": "sim.protocols",
-    "Reality": "sim.reality",
-    "Scene": "sim.scene",
+    "Reality": "sim.sensing.reality",
+    "Scene": "sim.scene.build",
     "Simulation": "sim.simulation",
-    "Timeline": "sim.carrier",
+    "Timeline": "sim.scene.carrier",
     "Trial": "sim.trial",
     "TrialOptions": "sim.trial",
     "TrialReport": "sim.report",
@@ -80,8 +80,10 @@ register_page(
     "sim.manipulation.page:page_of_report",
     "sim.report_file:write_report_of",
 )
-register_page("TrialReport", "sim.pages:page_of_report", "sim.report_file:write_report_of")
+register_page(
+    "TrialReport", "sim.show.trial_page:page_of_report", "sim.report_file:write_report_of"
+)
 register_page("ManipulationReportFile", "sim.manipulation.page:manipulation_page")
-register_page("ReportFile", "sim.pages:trial_page")
-register_notebook("ManipulationReport", "sim.looking.notebook:manipulation_html")
-register_notebook("TrialReport", "sim.looking.notebook:trial_html")
+register_page("ReportFile", "sim.show.trial_page:trial_page")
+register_notebook("ManipulationReport", "sim.show.notebook:manipulation_html")
+register_notebook("TrialReport", "sim.show.notebook:trial_html")

@@ -49,8 +49,8 @@ from typing import Any
 import numpy as np
 
 from planner.errors import TaskError
-from sim.physics import PhysicsOptions
-from sim.scene import Scene
+from sim.scene.build import Scene
+from sim.scene.physics import PhysicsOptions
 
 __all__ = [
     "CREEP_BUDGET",

@@ -76,7 +76,8 @@ class ExecutionReport(Report, Shown):
         recording: States at the times of the samples.
         plan: What was executed.
         physics: Name and numbers of ``PhysicsOptions``, as plain data.
-        reality: Fields of ``sim.reality.Reality``, and under "drawn" what was drawn of them; None
+        reality: Fields of ``sim.sensing.reality.Reality``, and under "drawn" what was drawn of
+            them; None
             where sensors, drives and object were as believed.
         controller: Name of the controller's class.
         events: What the controller noticed and did, in order; empty for one that notices nothing.

@@ -27,7 +27,6 @@ import numpy as np
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.carrier import Carrier, Timeline, carrier_of
 from sim.contacts import hand_contacts, normal_forces
 from sim.contacts.reading import read_pads
 from sim.controllers import (
@@ -41,16 +40,17 @@ from sim.controllers import (
     ReportsLimits,
     controller_for,
 )
-from sim.looking.picture import FRAME_RATE, Tape, draw_tape
-from sim.looking.viewer import Viewer
-from sim.physics import AnyPhysics
-from sim.reality import REALITIES, AnyReality, Reality
-from sim.scene import Scene, build_scene
+from sim.scene.build import Scene, build_scene
+from sim.scene.carrier import Carrier, Timeline, carrier_of
+from sim.scene.physics import AnyPhysics
+from sim.sensing.reality import REALITIES, AnyReality, Reality
+from sim.show.picture import FRAME_RATE, Tape, draw_tape
+from sim.show.window import Viewer
 
 if TYPE_CHECKING:
     from sim.controllers.readings import TouchReading
-    from sim.estimation import AnyEstimator, Estimator
-    from sim.reality import RealityOfTrial
+    from sim.sensing.estimation import AnyEstimator, Estimator
+    from sim.sensing.reality import RealityOfTrial
 
 __all__ = ["Simulation", "filmed"]
 
@@ -132,13 +132,13 @@ class Simulation:
         if not reality.ideal:
             if scene is not None:
                 raise TaskError("give a scene or a reality: a reality changes the scene it builds")
-            from sim.reality import RealityOfTrial
+            from sim.sensing.reality import RealityOfTrial
 
             self.reality = RealityOfTrial(reality, plan.task)
         self.estimator: Estimator | None = None
         self._estimator_name = "none"
         if estimator is not None or reality.has_pose_errors:
-            from sim.estimation import estimator_for, estimator_name
+            from sim.sensing.estimation import estimator_for, estimator_name
 
             self.estimator = estimator_for(plan.task, estimator, reality)
             self._estimator_name = estimator_name(estimator, reality)
@@ -450,7 +450,7 @@ def filmed(video: Path | None) -> Iterator[None]:
     """Draw a film of the first simulation that is made and run meanwhile; nothing without a file.
 
     Args:
-        video: File of the film; see ``sim.looking.picture.FORMATS``. It is missing afterwards where
+        video: File of the film; see ``sim.show.picture.FORMATS``. It is missing afterwards where
             this machine cannot draw.
     """
     if video is None:
@@ -467,7 +467,7 @@ def filmed(video: Path | None) -> Iterator[None]:
 
 
 def _read_touch(scene: Scene, data: Any, fingers: Sequence[str]) -> TouchReading:
-    """As ``sim.tactile.read_touch``, which is loaded for those that feel."""
-    from sim.tactile import read_touch
+    """As ``sim.sensing.touch.read_touch``, which is loaded for those that feel."""
+    from sim.sensing.touch import read_touch
 
     return read_touch(scene, data, fingers)

@@ -30,21 +30,21 @@ from planner.arrays import checked_number
 from planner.errors import TaskError
 from planner.files import given_plan
 from planner.plan import GraspPlan
-from sim.carrier import Timeline
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
 from sim.controllers import PHASES, AnyController, Phase
 from sim.controllers.grasp import RECLOSING_TIME, closing_ended
 from sim.creep import CREEP_BUDGET, least_creep, remedies
-from sim.looking.picture import check_video, draw_tape, moments_of
-from sim.physics import AnyPhysics
-from sim.reality import AnyReality
 from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
+from sim.scene.carrier import Timeline
+from sim.scene.physics import AnyPhysics
+from sim.sensing.reality import AnyReality
+from sim.show.picture import check_video, draw_tape, moments_of
 from sim.simulation import Simulation
 from sim.verdict import Fault, Thresholds, Verdict, judge
 
 if TYPE_CHECKING:
-    from sim.estimation import AnyEstimator
+    from sim.sensing.estimation import AnyEstimator
 
 __all__ = ["Timeline", "Trial", "TrialOptions", "felt_by", "run_grasp_phase", "simulate"]
 

@@ -25,16 +25,16 @@ from planner.hand_loading import load_hand
 from planner.hands.catalog import find_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
 from planner.system.package import models_dir
 from planner.task import GraspTask
-from sim.carrier import Timeline
 from sim.controllers.base import Target
 from sim.controllers.follow import MotionReference
 from sim.real_hand import RealClock
 from sim.report import TrialReport
+from sim.scene.carrier import Timeline
 from sim.trial import simulate
 
 settings.register_profile("fixed", derandomize=True)

@@ -259,7 +259,7 @@ def brief_trials() -> None:
     """
     from dataclasses import asdict
 
-    from sim.carrier import Timeline
+    from sim.scene.carrier import Timeline
 
     Timeline.__init__.__kwdefaults__ = asdict(Timeline.quick())
     assert Timeline() == Timeline.quick()

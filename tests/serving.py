@@ -14,7 +14,7 @@ from planner.batch.rows import arrow
 from planner.batch.store import ATTEMPTS, GRASPS, OWNER, shard_file
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
-from sim.viewing import LocalServer, Site
+from sim.show.browser import LocalServer, Site
 
 OBJECTS = ("sphere:0.035", "box:0.05x0.05x0.08")
 """Objects of the small dataset."""

@@ -220,7 +220,7 @@ def test_tolerances_are_defined_on_their_page_alone() -> None:
 
 
 def test_synthesis_does_not_know_who_uses_it() -> None:
-    above = ("planner.plan", "planner.search", "planner.files")
+    above = ("planner.plan", "planner.search.grasp", "planner.files")
     for module in [m for m in sources() if within(m, "planner.synthesis")]:
         assert not {m for m in reached(module) for a in above if within(m, a)}, module
 

@@ -31,11 +31,11 @@ from planner.kinematics.arm_ik import (
 )
 from planner.kinematics.state import HandState
 from planner.kinematics.symbolic import SymbolicHand
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.system.package import models_dir
 from planner.task import GraspTask
-from sim.reality import Drawn, Reality, drawn_numbers, drawn_text
+from sim.sensing.reality import Drawn, Reality, drawn_numbers, drawn_text
 
 # Craig's Denavit-Hartenberg parameters of the Panda: a (m), alpha (rad), d (m) of joints 1 to 7
 DH = [

@@ -29,9 +29,9 @@ from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, interpolate_path, rotation_angle
 from planner.task import Obstacle
-from sim.carrier import ArmCarrier, Timeline
 from sim.manipulation import manipulate
-from sim.scene import build_scene
+from sim.scene.build import build_scene
+from sim.scene.carrier import ArmCarrier, Timeline
 from sim.simulation import Simulation
 from sim.trial import Trial
 

@@ -13,9 +13,9 @@ from planner.arrays import check_fields, checked_count, checked_number, finite_a
 from planner.contacts import Contact, ContactSet
 from planner.errors import ContactError, TaskError
 from planner.forces import distribute_forces
-from planner.plan_metrics import resisted_per_newton
 from planner.quality import analyse, epsilon_l1
 from planner.quality.ball import MOST_HULL_POINTS, measure_hull
+from planner.search.metrics import resisted_per_newton
 
 P = np.random.default_rng(0).normal(size=(3, 3))
 FIVE = np.random.default_rng(1).normal(size=(5, 3))

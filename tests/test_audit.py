@@ -32,7 +32,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp

@@ -19,7 +19,7 @@ from planner.exchange.formats import Writing
 from planner.exchange.table import write_table
 from planner.files import write_plan
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from sim.cli import app
 from sim.protocols.dexgraspbench import hold_given_grasp

@@ -26,7 +26,7 @@ from planner.hands.hand import Hand
 from planner.numerics.kernels import compiled_searches
 from planner.objects import GraspObject, TouchRegion, parse_object, parse_region
 from planner.plan import GraspPlan
-from planner.search import Attempt, plan_grasp
+from planner.search.grasp import Attempt, plan_grasp
 from planner.shapes import Box, Mesh, Sphere, shape_key
 from planner.spatial import SE3
 from planner.synthesis.options import SynthesisOptions

@@ -24,7 +24,7 @@ from planner.errors import TaskError
 from planner.files import read_plan, write_plan
 from planner.hands.hand import Hand
 from planner.numerics.kernels import compiled_searches
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 
 pytestmark = pytest.mark.slow

@@ -19,7 +19,7 @@ from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.search import Attempt
+from planner.search.grasp import Attempt
 from planner.task import GraspTask
 from planner.version import written_by
 

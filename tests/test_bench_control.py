@@ -27,7 +27,7 @@ from sim.protocols.disturbance import DROPPED, DisturbanceTrial
 from sim.protocols.forces import PushCase
 from sim.protocols.outcome import Outcome
 from sim.protocols.variations import RobustCase
-from sim.reality import Reality
+from sim.sensing.reality import Reality
 from sim.verdict import Fault
 
 DT = 0.002

@@ -10,12 +10,12 @@ from benchmarks.manipulate import Options, cases
 from benchmarks.physics import PARTS, VARIANTS
 from planner.errors import TaskError
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 from planner.verification.grasp import with_grip
-from sim.physics import PRESETS, PhysicsOptions
-from sim.reality import Reality
+from sim.scene.physics import PRESETS, PhysicsOptions
+from sim.sensing.reality import Reality
 
 HEIGHT_M = 0.08
 

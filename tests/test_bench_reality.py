@@ -16,17 +16,17 @@ from benchmarks import loops, reality
 from benchmarks.loops import LOOPS, named_loop, register_loop
 from benchmarks.reality import ComparedTask, class_of_turn
 from planner.errors import HandError, NotFoundError, TaskError
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3
 from planner.task import GRAVITY, GraspTask
 from sim.controllers import GraspController, Observation
-from sim.estimation import EstimateLog
 from sim.manipulation.timeline import SuccessCriteria, undisturbed
-from sim.physics import PhysicsOptions
 from sim.protocols.disturbance import Settings
 from sim.protocols.outcome import Conditions
 from sim.protocols.shake_pushes import PAUSE, PUSH_TIME, drawn_pushes, pushes_cases
-from sim.reality import REALITIES, Reality
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.estimation import EstimateLog
+from sim.sensing.reality import REALITIES, Reality
 
 IDEAL, LAB, ROUGH = (REALITIES[name] for name in ("ideal", "lab", "rough"))
 
@@ -115,8 +115,8 @@ def test_truth_keeps_the_world_and_the_drives_and_takes_all_of_the_senses() -> N
 
 
 def test_blind_sees_the_object_once() -> None:
-    from sim.reality.drawn import Drawn
-    from sim.reality.senses import RealSenses
+    from sim.sensing.reality.drawn import Drawn
+    from sim.sensing.reality.senses import RealSenses
 
     task = task_of("cylinder:0.03x0.08")
     reality = LOOPS["blind"].told(LAB)

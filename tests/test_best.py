@@ -13,14 +13,14 @@ import pytest
 from planner.attempt import Attempt
 from planner.batch import GraspFeatures, plan_several, separations
 from planner.batch.run import farthest_points
-from planner.best import FALLEN_BEHIND
 from planner.errors import FileFormatError, NoGraspFoundError, NotFoundError, TaskError
 from planner.files import plan_to_dict, read_plan, write_plan
 from planner.files.json_csv import read_json, write_json
 from planner.files.plans import plan_from_dict
 from planner.plan import GraspPlan
-from planner.plan_metrics import METRICS, Measure, Metric, evaluate_metrics, register_metric
-from planner.search import attempts, plan_grasp, plans
+from planner.search.best import FALLEN_BEHIND
+from planner.search.grasp import attempts, plan_grasp, plans
+from planner.search.metrics import METRICS, Measure, Metric, evaluate_metrics, register_metric
 from planner.synthesis.objectives.registry import OBJECTIVES
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from planner.best import Wanted
 from planner.files import read_plan
 from planner.plan import GraspPlan
+from planner.search.best import Wanted
 from sim.cli import app
 
 CYLINDER = ("allegro_hand", "cylinder", "--rounds", "0")

@@ -15,7 +15,7 @@ from planner.contacts import ContactSet, cone_edges
 from planner.errors import ContactError, TaskError
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 

@@ -16,11 +16,11 @@ from planner.contacts import ContactSet
 from planner.errors import ContactError, FileFormatError, ObjectError, PlannerError, TaskError
 from planner.files import plan_from_dict, plan_to_dict
 from planner.hand_loading import load_hand
-from planner.plan_metrics import resisted_per_newton, robust_epsilon
 from planner.quality import analyse
+from planner.search.metrics import resisted_per_newton, robust_epsilon
 from planner.shapes import Mesh, Sphere
 from sim.cli import main
-from sim.physics import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 
 LONG = 5000 * "x"
 

@@ -506,7 +506,9 @@ def interrupt(script: str, *arguments: str | Path) -> Result:
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="SIGINT to one process is a matter of POSIX")
 def test_ctrl_c_ends_planning_even_inside_a_solve(tmp_path: Path) -> None:
-    script = SAY_WHEN.format(module="planner.search", owner="module", name="optimize_grasp", call=3)
+    script = SAY_WHEN.format(
+        module="planner.search.grasp", owner="module", name="optimize_grasp", call=3
+    )
     options = ("--max-attempts", "1000000", "-o", tmp_path / "plan.json")
     result = interrupt(script, "plan", *TOO_HEAVY, *options)
     assert result.code == 130
@@ -534,7 +536,7 @@ def test_defaults_are_those_of_the_library() -> None:
 
     from planner.task import DEFAULT_MU
     from sim.cli import grasp as cli
-    from sim.physics import PhysicsOptions, named_physics
+    from sim.scene.physics import PhysicsOptions, named_physics
 
     defaults = {
         name: parameter.default for name, parameter in inspect.signature(cli.run).parameters.items()

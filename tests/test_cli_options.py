@@ -96,8 +96,8 @@ LARGEST = 375
 
 NOT_FOR_RUN = (
     "sim.learning",
-    "sim.tactile",
-    "sim.estimation",
+    "sim.sensing.touch",
+    "sim.sensing.estimation",
     "sim.manipulation",
     "planner.motion",
 )

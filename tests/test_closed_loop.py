@@ -14,7 +14,7 @@ from planner.certify import smallest_breaking
 from planner.certify.breaking import Disturbance
 from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
@@ -27,10 +27,10 @@ from sim.controllers import (
     Observation,
 )
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.reality import Reality
 from sim.report import TrialReport
 from sim.report_file import ReportFile
-from sim.scene import PhysicsOptions
+from sim.scene.build import PhysicsOptions
+from sim.sensing.reality import Reality
 from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 

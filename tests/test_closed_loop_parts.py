@@ -16,7 +16,7 @@ from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, skew
 from planner.task import GraspTask
 from sim.controllers import (

@@ -15,7 +15,7 @@ from test_sim_controllers import observe
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray, minimum_jerk
 from planner.task import GraspTask
 from sim.controllers.closing import (

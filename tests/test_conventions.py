@@ -25,9 +25,9 @@ from planner.task import GraspTask
 from planner.tolerances import ANGLE_TOL, FLAT_ANGLE_TOL
 from planner.verification.geometry import verify_geometry
 from planner.verification.grasp import force_arguments
-from sim.estimation import ObjectEstimator, SensorErrors
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.timeline import SuccessCriteria
+from sim.sensing.estimation import ObjectEstimator, SensorErrors
 
 TILTED = SE3(pin.exp3(np.array([0.3, -0.5, 0.7])), np.array([0.1, -0.2, 0.3]))
 """A pose with no symmetry."""

@@ -29,7 +29,7 @@ from planner.batch.diversity import (
 from planner.errors import TaskError
 from planner.hands.hand import Hand
 from planner.objects import parse_object
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.shapes import Box, Sphere
 from planner.shapes.mesh import surface_points, surface_triangles
 from planner.spatial import SE3, FloatArray

@@ -10,11 +10,11 @@ import pytest
 from typer.testing import CliRunner
 
 from planner.files import write_plan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
-from sim.carrier import Timeline
 from sim.cli import app
 from sim.real_hand import read_log
+from sim.scene.carrier import Timeline
 
 pytestmark = pytest.mark.usefixtures("virtual_time", "brief_trials")
 

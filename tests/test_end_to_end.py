@@ -18,13 +18,13 @@ from planner.files import read_plan, write_plan
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
-from sim.carrier import Timeline
 from sim.contacts import hand_contacts
-from sim.physics import PhysicsOptions
 from sim.report import TrialReport
+from sim.scene.carrier import Timeline
+from sim.scene.physics import PhysicsOptions
 from sim.trial import Trial, simulate
 
 pytestmark = pytest.mark.slow

@@ -19,10 +19,9 @@ from manipulations import task_of
 from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError
 from planner.hands.hand import Hand
 from planner.motion.manipulation import plan_manipulation
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
-from sim.carrier import Timeline
-from sim.episodes import (
+from sim.datasets.episodes import (
     FORMATS,
     Asked,
     Robot,
@@ -31,15 +30,16 @@ from sim.episodes import (
     write_episodes,
     write_lerobot,
 )
-from sim.episodes.episode import frames_at, rates_of
-from sim.episodes.film import draw_episode, sampled_frames
-from sim.episodes.lerobot import VIDEO_KEY
-from sim.looking.picture import write_film
+from sim.datasets.episodes.episode import frames_at, rates_of
+from sim.datasets.episodes.film import draw_episode, sampled_frames
+from sim.datasets.episodes.lerobot import VIDEO_KEY
 from sim.manipulation import ManipulationReport, manipulate
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.recording import PALM
 from sim.report import TrialReport
 from sim.report_file import ReportFile
+from sim.scene.carrier import Timeline
+from sim.show.picture import write_film
 from sim.simulation import Simulation
 from sim.trial import simulate
 
@@ -198,7 +198,7 @@ def test_a_row_has_what_is_seen_and_the_action_that_leads_on(
 def test_the_files_follow_the_schema(
     held: TrialReport, failed: TrialReport, turned: ManipulationReport, tmp_path: Path
 ) -> None:
-    """Types, shapes and places as LeRobot 0.6.1 has them (``sim.episodes.lerobot``)."""
+    """Types, shapes and places as LeRobot 0.6.1 has them (``sim.datasets.episodes.lerobot``)."""
     folder = tmp_path / "set"
     write_lerobot([held, failed, turned], folder, failed=True)
     info, rows, found = info_of(folder), rows_of(folder), data_of(folder)
@@ -277,7 +277,7 @@ def test_statistics_are_those_of_the_columns(
 def test_data_files_are_begun_anew_where_one_is_full(
     held: TrialReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.episodes.lerobot.DATA_MB", 1e-6)
+    monkeypatch.setattr("sim.datasets.episodes.lerobot.DATA_MB", 1e-6)
     write_lerobot([held] * 3, tmp_path / "set")
     files = sorted(p.name for p in (tmp_path / "set/data/chunk-000").iterdir())
     assert files == [f"file-{k:03d}.parquet" for k in range(3)]
@@ -345,7 +345,7 @@ def test_a_film_that_ends_early_is_noticed(
         whole = list(frames)
         write_film(path, whole[:-1], given)
 
-    monkeypatch.setattr("sim.episodes.film.write_film", short)
+    monkeypatch.setattr("sim.datasets.episodes.film.write_film", short)
     with pytest.raises(FileFormatError, match=r"only \d+ of \d+ frames"):
         write_lerobot([held], tmp_path / "set", fps=5, video=True, size=(32, 32))
     assert not list(tmp_path.iterdir())

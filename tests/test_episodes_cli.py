@@ -14,11 +14,11 @@ from planner.batch import plan_grasps
 from planner.errors import TaskError
 from planner.files import write_json, write_plan
 from planner.hands.hand import Hand
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from sim.cli import app
-from sim.episodes.sources import Trials
-from sim.physics import PhysicsOptions
+from sim.datasets.episodes.sources import Trials
+from sim.scene.physics import PhysicsOptions
 from sim.trial import simulate
 
 pa = pytest.importorskip("pyarrow")

@@ -17,7 +17,7 @@ from sim import simulate
 from sim.controllers import ObjectImpedance, Phase
 from sim.controllers.impedance import DEVIATIONS, EstimateCorrection
 from sim.controllers.readings import PoseUncertainty
-from sim.reality import Reality
+from sim.sensing.reality import Reality
 from sim.simulation import Simulation
 
 DT = 0.002

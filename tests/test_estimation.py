@@ -18,14 +18,14 @@ from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation, PadReading, Phase
 from sim.controllers.readings import MeasuredPose
-from sim.estimation import ContactNoise, ObjectEstimator, SensorErrors
-from sim.estimation.contacts import Grip, TipKinematics, Tips, rolling, touch_equations
-from sim.estimation.estimator import PERIOD
-from sim.estimation.filter import TOO_MANY, PoseFilter
-from sim.estimation.state import Estimate, PoseMeasurement, SensorSample
-from sim.estimation.track import FOUND, LOST, LossDetector
-from sim.reality import Reality
-from sim.reality.senses import Drift
+from sim.sensing.estimation import ContactNoise, ObjectEstimator, SensorErrors
+from sim.sensing.estimation.contacts import Grip, TipKinematics, Tips, rolling, touch_equations
+from sim.sensing.estimation.estimator import PERIOD
+from sim.sensing.estimation.filter import TOO_MANY, PoseFilter
+from sim.sensing.estimation.state import Estimate, PoseMeasurement, SensorSample
+from sim.sensing.estimation.track import FOUND, LOST, LossDetector
+from sim.sensing.reality import Reality
+from sim.sensing.reality.senses import Drift
 
 DT = 0.002
 FINE = 1e-6

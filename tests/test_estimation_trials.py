@@ -13,10 +13,10 @@ from conftest import PlanOf
 from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
 from planner.task import GraspTask
-from sim.carrier import Timeline
 from sim.controllers import Event, Observation
-from sim.estimation import EstimateLog, ObjectEstimator, SensorErrors, register_estimator
-from sim.reality import REALITIES, Reality
+from sim.scene.carrier import Timeline
+from sim.sensing.estimation import EstimateLog, ObjectEstimator, SensorErrors, register_estimator
+from sim.sensing.reality import REALITIES, Reality
 from sim.simulation import Simulation
 from sim.trial import simulate
 

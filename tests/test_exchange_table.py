@@ -199,7 +199,7 @@ def test_nothing_is_half_written(hand: Hand, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", RIGHT_HANDS)
 def test_plans_come_back_with_their_poses(name: str, tmp_path: Path) -> None:
-    from planner.search import plan_grasp
+    from planner.search.grasp import plan_grasp
     from planner.task import GraspTask
 
     plan = plan_grasp(GraspTask.create(name, "cylinder:0.03x0.1"), seed=0)

@@ -21,7 +21,7 @@ from planner.exchange.formats import FORMATS, load_formats
 from planner.exchange.joints import T_object_body
 from planner.files import write_plan
 from planner.hands.hand import Hand
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from sim.cli import main
 

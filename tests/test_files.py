@@ -26,7 +26,7 @@ from planner.files import (
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
 

@@ -19,7 +19,7 @@ from planner.files import plan_to_dict, read_plan, write_plan
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3
 from planner.system.package import models_dir
 from planner.task import GraspTask, Obstacle

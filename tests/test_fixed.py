@@ -22,7 +22,7 @@ from planner.motion import plan_motion
 from planner.motion.path import ObjectPath
 from planner.objects import TouchRegion, parse_object, parse_region
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.shapes import Shape
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle

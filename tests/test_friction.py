@@ -11,11 +11,11 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from sim.carrier import Timeline
 from sim.controllers import GraspController, Observation
 from sim.controllers.hand_dynamics import FAST, LEAST_TIME, FrictionEstimate, joint_drag
 from sim.controllers.torques import LEVER, HoldingTorques
-from sim.reality import Reality
+from sim.scene.carrier import Timeline
+from sim.sensing.reality import Reality
 from sim.trial import simulate
 
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -16,7 +16,7 @@ from planner.proximity.convex import DistancePair
 from planner.proximity.convex_pairs import GeometryPairs
 from planner.proximity.mesh import MeshPair
 from planner.proximity.mesh_pairs import LEAST_LIMIT
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask

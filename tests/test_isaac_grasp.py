@@ -24,7 +24,7 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, pose_from_wxyz
 from planner.task import GraspTask
 

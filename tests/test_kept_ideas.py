@@ -20,10 +20,10 @@ from test_sim_verdict import held, verdict
 from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
 from planner.motion import ObjectPath, motion_attempts
-from planner.search import attempts, plan_grasp
+from planner.search.grasp import attempts, plan_grasp
 from planner.task import GraspTask
 from planner.verification.geometry import verify_geometry
-from sim.physics import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 
 
 def modules_of(*rooms: str) -> list[str]:
@@ -95,7 +95,14 @@ def test_attempts_are_numbered_streams_of_their_seed(allegro: Hand) -> None:
 
 def test_controllers_and_verdicts_do_not_know_the_simulator() -> None:
     """What drives a simulated hand could drive a real one; what judges needs samples alone."""
-    above = ("mujoco", "planner.bridge", "sim.scene", "sim.trial", "sim.physics", "sim.contacts")
+    above = (
+        "mujoco",
+        "planner.bridge",
+        "sim.scene.build",
+        "sim.trial",
+        "sim.scene.physics",
+        "sim.contacts",
+    )
     for module in modules_of("sim.controllers", "sim.verdict"):
         known = {i for i in imports_of(module) for name in above if within(i, name)}
         assert not known, module

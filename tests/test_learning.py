@@ -59,8 +59,8 @@ from sim.learning.senses import (
 )
 from sim.learning.training import POLICY, fit, read_episode, trained_network
 from sim.manipulation import ManipulationRun
-from sim.physics import PhysicsOptions
-from sim.reality import Reality, named_reality
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.reality import Reality, named_reality
 
 OBJECT = "cylinder:0.03x0.08"
 TASK = TurnTask(hand="allegro_hand", objects=OBJECT, reality=named_reality("lab"))

@@ -14,7 +14,7 @@ from planner.errors import NotFoundError, TaskError
 from sim.learning import Conditions, Plans, TurnTask
 from sim.learning.teacher import Demonstrator
 from sim.manipulation.log import ASKED_SHARE, force_limit
-from sim.reality import named_reality
+from sim.sensing.reality import named_reality
 
 gymnasium = pytest.importorskip("gymnasium")
 pytest.importorskip("greenlet")

@@ -20,10 +20,10 @@ import numpy as np
 import pytest
 
 from planner.hands.hand import Hand
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
-from sim.episodes import Episode, episodes_of, write_lerobot
-from sim.episodes.lerobot import VIDEO_KEY, frames_of
+from sim.datasets.episodes import Episode, episodes_of, write_lerobot
+from sim.datasets.episodes.lerobot import VIDEO_KEY, frames_of
 from sim.report import TrialReport
 from sim.trial import simulate
 

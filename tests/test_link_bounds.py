@@ -15,7 +15,7 @@ from planner.hands.hand import Hand
 from planner.kinematics import form_kernels
 from planner.kinematics.link_bounds import LinkBounds
 from planner.numerics.kernels import attempt_kernels, compile_loops, compiled_searches
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from planner.attempt import Attempt
 from planner.failure import Failure
 from planner.plan import GraspPlan
-from planner.search import _one_cause
+from planner.search.grasp import _one_cause
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask

@@ -52,7 +52,7 @@ from sim.manipulation import (
 )
 from sim.manipulation.log import measured_modes, mode_table, planned_modes
 from sim.manipulation.timeline import placed, tilt_between, undisturbed
-from sim.physics import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 
 ANGLE = math.radians(40.0)
 

@@ -25,7 +25,7 @@ from sim.manipulation import InHandController, ManipulationObservation, manipula
 from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.in_hand import AnyTurningController
 from sim.manipulation.simulation import Reading
-from sim.reality import REALITIES
+from sim.sensing.reality import REALITIES
 from sim.simulation import Simulation
 
 

@@ -20,7 +20,7 @@ from sim.contacts import hand_contacts
 from sim.controllers import GraspController, ImpedanceGains
 from sim.controllers.impedance import ImpedanceLaw
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.scene import HAND_PREFIX, Scene
+from sim.scene.build import HAND_PREFIX, Scene
 from sim.trial import Trial
 
 IN_PALM = SE3(pin.exp3(np.array([0.3, -0.5, 0.2])), np.array([0.02, -0.09, 0.1]))

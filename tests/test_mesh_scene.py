@@ -19,8 +19,8 @@ from planner.spatial import SE3
 from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import GraspTask
 from sim.contacts import other_touches
-from sim.looking.dress import HIDDEN_GROUP
-from sim.scene import WORLD_BIT, Scene, build_scene
+from sim.scene.build import WORLD_BIT, Scene, build_scene
+from sim.show.dress import HIDDEN_GROUP
 
 AWAY = SE3(np.eye(3), np.array([0.6, 0.0, 0.4]))
 MADE = (LBracket(), Torus())

@@ -28,7 +28,7 @@ from planner.objects import GraspObject, Region, TouchRegion, parse_object, pars
 from planner.plan import GraspPlan
 from planner.proximity.convex import DistancePair
 from planner.proximity.mesh import MeshPair
-from planner.search import attempts, plan_grasp
+from planner.search.grasp import attempts, plan_grasp
 from planner.shapes import Box, Mesh, Shape, Torus
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import fill, link_spheres, span

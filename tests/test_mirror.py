@@ -26,7 +26,7 @@ from planner.hands.description_toml import MirrorAxis, read_description, reflect
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp

@@ -28,25 +28,25 @@ from planner.quality import analyse, force_closure
 from planner.shapes import SIZED_SHAPES, Box, Mesh
 from planner.spatial import contact_frames
 from planner.synthesis.options import SynthesisOptions
-from sim.carrier import Timeline
 from sim.controllers.impedance import ImpedanceGains
 from sim.controllers.readings import PadReading
 from sim.crosscheck.parts import Tolerances
-from sim.episodes.episode import Asked
-from sim.estimation.filter import ContactNoise
-from sim.estimation.state import SensorErrors
+from sim.datasets.episodes.episode import Asked
+from sim.datasets.reset_states.starts import Draws, StatesAsked
 from sim.learning.policy import PolicyFor
 from sim.learning.training import Course
 from sim.learning.trials import Conditions, TurnTask
 from sim.manipulation.simulation import Push
 from sim.manipulation.timeline import ManipulationTimeline, SuccessCriteria
-from sim.physics import PhysicsOptions
 from sim.protocols.disturbance import Settings
 from sim.protocols.shake_pushes import Push as PushOfProtocol
 from sim.real_hand import CommandLimits, Safety
 from sim.real_hand.safety import CommandLimiter
-from sim.reality import Reality
-from sim.reset_states.starts import Draws, StatesAsked
+from sim.scene.carrier import Timeline
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.estimation.filter import ContactNoise
+from sim.sensing.estimation.state import SensorErrors
+from sim.sensing.reality import Reality
 from sim.trial import TrialOptions
 from sim.verdict import DropCriteria, Thresholds
 

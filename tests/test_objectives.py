@@ -14,22 +14,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner import plan_metrics as metrics
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
 from planner.failure import Failure
 from planner.files import PlanFile, plan_to_dict, read_plan, write_plan
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.plan_metrics import (
+from planner.quality import closure_of_wrenches, epsilon_l1, min_weight, primitive_wrenches, weakest
+from planner.search import metrics as metrics
+from planner.search.grasp import attempts
+from planner.search.metrics import (
     METRICS,
     evaluate_metrics,
     mean_singular_value,
     resisted_per_newton,
     robust_epsilon,
 )
-from planner.quality import closure_of_wrenches, epsilon_l1, min_weight, primitive_wrenches, weakest
-from planner.search import attempts
 from planner.spatial import FloatArray
 from planner.synthesis import SynthesisOptions, gravity_any_direction, tool_torque
 from planner.synthesis.formulation import Formulation, formulate

@@ -8,12 +8,12 @@ from conftest import PlanOf
 
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from sim.carrier import Timeline
 from sim.controllers.calibration import Calibration
 from sim.controllers.hand_dynamics import ContactForceLimit
 from sim.controllers.joint_stops import StopCorrection
-from sim.reality import REALITIES
 from sim.report import TrialReport
+from sim.scene.carrier import Timeline
+from sim.sensing.reality import REALITIES
 from sim.trial import simulate
 
 QUICK = Timeline(hold=0.5)

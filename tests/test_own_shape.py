@@ -169,7 +169,7 @@ def test_it_is_known_by_name_and_sizes_and_survives_plain_data(cone: type[Cone])
 
 def test_it_is_planned_written_and_held_like_any_other(cone: type[Cone], tmp_path: Any) -> None:
     from sim import simulate
-    from sim.carrier import Timeline
+    from sim.scene.carrier import Timeline
 
     plan = plan_grasp(GraspTask.create("allegro_hand", "cone", mu=0.8), seed=0)
     shape = cone(*cone.default_sizes)
@@ -182,8 +182,8 @@ def test_it_is_planned_written_and_held_like_any_other(cone: type[Cone], tmp_pat
 
 
 def test_it_is_seen_in_a_simulation(cone: type[Cone]) -> None:
-    from sim.looking.dress import HIDDEN_GROUP
-    from sim.scene import build_scene
+    from sim.scene.build import build_scene
+    from sim.show.dress import HIDDEN_GROUP
 
     away = SE3(np.eye(3), np.array([0.0, 0.0, 1.0]))
     scene = build_scene(GraspTask.create("allegro_hand", "cone"), T_world_base=away)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from sim.contacts import object_contacts
 from sim.contacts.reading import read_pads

@@ -17,15 +17,15 @@ import pytest
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.files import write_plan
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 from sim.cli import main
 from sim.creep import contact_drag, impedance, least_creep, predicted_creep, remedies
-from sim.physics import CONES, INTEGRATORS, PRESETS, PhysicsOptions, named_physics
 from sim.protocols.creep import measure_creep, sized_remedies
 from sim.protocols.run import physics_of
-from sim.scene import OBJECT, build_scene
+from sim.scene.build import OBJECT, build_scene
+from sim.scene.physics import CONES, INTEGRATORS, PRESETS, PhysicsOptions, named_physics
 from sim.trial import simulate
 
 SOFT = PRESETS["mujoco-default"]

@@ -18,7 +18,7 @@ from planner.hand_loading import load_hand
 from planner.hands.catalog import foreign_hand_names
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.system import plugins
 from planner.system.package import models_dir
 from planner.task import GraspTask
@@ -26,7 +26,7 @@ from sim.controllers import GraspController, controller_maker
 from sim.protocols import in_all, run_protocol, unsuitable
 from sim.protocols.disturbance import Settings
 from sim.protocols.run import cases_of
-from sim.tactile.senses import check_touch
+from sim.sensing.touch.senses import check_touch
 
 PACKAGE = '''"""What a laboratory brings for Opposable."""
 

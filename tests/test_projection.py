@@ -9,7 +9,7 @@ from conftest import PlanOf
 from planner.collision.pad_contact import pad_contacts
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from planner.verification.grasp import COUPLING_TOL, FARTHEST, GAP_TOL, project_onto_surface
 

@@ -27,13 +27,12 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan, SolveRecord
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 from sim.cli import main
 from sim.controllers import Controller, GraspController, MakeController, Observation, Phase
-from sim.physics import PhysicsOptions
 from sim.protocols import Outcome, Settings, protocol_table, run_protocol, write_csv
 from sim.protocols.dexgraspbench import (
     DexGraspBenchCase,
@@ -47,6 +46,7 @@ from sim.protocols.outcome import AXES, Conditions
 from sim.protocols.run import PROTOCOLS, cases_of, physics_of, trials_of, unsuitable
 from sim.protocols.shake_pushes import ShakeCase, Shaker, shake_cases
 from sim.protocols.variations import RobustCase, displaced, robust_cases
+from sim.scene.physics import PhysicsOptions
 from sim.verdict import REASONS, DropCriteria
 
 HALF, PAD = 0.02, 0.012

@@ -22,8 +22,8 @@ def test_every_public_name_resolves_and_no_submodule_has_it(package: str) -> Non
     assert module.__all__
     assert set(module.__all__) - {"__version__"} == set(module._HOMES)
     assert set(module.__all__) <= set(dir(module))
-    for name in module._HOMES:
-        assert getattr(module, name).__name__ == name
+    for name, home in module._HOMES.items():
+        assert getattr(module, name) is getattr(import_module(home), name)
         assert find_spec(f"{package}.{name}") is None, f"{package}.{name} is a module too"
 
 

@@ -19,7 +19,6 @@ from planner.hand_loading import load_hand
 from planner.plan import GraspPlan
 from planner.shapes import Sphere
 from planner.spatial import SE3, FloatArray, IntArray
-from sim.carrier import Timeline
 from sim.controllers import (
     Controller,
     GraspController,
@@ -28,7 +27,6 @@ from sim.controllers import (
     PadReading,
     controller_for,
 )
-from sim.physics import PhysicsOptions
 from sim.real_hand import (
     CommandLimits,
     DryRun,
@@ -46,6 +44,8 @@ from sim.real_hand import (
     run_controller,
 )
 from sim.report import TrialReport
+from sim.scene.carrier import Timeline
+from sim.scene.physics import PhysicsOptions
 from sim.trial import Trial
 
 QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4, hold=0.2)

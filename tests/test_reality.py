@@ -24,20 +24,27 @@ from planner.motion.manipulation import plan_manipulation
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from sim.carrier import Timeline
 from sim.contacts import hand_contacts
 from sim.controllers import GraspController, Observation, PadReading, Phase
 from sim.manipulation.regrasping import margin_without
 from sim.manipulation.run import ManipulationRun
-from sim.physics import PhysicsOptions
 from sim.protocols.variations import with_errors
-from sim.reality import REALITIES, Drawn, Reality, RealityOfTrial, named_reality, register_reality
-from sim.reality.drawn import stream
-from sim.reality.senses import Drift, RealSenses
-from sim.reality.trial import RealDrive, center_offset
 from sim.recording import Recording
 from sim.report_file import read_report, write_report
-from sim.scene import build_scene
+from sim.scene.build import build_scene
+from sim.scene.carrier import Timeline
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.reality import (
+    REALITIES,
+    Drawn,
+    Reality,
+    RealityOfTrial,
+    named_reality,
+    register_reality,
+)
+from sim.sensing.reality.drawn import stream
+from sim.sensing.reality.senses import Drift, RealSenses
+from sim.sensing.reality.trial import RealDrive, center_offset
 from sim.simulation import Simulation
 from sim.trial import Trial, simulate
 

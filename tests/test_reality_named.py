@@ -12,11 +12,12 @@ from conftest import PlanOf
 
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.plan import GraspPlan
-from sim.carrier import Timeline
 from sim.cli.execution import reality_of
 from sim.presets import SUFFIXES
 from sim.protocols import Settings, run_protocol
-from sim.reality import (
+from sim.scene.carrier import Timeline
+from sim.screen import reality_lines
+from sim.sensing.reality import (
     REALITIES,
     Drawn,
     Reality,
@@ -25,7 +26,6 @@ from sim.reality import (
     named_reality,
     register_reality,
 )
-from sim.screen import reality_lines
 from sim.simulation import Simulation
 from sim.trial import simulate
 

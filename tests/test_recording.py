@@ -23,13 +23,13 @@ from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.system.process import interrupts_wait
-from sim.carrier import Timeline
 from sim.contacts import ContactHistory, hand_contacts, merge_per_finger
-from sim.physics import PhysicsOptions
 from sim.recorder import StateRecorder
 from sim.recording import PALM, Recording, RecordingData
 from sim.report import TrialReport
 from sim.report_file import ReportFile, read_report, write_report
+from sim.scene.carrier import Timeline
+from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
 from sim.trial import Trial, simulate
 

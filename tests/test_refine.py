@@ -21,18 +21,18 @@ from planner import GraspPlan, GraspTask, plan_grasp, refine_grasp, refine_grasp
 from planner.batch.refined import _packed, _Reader
 from planner.errors import HandError, NoGraspFoundError, TaskError
 from planner.failure import Failure
-from planner.finishing import verified_on_surface
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.objects import TouchRegion, parse_object, parse_region
-from planner.refine import Movement, RefinedGrasp, with_fingers
-from planner.refine.pose import palm_pose, under_pads
-from planner.refine.rungs import NEAR, near_numbers
+from planner.search.refine import Movement, RefinedGrasp, with_fingers
+from planner.search.refine.pose import palm_pose, under_pads
+from planner.search.refine.rungs import NEAR, near_numbers
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem_cache import problems_for
 from planner.synthesis.seeds.mesh import seeder_for
+from planner.verification.finishing import verified_on_surface
 from planner.verification.grasp import verify_grasp
 
 HANDS = ("allegro_hand", "shadow_hand")
@@ -269,7 +269,7 @@ def test_where_no_grasp_is_near_the_failing_term_is_told() -> None:
 
 def test_the_nearest_of_several_plans_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """With nothing near enough, all rungs are tried; the reported one is the least moved."""
-    monkeypatch.setattr("planner.refine.grasp.NEAR_ENOUGH", -1.0)
+    monkeypatch.setattr("planner.search.refine.grasp.NEAR_ENOUGH", -1.0)
     plan = plan_of("allegro_hand", "cylinder", 2)
     base, q = perturbed(plan, 0.01, 0.2, np.random.default_rng(1))
     result = refine_grasp(plan.task, base, q)

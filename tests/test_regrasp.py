@@ -37,7 +37,7 @@ from sim.manipulation import (
 )
 from sim.manipulation.driver import FingerSwing
 from sim.manipulation.regrasping import margin_without
-from sim.physics import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 
 ANGLE = math.radians(40.0)
 

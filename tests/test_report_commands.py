@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from planner.files import write_plan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from sim.cli import app
 from sim.manipulation import read_manipulation_report

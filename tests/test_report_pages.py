@@ -26,15 +26,15 @@ from planner.pages.page import Page, write_page
 from planner.pages.scene import Contacts, Scene
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, pose_from_wxyz
-from sim.carrier import Timeline
 from sim.manipulation import ManipulationReport, manipulate, read_manipulation_report
 from sim.manipulation.page import manipulation_page
 from sim.manipulation.page_parts import parts_of
-from sim.pages import trial_page
-from sim.physics import PhysicsOptions
 from sim.recording import Recording
 from sim.report import TrialReport
 from sim.report_file import read_report, write_report
+from sim.scene.carrier import Timeline
+from sim.scene.physics import PhysicsOptions
+from sim.show import trial_page
 from sim.trial import simulate
 
 QUICK = Timeline(approach=0.2, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.3, hold=0.2)

@@ -1,4 +1,4 @@
-"""``sim.reset_states``: what is kept is stable, distinct and repeatable; what is lost says why."""
+"""``sim.datasets.reset_states``: states that are kept are stable, distinct and repeatable."""
 
 from __future__ import annotations
 
@@ -21,11 +21,18 @@ from scipy.spatial.transform import Rotation
 from planner.errors import FileFormatError, ObjectError, TaskError
 from planner.objects import parse_object
 from planner.task import GraspTask
-from sim.physics import PhysicsOptions
-from sim.reset_states import Draws, StatesAsked, StateSet, StatesProgress, make_states
-from sim.reset_states.check_states import main as share_held
-from sim.reset_states.hold import DROPPED, LIMITS, LOOSE, PENETRATES, REASONS, hold, write_scene
-from sim.reset_states.shards import (
+from sim.datasets.reset_states import Draws, StatesAsked, StateSet, StatesProgress, make_states
+from sim.datasets.reset_states.check_states import main as share_held
+from sim.datasets.reset_states.hold import (
+    DROPPED,
+    LIMITS,
+    LOOSE,
+    PENETRATES,
+    REASONS,
+    hold,
+    write_scene,
+)
+from sim.datasets.reset_states.shards import (
     BANDS,
     NEAR_JOINT,
     NEAR_POSITION,
@@ -39,7 +46,7 @@ from sim.reset_states.shards import (
     read_shard,
     shard_path,
 )
-from sim.reset_states.starts import (
+from sim.datasets.reset_states.starts import (
     Starts,
     cells_of,
     load_starts,
@@ -47,6 +54,7 @@ from sim.reset_states.starts import (
     planned_sources,
     scaled,
 )
+from sim.scene.physics import PhysicsOptions
 
 ASKED = StatesAsked(
     hand="allegro_hand", objects=("cylinder:0.03x0.08",), n=20, grasps=6, motions=2, gaits=0

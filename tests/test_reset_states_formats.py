@@ -14,8 +14,8 @@ import pytest
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.hand_loading import load_hand
 from planner.spatial import pose_from_wxyz, pose_to_wxyz
-from sim.reset_states import StateFormat, StateSet, register_state_format, state_format
-from sim.reset_states.formats import DOWN, HORA_JOINTS, T_WORLD_BASE, state_formats
+from sim.datasets.reset_states import StateFormat, StateSet, register_state_format, state_format
+from sim.datasets.reset_states.formats import DOWN, HORA_JOINTS, T_WORLD_BASE, state_formats
 
 HAND = load_hand("allegro_hand")
 

@@ -15,7 +15,7 @@ from planner.errors import TaskError
 from planner.failure import Failure
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
 from planner.verification.grasp import verify_grasp

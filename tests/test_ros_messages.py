@@ -37,7 +37,7 @@ from planner.exchange.ros.messages import duration
 from planner.hands.hand import Hand
 from planner.motion import plan_motion
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, pose_from_wxyz
 from planner.task import GraspTask
 

@@ -22,13 +22,13 @@ from planner.errors import FileFormatError, TaskError
 from planner.exchange.formats import Writing, format_named
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import pose_to_wxyz
 from planner.task import GraspTask
-from sim.physics import PhysicsOptions
-from sim.reset_states.hold import write_scene
-from sim.scene import HAND_PREFIX, build_scene
-from sim.scene_export import MJCF_SCENE, check, export_scene
+from sim.datasets.reset_states.hold import write_scene
+from sim.scene.build import HAND_PREFIX, build_scene
+from sim.scene.export import MJCF_SCENE, check, export_scene
+from sim.scene.physics import PhysicsOptions
 
 DATA = Path(__file__).parent / "data"
 SCENES = (("allegro_hand", "ellipsoid"), ("shadow_hand", "box"), ("allegro_hand", "lbracket"))

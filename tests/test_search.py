@@ -22,7 +22,7 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
-from planner.search import SPARE_AFTER, Attempt, attempts, plan_grasp
+from planner.search.grasp import SPARE_AFTER, Attempt, attempts, plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds.mesh import seeder_for
@@ -99,7 +99,7 @@ def test_same_seed_same_plan_in_a_fresh_process_that_built_other_problems_first(
 ) -> None:
     script = (
         "from planner.hand_loading import load_hand\n"
-        "from planner.search import plan_grasp\n"
+        "from planner.search.grasp import plan_grasp\n"
         "from planner.synthesis.problem_cache import problems_for\n"
         "from planner.task import GraspTask\n"
         "hand = load_hand('allegro_hand')\n"
@@ -266,7 +266,7 @@ def test_fingers_are_spared_only_where_the_choice_was_left_open(
         tried.append(len(context.problem.task.fingers))
         return Failure(kind="nothing", text="nothing: for the test")
 
-    monkeypatch.setattr("planner.search._GraspContext.attempt", nothing)
+    monkeypatch.setattr("planner.search.grasp._GraspContext.attempt", nothing)
     task = GraspTask.create(allegro, "sphere", fingers=fingers)
     with pytest.raises(NoGraspFoundError):
         plan_grasp(task, max_attempts=SPARE_AFTER + 4)
@@ -286,7 +286,7 @@ def test_a_finger_of_which_a_region_is_required_is_not_spared(
     task = GraspTask.create(allegro, "sphere")
     (spared,) = set(task.finger_names) - set(seeder_for(task).tripod)
     item = replace(task.object, touch=TouchRegion(required={spared: Region(name="anywhere")}))
-    monkeypatch.setattr("planner.search._GraspContext.attempt", nothing)
+    monkeypatch.setattr("planner.search.grasp._GraspContext.attempt", nothing)
     with pytest.raises(NoGraspFoundError):
         plan_grasp(replace(task, object=item), max_attempts=SPARE_AFTER + 2)
     assert tried == [4] * (SPARE_AFTER + 2)

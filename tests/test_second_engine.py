@@ -20,15 +20,15 @@ from scipy.spatial import ConvexHull
 from planner.errors import FileFormatError, TaskError
 from planner.files import write_plan
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.cli import main
-from sim.physics import PhysicsOptions
 from sim.protocols import PROTOCOLS, in_all, run_protocol, unsuitable
 from sim.protocols.drake import Held, hold_in_drake
 from sim.protocols.drake_scene import drake_missing, load_drake_scene
-from sim.scene_export import export_scene
+from sim.scene.export import export_scene
+from sim.scene.physics import PhysicsOptions
 
 WEIGHT = 0.1 * 9.81
 

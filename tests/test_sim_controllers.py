@@ -16,8 +16,8 @@ from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.carrier import Timeline
 from sim.controllers import PHASES, GraspController, Observation, Phase
+from sim.scene.carrier import Timeline
 from sim.trial import simulate
 
 

@@ -14,11 +14,11 @@ from PIL import Image
 
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from sim.looking.dress import dress_hand
-from sim.looking.painter import open_backend
-from sim.looking.picture import PICTURE, Drawn, Tape, draw_tape, moments_of
-from sim.looking.view import Subject
-from sim.scene import Scene, build_scene
+from sim.scene.build import Scene, build_scene
+from sim.show.camera import Subject
+from sim.show.dress import dress_hand
+from sim.show.painter import open_backend
+from sim.show.picture import PICTURE, Drawn, Tape, draw_tape, moments_of
 
 AWAY = SE3(np.eye(3), np.array([0.6, 0.0, 0.4]))
 
@@ -128,7 +128,7 @@ def test_looks_weigh_nothing_and_touch_nothing(monkeypatch: pytest.MonkeyPatch) 
     for hand in ("allegro_hand", "shadow_hand", "shadow_hand_left", "allegro_on_arm7"):
         dressed = scene_of("box", hand).model
         with monkeypatch.context() as plain:
-            plain.setattr("sim.scene.dress_hand", lambda spec, model: None)
+            plain.setattr("sim.scene.build.dress_hand", lambda spec, model: None)
             bare = scene_of("box", hand).model
         assert dressed.ngeom > bare.ngeom + 10
         for name in (
@@ -255,7 +255,7 @@ def test_what_mujoco_gl_names_is_the_only_way(
     assert told in found
 
 
-BACKEND = "from sim.looking.painter import open_backend; print(open_backend(8, 8))"
+BACKEND = "from sim.show.painter import open_backend; print(open_backend(8, 8))"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the ways of Linux")

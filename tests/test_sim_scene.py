@@ -18,9 +18,9 @@ from planner.spatial import SE3
 from planner.system.package import models_dir
 from planner.task import GraspTask, Obstacle
 from sim.contacts import other_touches
-from sim.gantry import GANTRY, GANTRY_FREQUENCY, GANTRY_INERTIA, GANTRY_MASS, Gantry
-from sim.physics import PhysicsOptions
-from sim.scene import HAND_PREFIX, Scene, build_scene
+from sim.scene.build import HAND_PREFIX, Scene, build_scene
+from sim.scene.gantry import GANTRY, GANTRY_FREQUENCY, GANTRY_INERTIA, GANTRY_MASS, Gantry
+from sim.scene.physics import PhysicsOptions
 
 ABOVE = SE3(pin.exp3(np.array([0.2, np.pi - 0.3, 0.4])), np.array([0.03, -0.02, 0.7]))
 

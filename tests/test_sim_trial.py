@@ -18,16 +18,16 @@ from planner.files import write_plan
 from planner.hand_loading import load_hand
 from planner.plan import GraspPlan
 from planner.quality import analyse
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from planner.task import GraspTask, Obstacle
-from sim.carrier import Timeline
 from sim.contacts import hand_contacts
 from sim.controllers import Observation
-from sim.physics import PhysicsOptions, named_physics
 from sim.protocols import Settings, run_protocol
 from sim.report import TrialReport
 from sim.report_file import ReportFile
+from sim.scene.carrier import Timeline
+from sim.scene.physics import PhysicsOptions, named_physics
 from sim.simulation import Simulation
 from sim.trial import Trial, TrialOptions, simulate
 from sim.verdict import Thresholds

@@ -13,7 +13,6 @@ from conftest import PlanOf
 from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, pose_change, pose_to_wxyz
-from sim.carrier import Timeline
 from sim.contacts import hand_contacts
 from sim.controllers import (
     CONTROLLERS,
@@ -27,6 +26,7 @@ from sim.controllers import (
 from sim.protocols import run_protocol
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.recorder import Recorder
+from sim.scene.carrier import Timeline
 from sim.simulation import Simulation
 from sim.trial import simulate
 

@@ -17,8 +17,8 @@ from rich.console import Console
 
 from sim.cli import main
 from sim.cli.dataset import StatesBar, states_table
-from sim.reset_states import StatesProgress
-from sim.reset_states.shards import shard_path
+from sim.datasets.reset_states import StatesProgress
+from sim.datasets.reset_states.shards import shard_path
 
 FEW = ("--grasps", "4", "--motions", "0", "--gaits", "0", "--workers", "1")
 

@@ -12,7 +12,7 @@ from planner.contacts import ContactSet
 from planner.exchange.dexgraspbench import plan_squeeze
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 from planner.verification.grasp import plan_forces

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from planner.objects import parse_object
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 
 

@@ -21,11 +21,10 @@ from planner.joints.description import FingerDescription, PadDescription, TaxelD
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim import simulate
-from sim.carrier import Timeline
 from sim.controllers import PHASES, Observation
-from sim.reality import Reality
-from sim.simulation import Simulation
-from sim.tactile import (
+from sim.scene.carrier import Timeline
+from sim.sensing.reality import Reality
+from sim.sensing.touch import (
     TOUCH_SENSES,
     ContactEstimator,
     PadContact,
@@ -39,9 +38,10 @@ from sim.tactile import (
     make_sense,
     register_touch,
 )
-from sim.tactile.exact import CONTACT_MODULUS, contact_deviation, spread
-from sim.tactile.senses import ExactSense
-from sim.tactile.slip import GainTracker, fit_patches
+from sim.sensing.touch.exact import CONTACT_MODULUS, contact_deviation, spread
+from sim.sensing.touch.senses import ExactSense
+from sim.sensing.touch.slip import GainTracker, fit_patches
+from sim.simulation import Simulation
 
 RADIUS = 0.012
 

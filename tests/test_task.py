@@ -15,7 +15,7 @@ from planner.errors import HandError, NotFoundError, PlannerError, TaskError
 from planner.forces.grip import LOAD_SAFETY, ExpectedLoad, grip_for_load
 from planner.hands.hand import Hand
 from planner.objects import GraspObject, parse_object
-from planner.search import attempts, plan_grasp
+from planner.search.grasp import attempts, plan_grasp
 from planner.spatial import SE3
 from planner.synthesis.problem import GraspProblem
 from planner.task import DEFAULT_MU, FLOATING_TOL, GRAVITY, GraspTask, Obstacle

@@ -27,7 +27,7 @@ from planner.motion.plan import Knot
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.quality import force_closure
-from planner.search import attempts, plan_grasp
+from planner.search.grasp import attempts, plan_grasp
 from planner.system.threads import built, kept_by_thread, made_once, without_warnings
 from planner.task import GraspTask
 from planner.verification.grasp import force_arguments

@@ -30,7 +30,7 @@ from sim.manipulation import (
     manipulate,
     rests,
 )
-from sim.physics import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 
 X, Y, Z = np.eye(3)
 ANGLE, UP = math.radians(20.0), np.array([0.0, 0.0, 0.008])

@@ -1,11 +1,11 @@
-"""MuJoCo's own tactile sensors beside the integration of contacts (``sim.tactile``).
+"""MuJoCo's own tactile sensors beside the integration of contacts (``sim.sensing.touch``).
 
 A round pad is pressed on a flat and on a round object with the contacts of our scenes. Looked at by
 
     tactile     MuJoCo's ``mjSENS_TACTILE``: how deep vertices of a mesh are in the other geom; with
                 taxels on the pad's surface, and on a skin 0.5 mm above
     touch_grid  MuJoCo's plugin: contact forces in angular bins
-    contacts    ``sim.tactile``, without noise
+    contacts    ``sim.sensing.touch``, without noise
 
 Pad, spacing and estimate of the place, the centroid of what is read, are the same. Source of what
 the first two compute: google-deepmind/mujoco, a7255075, src/engine/engine_sensor.c and
@@ -23,8 +23,8 @@ import pytest
 
 from planner.joints.description import FingerDescription, PadDescription, TaxelDescription
 from planner.spatial import FloatArray
-from sim.physics import PhysicsOptions
-from sim.tactile import ContactEstimator, PadContact, TaxelLayout, contact_image
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.touch import ContactEstimator, PadContact, TaxelLayout, contact_image
 
 RADIUS, SPACING, COUNT = 0.012, 0.002, 13
 """Of the pad, of its taxels (m), and of rows and columns."""

@@ -14,7 +14,7 @@ from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan, Verification
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import TOUCH_TOL

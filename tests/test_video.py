@@ -20,15 +20,15 @@ from PIL import Image, ImageSequence
 from planner.errors import TaskError
 from planner.files import write_plan
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from sim.cli import main
-from sim.looking.painter import Quality
-from sim.looking.picture import FORMATS, PICTURE, Tape, check_video, draw_tape, write_film
-from sim.looking.view import FIELD_OF_VIEW_DEG, MARGIN, Subject, View, choose_views, sees
-from sim.physics import PhysicsOptions
 from sim.report import TrialReport
-from sim.scene import build_scene
+from sim.scene.build import build_scene
+from sim.scene.physics import PhysicsOptions
+from sim.show.camera import FIELD_OF_VIEW_DEG, MARGIN, Subject, View, choose_views, sees
+from sim.show.painter import Quality
+from sim.show.picture import FORMATS, PICTURE, Tape, check_video, draw_tape, write_film
 from sim.simulation import Simulation, filmed
 from sim.trial import Timeline, simulate
 
@@ -244,7 +244,7 @@ def test_a_film_that_cannot_be_is_refused_before_the_work(
         check_video("run.avi")
     find = importlib.util.find_spec
     monkeypatch.setattr(
-        "sim.looking.picture.find_spec",
+        "sim.show.picture.find_spec",
         lambda name: None if name == "imageio_ffmpeg" else find(name),
     )
     with pytest.raises(TaskError, match=r'pip install "opposable\[video\]"; .webp and .gif need'):
@@ -301,8 +301,8 @@ def test_hands_move_to_the_last_bit_as_without_their_looks(
     plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dressed = simulate(plan, timeline=SHORT)
-    monkeypatch.setattr("sim.scene.dress_hand", lambda spec, model: None)
-    monkeypatch.setattr("sim.scene.add_scenery", lambda *args: None)
+    monkeypatch.setattr("sim.scene.build.dress_hand", lambda spec, model: None)
+    monkeypatch.setattr("sim.scene.build.add_scenery", lambda *args: None)
     bare = simulate(plan, timeline=SHORT)
     assert samples_of(dressed) == samples_of(bare)
 

@@ -32,23 +32,13 @@ from planner.plan import GraspPlan
 from planner.shapes import Mesh
 from planner.system.package import models_dir
 from planner.task import GraspTask
-from sim.carrier import Timeline
 from sim.cli import app
 from sim.report_file import write_report
+from sim.scene.carrier import Timeline
+from sim.show.browser import Answer, LocalServer, Opening, show, warnings_of
+from sim.show.dataset import DatasetSite, DatasetTables
+from sim.show.targets import Kind, Target, ViewOptions, recognise, register_kind
 from sim.trial import simulate
-from sim.viewing import (
-    Answer,
-    Kind,
-    LocalServer,
-    Opening,
-    Target,
-    ViewOptions,
-    recognise,
-    register_kind,
-    show,
-    warnings_of,
-)
-from sim.viewing.dataset import DatasetSite, DatasetTables
 
 RUN = CliRunner()
 
@@ -159,7 +149,7 @@ def test_a_page_of_another_kind_is_shown_as_it_is(tmp_path: Path) -> None:
 
 
 def test_another_kind_is_one_registration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim.viewing.kinds._REGISTERED", [])
+    monkeypatch.setattr("sim.show.targets._REGISTERED", [])
     kind = Kind(
         name="a note",
         recognises=lambda target: target.is_file and target.head.startswith(b"NOTE"),
@@ -301,7 +291,7 @@ def test_without_a_display_there_is_no_browser(monkeypatch: pytest.MonkeyPatch) 
 def test_without_a_browser_it_serves_and_says_where(
     monkeypatch: pytest.MonkeyPatch, plan_file: Path
 ) -> None:
-    monkeypatch.setattr("sim.viewing.opening.has_browser", lambda: False)
+    monkeypatch.setattr("sim.show.browser.has_browser", lambda: False)
     said: list[str] = []
     pages: list[bytes] = []
 
@@ -323,7 +313,7 @@ def test_without_a_browser_it_serves_and_says_where(
 
 def test_with_a_browser_a_file_is_opened(monkeypatch: pytest.MonkeyPatch, plan_file: Path) -> None:
     opened: list[str] = []
-    monkeypatch.setattr("sim.viewing.opening.has_browser", lambda: True)
+    monkeypatch.setattr("sim.show.browser.has_browser", lambda: True)
     monkeypatch.setattr("webbrowser.open", opened.append)
     show(viewed(plan_file), Opening(), lambda _: None)
     (address,) = opened

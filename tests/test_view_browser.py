@@ -22,12 +22,12 @@ from planner.pages.motion_page import motion_page
 from planner.pages.page import Page, write_page
 from planner.pages.scene import pose_row
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
+from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.task import GraspTask
-from sim.viewing import Target, ViewOptions, recognise
-from sim.viewing.dataset import DatasetSite, DatasetTables
-from sim.viewing.files import page_of_plan
+from sim.show.dataset import DatasetSite, DatasetTables
+from sim.show.reports import page_of_plan
+from sim.show.targets import Target, ViewOptions, recognise
 
 NEAR = 1e-3
 """How far (m) what is drawn may be from what Pinocchio computes."""

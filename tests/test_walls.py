@@ -25,7 +25,7 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
-from planner.search import attempts
+from planner.search.grasp import attempts
 from planner.shapes import Bowl, Channel, Cup, Mesh, Pan, Plate, Teacup, Tube
 from planner.shapes.meshes.soundness import bodies_of, faults_of
 from planner.spatial import SE3, FloatArray

@@ -11,7 +11,7 @@ from planner.contacts import ContactSet
 from planner.hands.hand import Hand
 from planner.quality import epsilon_round, primitive_wrenches
 from planner.quality.weakest import APART, weakest_directions
-from planner.search import attempts
+from planner.search.grasp import attempts
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask

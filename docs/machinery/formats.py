@@ -25,8 +25,8 @@ from planner.hands.arm import MountDescription
 from planner.hands.description_toml import MirrorDescription, MotorsDescription
 from planner.joints.description import HandDescription
 from sim.manipulation import ManipulationReportFile
-from sim.physics import PhysicsOptions
 from sim.report_file import ReportFile
+from sim.scene.physics import PhysicsOptions
 
 HERE = Path(__file__).parent.parent
 FOLDER = HERE / "reference" / "generated" / "formats"

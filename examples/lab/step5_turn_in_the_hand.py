@@ -17,7 +17,7 @@ import pinocchio as pin
 from planner import manipulation_task, parse_object, plan_manipulation
 from planner.spatial import signed_twist
 from sim.manipulation import ManipulationTimeline, manipulate
-from sim.physics import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 
 HAND = "allegro_hand"
 OBJECT = "cylinder:0.03x0.08"

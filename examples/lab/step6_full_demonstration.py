@@ -16,7 +16,7 @@ import numpy as np
 
 from planner import SE3, manipulation_task, parse_object, plan_manipulation
 from sim.manipulation import ManipulationTimeline, manipulate
-from sim.physics import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 
 HAND = "allegro_hand"
 OBJECT = "cylinder:0.03x0.08"

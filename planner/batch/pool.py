@@ -44,7 +44,7 @@ from planner.batch.rows import failed_row, found_row
 from planner.errors import NoGraspFoundError, PlannerError, TaskError, shown
 from planner.numerics.kernels import compiled_searches
 from planner.plan import GraspPlan
-from planner.search import Attempt, plan_grasp
+from planner.search.grasp import Attempt, plan_grasp
 from planner.shapes import Mesh, shape_key
 from planner.synthesis.options import SynthesisOptions
 from planner.system.process import on_interrupt, safe_path

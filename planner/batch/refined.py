@@ -20,7 +20,7 @@ from planner.batch.pool import check_backend, default_backend, end_with, finishe
 from planner.batch.recipe import recipe_of, task_of
 from planner.errors import PlannerError, TaskError
 from planner.failure import Failure
-from planner.refine import RefinedGrasp, refine_grasp, with_fingers
+from planner.search.refine import RefinedGrasp, refine_grasp, with_fingers
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.system.process import on_interrupt

@@ -25,7 +25,7 @@ from planner.files.data import LARGEST
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.quality import epsilon_l1, min_weight
-from planner.search import Attempt
+from planner.search.grasp import Attempt
 from planner.spatial import pose_to_wxyz
 
 EDGES = 8

@@ -30,13 +30,13 @@ from planner.batch.pool import BatchObject, batch_jobs, check_backend, default_b
 from planner.batch.recipe import Manifest, ManifestObject, Recipe, label_of, recipe_of, task_of
 from planner.batch.rows import grasp_schema
 from planner.batch.store import Store
-from planner.best import Wanted
 from planner.errors import TaskError, shown
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
-from planner.search import DEFAULT_MAX_ATTEMPTS, attempts
+from planner.search.best import Wanted
+from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, attempts
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask

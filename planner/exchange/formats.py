@@ -6,7 +6,7 @@ registered here, ``opposable export`` writes it.
 Grasps as a file of another tool tells them: poses and joints, of which nothing is verified.
 
 Every reader makes ``GivenGrasps``, in the conventions of this package and in the order of our
-hand's joints; ``planner.exchange.audit`` and ``planner.refine`` take them from there.
+hand's joints; ``planner.exchange.audit`` and ``planner.search.refine`` take them from there.
 """
 
 from __future__ import annotations

@@ -309,7 +309,7 @@ def plan_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = Non
 def pose_of_plan(path: Path | str) -> tuple[GraspTask, SE3, FloatArray]:
     """Task, base pose (world) and joints (nq,) of a plan file, of which nothing is verified.
 
-    For ``planner.refine``: the pose may have been changed by hand, and need be no grasp.
+    For ``planner.search.refine``: the pose may have been changed by hand, and need be no grasp.
 
     Raises:
         FileFormatError: Missing, damaged, of another version, or for another hand.

@@ -115,7 +115,8 @@ class PadDescription(StrictData):
         rolling_axis: Middle of the wider cone in which the sphere is the tip's outer surface, if
             the tip is round that far: while an object is turned, contacts may roll there.
         rolling_half_angle_deg: That cone's half angle.
-        taxels: Its tactile array; an array of ``sim.tactile`` that covers the cone if left out.
+        taxels: Its tactile array; an array of ``sim.sensing.touch`` that covers the cone if left
+            out.
     """
 
     geom: str

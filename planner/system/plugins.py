@@ -11,7 +11,7 @@ A package names a group and what it brings in its ``pyproject.toml``::
     [project.entry-points."opposable.protocols"]
     my_test = "my_package:cases"             # (settings, seed) -> cases; sim.protocols.Protocol
     [project.entry-points."opposable.senses"]
-    my_skin = "my_package:make_sense"        # sim.tactile.TouchContext -> sense
+    my_skin = "my_package:make_sense"        # sim.sensing.touch.TouchContext -> sense
     [project.entry-points."opposable.controllers"]
     my_control = "my_package:MyController"   # plan -> controller
 

@@ -22,7 +22,7 @@ __all__ = ["app", "main"]
 
 OPENGL = "mujoco.rendering.classic.gl_context"
 """MuJoCo's module that loads a library of windows while MuJoCo is imported: 0.2 s of CPU. Commands
-that draw open contexts of their own (``sim.looking.painter``), and none needs this one."""
+that draw open contexts of their own (``sim.show.painter``), and none needs this one."""
 
 SWITCH = "MUJOCO_GL"
 """Environment variable that tells that module what to load."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from planner.errors import NoGraspFoundError
     from planner.plan import GraspPlan
-    from planner.search import Attempt
+    from planner.search.grasp import Attempt
     from planner.shapes.stable import StablePose
     from planner.synthesis.options import SynthesisOptions
     from planner.task import GraspTask
@@ -107,7 +107,7 @@ def _is_found(
 ) -> bool:
     """Whether so many attempts find a grasp."""
     from planner.errors import PlannerError
-    from planner.search import plan_grasp
+    from planner.search.grasp import plan_grasp
 
     try:
         plan_grasp(task, seed=seed, max_attempts=budget, options=options, progress=progress)

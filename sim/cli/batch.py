@@ -98,7 +98,7 @@ def batch(
     from planner.exchange.dexgraspbench import export_dexgraspbench
     from planner.files import write_json
     from planner.hand_loading import load_hand
-    from planner.search import DEFAULT_MAX_ATTEMPTS
+    from planner.search.grasp import DEFAULT_MAX_ATTEMPTS
 
     loaded = load_hand(hand)
     tasks = [request.task(loaded, item) for item in objects]

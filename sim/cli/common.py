@@ -245,7 +245,7 @@ def check_films(*files: Path | None) -> None:
     """
     check_folder(*files)
     if files[-1] is not None:
-        from sim.looking.picture import check_video
+        from sim.show.picture import check_video
 
         check_video(files[-1])
 

@@ -46,8 +46,8 @@ from sim.tables import table_of
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from sim.episodes import AnyReport, Episode
-    from sim.reset_states import StatesProgress
+    from sim.datasets.episodes import AnyReport, Episode
+    from sim.datasets.reset_states import StatesProgress
 
 DRAWN = "What is drawn"
 """Group of the options that make states differ."""
@@ -93,7 +93,7 @@ def states(
     An interrupted run goes on when the same command is given again, also with a larger -n; a
     smaller one takes no state away.
     """
-    from sim.reset_states import Draws, StatesAsked, make_states
+    from sim.datasets.reset_states import Draws, StatesAsked, make_states
 
     asked = StatesAsked(
         hand=hand,
@@ -249,11 +249,11 @@ def episodes(
     states are taken as they are. All are of one hand. Ctrl-C keeps the episodes that are whole; an
     error leaves nothing behind.
     """
-    from sim.episodes import write_episodes
-    from sim.episodes.episode import format_named
-    from sim.episodes.film import check_films, size_of
-    from sim.episodes.sources import Trials, sources_of
-    from sim.episodes.writing import refuse_full
+    from sim.datasets.episodes import write_episodes
+    from sim.datasets.episodes.episode import format_named
+    from sim.datasets.episodes.film import check_films, size_of
+    from sim.datasets.episodes.sources import Trials, sources_of
+    from sim.datasets.episodes.writing import refuse_full
 
     format_named(to)  # bad input ends here
     driver = controller_of(controller)

@@ -41,7 +41,7 @@ def physics_of(text: str, sim_mu: float | None = None) -> Any:
         FileFormatError: A file that cannot be read.
         TaskError: A field that there is not, or a value out of range.
     """
-    from sim.physics import PRESETS
+    from sim.scene.physics import PRESETS
 
     found = PRESETS.given(text)
     return found if sim_mu is None else replace(found, mu=sim_mu)
@@ -80,7 +80,7 @@ def reality_of(
         TaskError: A field that there is not, a value out of range, or a seed of nothing.
     """
     from planner.errors import TaskError
-    from sim.reality import REALITIES
+    from sim.sensing.reality import REALITIES
 
     found = REALITIES.given(text)
     found = found if pads is None else replace(found, touch=pads)
@@ -101,7 +101,7 @@ def estimate_of(name: str | None) -> str | None:
         NotFoundError: There is none of that name.
     """
     if name is not None:
-        from sim.estimation import check_estimator
+        from sim.sensing.estimation import check_estimator
 
         check_estimator(name)
     return name
@@ -207,7 +207,7 @@ class TrialOptions(ExecutionOptions):
 
         parts = self.parts()
         if self.view:
-            from sim.looking.viewer import check_display
+            from sim.show.window import check_display
 
             check_display()
         check_films(self.video)

@@ -17,7 +17,7 @@ from sim.cli.reading import renaming
 if TYPE_CHECKING:
     from planner.exchange.export import AnyPlan
 
-FORMATS_OF_SIM = ("sim.scene_export",)
+FORMATS_OF_SIM = ("sim.scene.export",)
 """Modules of ``sim`` that register a format when they are imported: those that need a scene."""
 
 FRAMES, CHOICE = "Names in the file", "Out of a batch"

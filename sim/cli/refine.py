@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from planner.exchange.formats import GivenGrasp
-    from planner.refine import RefinedGrasp
+    from planner.search.refine import RefinedGrasp
     from planner.spatial import SE3, FloatArray
     from planner.task import GraspTask
 
@@ -213,7 +213,7 @@ def _poses(
             was written.
     """
     from planner.exchange.audit import right_task
-    from planner.refine.pose import NEAR
+    from planner.search.refine.pose import NEAR
 
     opened = reading.open(file)
     loaded = opened.hand(hand)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from planner.errors import NoGraspFoundError
     from planner.plan import GraspPlan
-    from planner.search import Attempt
+    from planner.search.grasp import Attempt
     from planner.synthesis.options import SynthesisOptions
     from planner.task import GraspTask
 
@@ -42,7 +42,7 @@ def _refuse_our_file(object: str) -> None:
     if not object.lower().endswith(".json"):
         return
     from planner.errors import TaskError, shown
-    from sim.viewing.kinds import Target
+    from sim.show.targets import Target
 
     kind = Target(object).format
     if kind == "opposable-plan":
@@ -133,7 +133,7 @@ class BestOptions(PlanOptions):
                 with what it has.
         """
         from planner.errors import NoGraspFoundError
-        from planner.search import plan_grasp
+        from planner.search.grasp import plan_grasp
 
         _refuse_our_file(object)
         options, task, compares = self.synthesis(), self.task(hand, object), self._compares
@@ -172,7 +172,7 @@ class BestOptions(PlanOptions):
             NoGraspFoundError: The error with what was found.
         """
         from planner.errors import NoGraspFoundError
-        from planner.search import DEFAULT_MAX_ATTEMPTS
+        from planner.search.grasp import DEFAULT_MAX_ATTEMPTS
         from sim.cli.advice import advice_for_low, advice_for_size, said_of_low
 
         standing = None if self.at is not None and self.at.count(",") > 1 else self.pose

@@ -278,8 +278,6 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
     """Run protocols of many trials on every plan; reports as they come."""
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
-    from sim.looking.painter import why_not
-    from sim.looking.picture import check_video
     from sim.protocols import (
         PROTOCOLS,
         Settings,
@@ -290,6 +288,8 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
         unsuitable,
         write_csv,
     )
+    from sim.show.painter import why_not
+    from sim.show.picture import check_video
 
     if asked.pages not in PAGES:  # bad input ends here
         raise NotFoundError("choice of pages", asked.pages, PAGES)

@@ -43,7 +43,8 @@ def view(
     the page until Ctrl-C.
     """
     from planner.errors import TaskError
-    from sim.viewing import Opening, Target, ViewOptions, recognise, show, warnings_of
+    from sim.show.browser import Opening, show, warnings_of
+    from sim.show.targets import Target, ViewOptions, recognise
 
     check_folder(output)
     target = Target(what)

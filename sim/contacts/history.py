@@ -17,7 +17,7 @@ from planner.contacts import ContactSet
 from planner.spatial import FloatArray, IntArray
 from sim.contacts.reading import NO_FORCE, collisions, contact_forces
 from sim.contacts.rows import ContactRows
-from sim.scene import Scene
+from sim.scene.build import Scene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,8 +5,8 @@
 ``read_pads``: what ideal tactile pads would feel in a simulation, from MuJoCo's contacts.
 
 Forces, places and sliding of contacts on an object, per finger; asked at every step of a closed
-loop. Exact: ``sim.tactile`` has senses that know less. Everything belongs to the beginning of the
-step that ended, like all contacts of MuJoCo.
+loop. Exact: ``sim.sensing.touch`` has senses that know less. Everything belongs to the beginning of
+the step that ended, like all contacts of MuJoCo.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 
 from planner.spatial import FloatArray
 from sim.controllers.readings import PadReading
-from sim.scene import HAND_PREFIX, OBJECT, OBSTACLE_PREFIX, TABLE, Scene
+from sim.scene.build import HAND_PREFIX, OBJECT, OBSTACLE_PREFIX, TABLE, Scene
 
 MIN_LENGTH = 1e-12
 """Least length (-) of a mean of normals that is divided by: a finger that pinches the object by

@@ -10,7 +10,7 @@ Both stand in an ``Observation``, beside the pose itself.
 
 ``TouchReading``: what arrays of taxels read, one image per finger that takes part.
 
-Made by ``sim.tactile``; read by whoever wants more than a ``PadReading``: policies, pictures.
+Made by ``sim.sensing.touch``; read by whoever wants more than a ``PadReading``: policies, pictures.
 """
 
 from __future__ import annotations

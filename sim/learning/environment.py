@@ -52,8 +52,8 @@ from sim.learning.controller import PolicyController
 from sim.learning.policy import RATE_HZ
 from sim.learning.trials import Conditions, Plans, TurnTask
 from sim.manipulation import ManipulationReport, ManipulationRun
-from sim.physics import PhysicsOptions
-from sim.reality import named_reality
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.reality import named_reality
 
 ENVIRONMENT = "Opposable/Turn-v0"
 """Name under which it is registered when this module is imported."""

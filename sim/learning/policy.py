@@ -26,11 +26,11 @@ from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.version import written_by
-from sim.estimation import NONE
 from sim.learning.senses import AIM, SENSES, ObjectRange, SenseHistory, checked_senses
 from sim.learning.trials import FRICTION, MASS
-from sim.physics import PhysicsOptions
-from sim.reality import Reality
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.estimation import NONE
+from sim.sensing.reality import Reality
 
 POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 3
 """What a file says it is, and the version of its contents. Version 1 had no ``estimator``; 2 did
@@ -76,7 +76,7 @@ class PolicyFor:
         senses: Its inputs beside the plan.
         action_scale: Change of a joint target by an action of 1, rad.
         aim: Turn beyond the asked one at which its playback ends, rad.
-        estimator: What tells it where the object is, a name out of ``sim.estimation``.
+        estimator: What tells it where the object is, a name out of ``sim.sensing.estimation``.
         command: What made it.
         written_by: Version that made it.
     """

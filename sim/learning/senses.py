@@ -13,9 +13,9 @@ posture as read at that moment, and K takes the servos along.
 ``ObjectLag``: how far the object is from where the plan has it, expressed in joints.
 
 It is the sense ``object`` of a policy (``sim.learning.senses``). The pose is that of an estimator;
-without a camera it is made of joints and touch (``sim.estimation``). With G the planned map from
-joint rates to the object's twist (contacts stick, least squares over the contacts), a deviation e
-of the pose is expressed as
+without a camera it is made of joints and touch (``sim.sensing.estimation``). With G the planned map
+from joint rates to the object's twist (contacts stick, least squares over the contacts), a
+deviation e of the pose is expressed as
 
     G_t' e_t / l^2,   G_r' e_r / l^2,      e_r and G_r times l, in degrees:
 

@@ -29,10 +29,10 @@ from sim.controllers import (
     Target,
 )
 from sim.controllers.impedance import effective_inertia
-from sim.estimation import NONE
 from sim.learning.controller import PolicyController
 from sim.learning.policy import Policy
 from sim.learning.senses import SENSES, SenseHistory, columns
+from sim.sensing.estimation import NONE
 from sim.simulation import Simulation
 
 BANDWIDTH = 30.0

@@ -44,7 +44,6 @@ from planner.arrays import check_fields
 from planner.errors import FileFormatError, TaskError
 from planner.files import read_json, write_json
 from planner.files.json_csv import refuse_other_request, whole_file
-from sim.estimation import NONE, check_estimator
 from sim.learning.policy import (
     ACTION_SCALE,
     RATE_HZ,
@@ -59,6 +58,7 @@ from sim.learning.teacher import Demonstrator
 from sim.learning.trials import Conditions, Plans, TurnTask
 from sim.manipulation import ManipulationReport
 from sim.manipulation.log import ASKED_SHARE, force_limit
+from sim.sensing.estimation import NONE, check_estimator
 
 _DAMAGED = (OSError, ValueError, KeyError, EOFError)
 
@@ -339,7 +339,7 @@ class Course:
         noise: Noise on the teacher's actions while it drives (-).
         epochs: Passes over all samples in the fit of a round.
         senses: Inputs of the policy beside the plan.
-        estimator: What tells it where the object is, a name out of ``sim.estimation``.
+        estimator: What tells it where the object is, a name out of ``sim.sensing.estimation``.
     """
 
     plans: int = 40

@@ -32,8 +32,8 @@ from planner.spatial import SE3
 from sim.learning.senses import ObjectRange
 from sim.manipulation import ManipulationRun, Push, rests, settled
 from sim.manipulation.in_hand import AnyTurningController
-from sim.physics import PhysicsOptions
-from sim.reality import IDEAL, REALITIES, Reality
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.reality import IDEAL, REALITIES, Reality
 
 FRICTION, MASS = (0.5, 1.0), (0.05, 0.3)
 """True sliding friction (-) and mass (kg), as in ``benchmarks.conditions``."""

@@ -13,8 +13,8 @@ from planner.contacts import ContactSet
 from planner.motion.plan import Knot, MovementPlan, Stroke
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.looking.picture import Tape, draw_tape
-from sim.scene import build_scene
+from sim.scene.build import build_scene
+from sim.show.picture import Tape, draw_tape
 
 STROKE_S, RELOCATION_S = 3.0, 1.0
 """How long a stroke and a relocation take in a film of a plan, s."""

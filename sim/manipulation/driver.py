@@ -29,14 +29,14 @@ from planner.motion.manipulation import ManipulationPlan
 from planner.motion.path import tilts
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
-from sim.carrier import ArmCarrier, Timeline
 from sim.controllers import Event, HasOwnAim, Observation, Phase, Recloses
 from sim.controllers.closing import SEARCH_DAMPING
 from sim.controllers.follow import MotionReference
 from sim.controllers.hand_dynamics import MotorServo, motor_servo
-from sim.gantry import Gantry
 from sim.manipulation.in_hand import InHandController
-from sim.scene import Scene
+from sim.scene.build import Scene
+from sim.scene.carrier import ArmCarrier, Timeline
+from sim.scene.gantry import Gantry
 from sim.simulation import Simulation
 
 BEYOND, TILTED_BEYOND = np.deg2rad(0.5), np.deg2rad(1.0)
@@ -168,7 +168,7 @@ class PostureServo:
 
 
 class BaseMover:
-    """Moves the gantry from pose to pose: a ``sim.carrier.Carrier``.
+    """Moves the gantry from pose to pose: a ``sim.scene.carrier.Carrier``.
 
     Attributes:
         fault: Why the hand cannot be brought where it was sent last, "" if it can.

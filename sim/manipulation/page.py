@@ -23,7 +23,8 @@ from sim.manipulation.page_parts import (
 )
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.timeline import IN_THE_AIR
-from sim.pages.parts import (
+from sim.recording import Recording
+from sim.show.parts import (
     NO_STATES,
     Moving,
     bare_scene,
@@ -46,8 +47,7 @@ from sim.pages.parts import (
     task_of_plan,
     task_rows,
 )
-from sim.pages.trial_page import pressure_blocks
-from sim.recording import Recording
+from sim.show.trial_page import pressure_blocks
 
 MODE_COLOURS = {
     "stick": "#3a9d5d",

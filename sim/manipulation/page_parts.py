@@ -23,8 +23,8 @@ from planner.pages.scene import Contacts
 from planner.spatial import FloatArray
 from planner.task import GraspTask, Obstacle
 from sim.manipulation.report_file import ManipulationReportFile
-from sim.pages.trial_page import force_of
 from sim.recording import Recording
+from sim.show.trial_page import force_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,6 @@ from planner.motion.ending import backwards, find_release, object_at_target, sta
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
 from planner.spatial import SE3, signed_twist
-from sim.looking.picture import Drawn, check_video, draw_tape
 from sim.manipulation.in_hand import GuidedController, in_hand_controller
 from sim.manipulation.log import (
     ASKED_SHARE,
@@ -42,6 +41,7 @@ from sim.manipulation.simulation import (
 )
 from sim.manipulation.standing import rests
 from sim.manipulation.timeline import TURNING, PhaseResult
+from sim.show.picture import Drawn, check_video, draw_tape
 from sim.simulation import Simulation
 
 

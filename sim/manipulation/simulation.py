@@ -24,7 +24,6 @@ from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask
 from sim.contacts import hand_contacts
 from sim.controllers import Observation
-from sim.estimation import AnyEstimator
 from sim.manipulation.driver import ManipulationDriver, mover_of
 from sim.manipulation.in_hand import AnyTurningController, InHandController
 from sim.manipulation.log import ManipulationRecorder
@@ -35,8 +34,9 @@ from sim.manipulation.timeline import (
     ManipulationTimeline,
     SuccessCriteria,
 )
-from sim.physics import AnyPhysics
-from sim.reality import AnyReality
+from sim.scene.physics import AnyPhysics
+from sim.sensing.estimation import AnyEstimator
+from sim.sensing.reality import AnyReality
 from sim.simulation import Simulation
 from sim.verdict import DropCriteria, lost
 

@@ -20,8 +20,8 @@ from planner.errors import TaskError
 from planner.shapes import Mesh
 from planner.spatial import SE3, rotation_angle
 from planner.task import GraspTask
-from sim.physics import PhysicsOptions
-from sim.scene import Scene, build_scene
+from sim.scene.build import Scene, build_scene
+from sim.scene.physics import PhysicsOptions
 
 WATCHED = 1.0
 """Time (s) that an object is watched for: one that rolls off moves by 1 mm within 0.3 s."""

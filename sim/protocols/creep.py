@@ -16,9 +16,9 @@ import numpy as np
 from planner.plan import GraspPlan
 from sim.controllers import AnyController
 from sim.creep import CREEP_BUDGET, Remedy, least_creep, predicted_creep, remedies
-from sim.physics import PhysicsOptions
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.scene import build_scene
+from sim.scene.build import build_scene
+from sim.scene.physics import PhysicsOptions
 
 CALM_S, WATCHED_S = 0.3, 1.0
 """Time (s) after the grip is there that is left out, and in which creep is measured then."""

@@ -56,14 +56,22 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_change, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
 from planner.verification.geometry import contacts_at
-from sim.carrier import Timeline
 from sim.controllers import Observation
 from sim.controllers.base import Phase
-from sim.gantry import Gantry
-from sim.physics import PhysicsOptions
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.outcome import AXES, Conditions, Outcome, axis_of
-from sim.scene import HAND_PREFIX, OBJECT, Scene, add_looks, dress_hand, drop_options, index_scene
+from sim.scene.build import (
+    HAND_PREFIX,
+    OBJECT,
+    Scene,
+    add_looks,
+    dress_hand,
+    drop_options,
+    index_scene,
+)
+from sim.scene.carrier import Timeline
+from sim.scene.gantry import Gantry
+from sim.scene.physics import PhysicsOptions
 from sim.verdict import DropCriteria, Fault, lost
 
 HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 0.0001)

@@ -24,16 +24,16 @@ from planner.arrays import check_fields, checked_number, finite_array
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from sim.carrier import Carrier, Timeline
 from sim.controllers import AnyController, Phase
 from sim.controllers.monitors import SLIP_SPEED
-from sim.estimation import AnyEstimator
-from sim.physics import PhysicsOptions
 from sim.protocols.outcome import Case, Conditions, Outcome
-from sim.reality import AnyReality, Reality
 from sim.recorder import Recorder
 from sim.recording import Recording, Samples
-from sim.scene import Scene
+from sim.scene.build import Scene
+from sim.scene.carrier import Carrier, Timeline
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.estimation import AnyEstimator
+from sim.sensing.reality import AnyReality, Reality
 from sim.simulation import Simulation
 from sim.trial import felt_by, run_grasp_phase
 from sim.verdict import DropCriteria, Fault, Reason, lost, put_down_to_actuators

@@ -1,6 +1,6 @@
 """``drake``: the exported scene held in another physics engine, by position commands alone.
 
-The plan is exported (``sim.scene_export``) and begins in Drake at the grasp with the squeeze
+The plan is exported (``sim.scene.export``) and begins in Drake at the grasp with the squeeze
 commanded (``hold_in_drake``): for 2 s under the plan's gravity; then six times more, with a
 force of half of the object's weight from another side in the second half. Commands do not react to
 anything. Contact model, solver, modulus and dissipation are Drake's defaults; friction is
@@ -29,8 +29,8 @@ from sim.protocols.drake_scene import INSTALL, TIME_STEP, DrakeScene, load_drake
 from sim.protocols.outcome import AXES, Conditions, Outcome, axis_of
 from sim.recorder import closure_columns, contact_columns
 from sim.recording import Samples
-from sim.scene import HAND_PREFIX
-from sim.scene_export import export_scene
+from sim.scene.build import HAND_PREFIX
+from sim.scene.export import export_scene
 from sim.verdict import Fault
 
 PUSH_SHARE = 0.5

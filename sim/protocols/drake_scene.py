@@ -151,7 +151,7 @@ def load_drake_scene(folder: Path, *, time_step: float = TIME_STEP) -> DrakeScen
     """Read an exported scene into Drake.
 
     Args:
-        folder: As ``sim.scene_export.export_scene`` writes it.
+        folder: As ``sim.scene.export.export_scene`` writes it.
         time_step: Of Drake's solver, s.
 
     Raises:

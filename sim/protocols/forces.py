@@ -26,9 +26,9 @@ from planner.quality import Interval
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GRAVITY
 from planner.verification.grasp import plan_forces
-from sim.physics import PhysicsOptions
 from sim.protocols.disturbance import DisturbanceTrial, Settings
 from sim.protocols.outcome import AXES, Conditions, Outcome, axis_of
+from sim.scene.physics import PhysicsOptions
 from sim.verdict import Fault
 
 G = -GRAVITY[2]

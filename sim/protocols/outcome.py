@@ -19,10 +19,10 @@ from planner.certify import NEAR, Neighbourhood
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers import Event, MakeController
-from sim.estimation import AnyEstimator
-from sim.physics import PhysicsOptions
-from sim.reality import Reality
 from sim.recording import Recording, Samples
+from sim.scene.physics import PhysicsOptions
+from sim.sensing.estimation import AnyEstimator
+from sim.sensing.reality import Reality
 from sim.verdict import Fault, Reason
 
 

@@ -14,7 +14,10 @@ from planner.pages.plan_scene import planned_contacts
 from planner.pages.scene import Line, Mark, Plot
 from planner.plan import GraspPlan
 from planner.version import written_by
-from sim.pages.parts import (
+from sim.protocols.outcome import Outcome
+from sim.protocols.report import ProtocolReport
+from sim.report_file import EventData
+from sim.show.parts import (
     cone_plot,
     event_marks,
     events_block,
@@ -28,9 +31,6 @@ from sim.pages.parts import (
     shown,
     source_blocks,
 )
-from sim.protocols.outcome import Outcome
-from sim.protocols.report import ProtocolReport
-from sim.report_file import EventData
 
 ON_THE_TABLE = ("robust",)
 """Protocols that begin as a trial does; in the others the object is held in the air."""

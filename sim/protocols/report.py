@@ -19,8 +19,8 @@ from planner.arrays import finite
 from planner.errors import FileFormatError
 from planner.version import written_by
 from sim.protocols.outcome import Outcome
-from sim.reality import drawn_text
 from sim.screen import Report, number, percent, reality_lines
+from sim.sensing.reality import drawn_text
 from sim.tables import table
 
 PROTOCOL_VERSION = 2

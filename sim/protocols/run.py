@@ -27,8 +27,6 @@ from planner.plan import GraspPlan
 from planner.registry import Registry
 from planner.task import GraspTask
 from sim.controllers import AnyController, controller_maker, controller_name
-from sim.estimation import NONE, AnyEstimator, estimator_name
-from sim.physics import PRESETS, AnyPhysics, PhysicsOptions
 from sim.protocols.dexgraspbench import (
     benchmark_contacts,
     benchmark_physics,
@@ -43,10 +41,12 @@ from sim.protocols.outcome import Case, Conditions, Outcome
 from sim.protocols.report import ProtocolReport
 from sim.protocols.shake_pushes import on_an_arm, pushes_cases, shake_cases
 from sim.protocols.variations import reality_cases, robust_cases, with_errors
-from sim.reality import REALITIES, AnyReality, Drawn, drawn_numbers, drawn_text
 from sim.recording import Samples
 from sim.runner import Runner, made_with
-from sim.scene import build_scene
+from sim.scene.build import build_scene
+from sim.scene.physics import PRESETS, AnyPhysics, PhysicsOptions
+from sim.sensing.estimation import NONE, AnyEstimator, estimator_name
+from sim.sensing.reality import REALITIES, AnyReality, Drawn, drawn_numbers, drawn_text
 from sim.simulation import filmed
 from sim.verdict import Fault
 

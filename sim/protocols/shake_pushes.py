@@ -29,9 +29,9 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray, minimum_jerk
 from planner.task import GRAVITY
 from sim.controllers import Phase
-from sim.gantry import GANTRY_AXES, GANTRY_FREQUENCY, Gantry
 from sim.protocols.disturbance import DisturbanceTrial, Settings
 from sim.protocols.outcome import Conditions, Outcome
+from sim.scene.gantry import GANTRY_AXES, GANTRY_FREQUENCY, Gantry
 
 TINY = 1e-4
 """Step (s) of the differences that rate and acceleration are taken by."""
@@ -101,7 +101,7 @@ def on_an_arm(hand: Hand) -> str:
 
 
 class Shaker:
-    """Moves the gantry to and fro: a ``sim.carrier.Carrier``.
+    """Moves the gantry to and fro: a ``sim.scene.carrier.Carrier``.
 
     Attributes:
         reached: Largest coordinate of the shaken axis so far, m or rad.

@@ -23,12 +23,12 @@ import pinocchio as pin
 
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.carrier import Timeline
 from sim.protocols.disturbance import Settings
 from sim.protocols.outcome import Case, Conditions, Outcome
-from sim.reality import LAB, Drawn, Reality, drawn_numbers
 from sim.report import TrialReport
-from sim.tactile import EXACT
+from sim.scene.carrier import Timeline
+from sim.sensing.reality import LAB, Drawn, Reality, drawn_numbers
+from sim.sensing.touch import EXACT
 from sim.trial import TrialOptions, simulate
 
 RECORD_EVERY = 0.05

@@ -28,12 +28,12 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.system.process import interrupts_wait
-from sim.carrier import Timeline
 from sim.controllers.base import PHASES, Controller, Observation, Sense
 from sim.controllers.readings import TOUCH_FORCE
 from sim.real_hand.interface import Clock, HandInterface, HandObservation, Observer
 from sim.real_hand.loop import Carry, ControlLoop, LoopReport
 from sim.real_hand.safety import CommandLimits, Safety
+from sim.scene.carrier import Timeline
 from sim.tables import table_of
 
 

@@ -2,7 +2,7 @@
 
 Each objective gives rows that count where they are negative: a metric less its target. Their
 numeric parameters are updated when a round begins and are zero outside rounds.
-``planner.plan_metrics`` evaluates the metrics of a plan by their full definitions on the true
+``planner.search.metrics`` evaluates the metrics of a plan by their full definitions on the true
 geometry.
 """
 
@@ -67,7 +67,7 @@ OBJECTIVES: dict[str, Objective] = {
 }
 """All objectives by name. With these weights each raises its own measure most while nine of ten
 attempts that succeed without an objective still do; with twice as much grasps are lost.
-``planner.plan_metrics.register_metric`` adds one."""
+``planner.search.metrics.register_metric`` adds one."""
 
 
 def objective_rows(names: tuple[str, ...], symbols: GraspSymbols) -> tuple[dict[str, Any], Any]:

@@ -17,9 +17,9 @@ from planner.forces import ForceLoop, QuadraticCost, distribute_forces
 from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.objects import parse_object
-from planner.plan_metrics import resisted_per_newton
 from planner.quality import analyse, epsilon_l1, force_closure, primitive_wrenches
 from planner.quality.ball import measure_hull
+from planner.search.metrics import resisted_per_newton
 from planner.shapes import Box, Mesh, Sphere
 from planner.task import GraspTask
 

@@ -1,6 +1,0 @@
-"""From a hand pose that somebody else made to the nearest grasp that passes our verdict."""
-
-from planner.refine.grasp import RefinedGrasp, refine_grasp, with_fingers
-from planner.refine.pose import Movement
-
-__all__ = ["Movement", "RefinedGrasp", "refine_grasp", "with_fingers"]

@@ -1,0 +1,362 @@
+"""``plan_grasp``: draw a start, solve, verify on the true geometry, distribute forces; repeat.
+
+Attempts end by iteration limits, never by the clock, so that a seed gives the same plan however
+fast the machine is, but for the rounding of its linear algebra; budgets stop between attempts.
+Asked for are the first grasp, the best of so many independent ones, or the best that a budget gives
+(``planner.search.best``).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
+from planner.collision.world import CollisionWorld
+from planner.errors import NoGraspFoundError, TaskError, shown
+from planner.failure import Failure
+from planner.plan import GraspPlan
+from planner.search.best import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted, improving_attempts
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.optimize import NEARLY, optimize_grasp
+from planner.synthesis.options import ProblemForm, SynthesisOptions
+from planner.synthesis.problem import Candidate, GraspProblem, Start
+from planner.synthesis.problem_cache import Problems, problems_for
+from planner.synthesis.room import with_room
+from planner.synthesis.seeds.draw import Seeder
+from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.terms.registry import TERMS
+from planner.system.threads import made_once, stage
+from planner.task import GraspTask
+from planner.verification.finishing import UNSOLVED, finished, true_geometry, true_links
+
+__all__ = [
+    "DEFAULT_MAX_ATTEMPTS",
+    "Attempt",
+    "attempts",
+    "plan_grasp",
+    "plans",
+]
+
+ONE_CAUSE = 0.8
+"""Share of the attempts (-) that fail for one cause from which its meaning is told."""
+
+SPARE_AFTER = 5
+"""Attempts after which every other one is made with three fingers alone, if the choice of fingers
+was left to us: on narrow faces, rims and handles four fingers find no room."""
+
+
+def attempts(
+    task: GraspTask,
+    *,
+    seed: int = 0,
+    options: SynthesisOptions | None = None,
+) -> Iterator[Attempt[GraspPlan]]:
+    """Endless independent attempts at a task; attempt i depends on ``seed`` and i alone.
+
+    Any number of them may go on at once, in one thread or in several, also at one task; a single
+    iterator is for one thread at a time.
+
+    Raises:
+        TaskError: The object cannot be grasped by this hand, found out before solving.
+    """
+    check_seed(seed)
+    context = _contexts(task, options or SynthesisOptions())
+    return run_attempts(lambda index: context(index, False), seed=seed)
+
+
+def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool], _GraspContext]:
+    """What the attempt of a number shares with others; whether a search for the best has a grasp.
+
+    Raises:
+        TaskError: The object cannot be grasped by this hand, found out before solving.
+    """
+    _problem(task, options.form)
+
+    def context(index: int, is_found: bool) -> _GraspContext:
+        past = index - SPARE_AFTER
+        spares = task.may_spare_fingers and past >= 0 and past % 2 == 0 and not is_found
+        problem = (_spared_problem if spares else _problem)(task, options.form)
+        true_geometry(problem.task)  # this thread's own is made before the attempt's time begins
+        return _GraspContext(problem, options)
+
+    return context
+
+
+def plan_grasp(
+    task: GraspTask,
+    *,
+    seed: int = 0,
+    max_attempts: int | None = None,
+    max_cpu_s: float | None = None,
+    best_of: int | None = None,
+    keep: str = FIRST,
+    metric: str | Mapping[str, float] | None = None,
+    options: SynthesisOptions | None = None,
+    progress: Callable[[Attempt[GraspPlan]], object] | None = None,
+    start: tuple[SE3, FloatArray] | None = None,
+) -> GraspPlan:
+    """A grasp that holds on the true geometry: the first one, or the best of several.
+
+    ``start`` is a hand pose of one's own: the plan is then the nearest grasp to it
+    (``planner.search.refine.refine_grasp``, which also tells how far it is), and nothing is drawn.
+
+    ``best_of=8`` takes the best of the first eight found, which are those that eight independent
+    attempts give. ``keep="best"`` spends a budget on one good grasp: attempts build on each other,
+    and what would not be the best is not verified; that gives more than ``best_of`` in the same
+    time.
+
+    In counts (``best_of``, ``max_attempts``) the same seed gives the same plan, to the bit in one
+    installation on one kind of processor and to rounding elsewhere. What a budget in CPU seconds
+    gives depends on the machine: ``plan.record.attempts`` tells how many attempts were made, and
+    the same call with ``max_attempts`` of that many, without ``max_cpu_s``, gives the same plan
+    again.
+
+    May be called from any number of threads, and from ``progress``; each call gives what it gives
+    alone. Threads share the hand, the objects and the tasks, none of which ever changes. They take
+    turns in Python: for speed use processes (``planner.batch``).
+
+    Args:
+        task: What to grasp, with what, where.
+        seed: Same seed, same plan.
+        max_attempts: Budget in attempts; None for 100, or for no limit where ``keep`` is "best" and
+            ``max_cpu_s`` is given.
+        max_cpu_s: Budget in CPU seconds, looked at between attempts; None for no limit.
+        best_of: Grasps to find, of which the best is taken; fewer where the budget ends before.
+            None for one.
+        keep: "first", or "best" for the best that the budget gives.
+        metric: By what plans are compared (``planner.search.metrics.METRICS``): a name, several as
+            "epsilon:1,limits:0.5", or a mapping of names to weights; of a weighted sum each weight
+            is in one over its metric's unit. None for the objective of ``options``.
+        options: Margins, weights and objectives of the problem; None for the metric as objective.
+        progress: Called after every attempt, which tells the value of the best so far; where it
+            returns True the search ends with what it has.
+        start: Base pose (world) and joints (nq,) to stay near to; goes without a seed, without
+            budgets, ``best_of``, ``keep`` and ``metric``.
+
+    Raises:
+        NoGraspFoundError: The budget ended, or there is none near the start; carries every attempt
+            and its failure.
+        NotFoundError: A metric, or something to keep, that does not exist.
+        TaskError: The task cannot work, a budget is not positive, ``best_of`` and ``metric`` do
+            not go with ``keep``, or the start is no pose or goes with what it goes without.
+        HandError: The start has not as many joints as the hand.
+    """
+    if start is not None:
+        unused = {
+            "seed": seed or None,
+            "max_attempts": max_attempts,
+            "max_cpu_s": max_cpu_s,
+            "best_of": best_of,
+            "keep": None if keep == FIRST else keep,
+            "metric": metric,
+        }
+        return _near_start(task, start, options, progress, unused)
+    wanted = Wanted.of(
+        max_attempts=max_attempts,
+        max_cpu_s=max_cpu_s,
+        best_of=best_of,
+        keep=keep,
+        metric=metric,
+        options=options,
+    )
+    plan, made = search(
+        _wanted_attempts(task, seed, wanted),
+        max_attempts=wanted.max_attempts,
+        max_cpu_s=max_cpu_s,
+        best_of=wanted.best_of,
+        merit=wanted.value,
+        progress=progress,
+    )
+    if plan is None:
+        raise nothing_found(
+            f"grasp of {task.object.name} with {task.hand.name} ({', '.join(task.finger_names)})",
+            made,
+            f"{_one_cause(made)}Try more attempts, other fingers, another pose or size of the "
+            "object, more friction or less grip",
+        )
+    return wanted.recorded(plan, made)
+
+
+def _one_cause(made: Sequence[Attempt[GraspPlan]]) -> str:
+    """What the cause of nearly all failures means, and what to change; "" if there are several."""
+    kinds = Counter(a.failure.kind for a in made if a.failure is not None)
+    kind, count = kinds.most_common(1)[0]
+    term = TERMS.get(kind.removeprefix(UNSOLVED))
+    if count < ONE_CAUSE * len(made) or term is None or not term.lacking:
+        return ""
+    return f"That is: {term.lacking}. "
+
+
+def _near_start(
+    task: GraspTask,
+    start: tuple[SE3, FloatArray],
+    options: SynthesisOptions | None,
+    progress: Callable[[Attempt[GraspPlan]], object] | None,
+    unused: Mapping[str, object],
+) -> GraspPlan:
+    """The nearest grasp to a start; ``unused`` are arguments that have no meaning here."""
+    given = [f"{name}={value!r}" for name, value in unused.items() if value is not None]
+    if given:
+        raise TaskError(
+            f"a start is given, and {', '.join(given)}; the plan is the nearest grasp to the start "
+            "and nothing is searched for: leave these out, or the start"
+        )
+    if not (isinstance(start, tuple) and len(start) == 2):
+        raise TaskError(f"start is {shown(start)}; give a pair of base pose and joints")
+    from planner.search.refine import refine_grasp  # here: few searches start from a given grasp
+
+    found = refine_grasp(task, *start, options=options)
+    if progress is not None:
+        for attempt in found.attempts:
+            progress(attempt)
+    if found.plan is None:
+        raise NoGraspFoundError(
+            f"no grasp of {task.object.name} with {task.hand.name} near the start: {found.failure}."
+            " Try another start, other fingers, or a search without a start",
+            found.attempts,
+        )
+    return found.plan
+
+
+def plans(
+    task: GraspTask,
+    *,
+    seed: int = 0,
+    max_attempts: int | None = None,
+    max_cpu_s: float | None = None,
+    metric: str | Mapping[str, float] | None = None,
+    options: SynthesisOptions | None = None,
+) -> Iterator[GraspPlan]:
+    """Better and better grasps, each better than the last: those of ``keep="best"`` as they come.
+
+    Take as many as there is time for, and the last one. The last of n attempts is what
+    ``plan_grasp(task, seed=seed, keep="best", max_attempts=n)`` gives.
+
+    Args:
+        task: What to grasp, with what, where.
+        seed: Same seed, same plans.
+        max_attempts: Attempts after which it ends; None for no limit: it goes on for ever, and a
+            next one may never come.
+        max_cpu_s: CPU seconds of attempts after which it ends; None for no limit.
+        metric: As in ``plan_grasp``.
+        options: As in ``plan_grasp``.
+
+    Raises:
+        NotFoundError: A metric that does not exist.
+        TaskError: The task cannot work, or a budget is not positive.
+    """
+    wanted = Wanted.of(
+        max_attempts=max_attempts, max_cpu_s=max_cpu_s, keep=BEST, metric=metric, options=options
+    )
+    endless = _wanted_attempts(task, seed, wanted)
+
+    def better() -> Iterator[GraspPlan]:
+        made: list[Attempt[GraspPlan]] = []
+        value, used = -np.inf, 0.0
+        for attempt in endless:
+            made.append(attempt)
+            used += attempt.cpu_s
+            if attempt.plan is not None and (worth := wanted.value(attempt.plan)) > value:
+                value = worth
+                yield wanted.recorded(attempt.plan, made)
+            if len(made) == max_attempts or (max_cpu_s is not None and used >= max_cpu_s):
+                return
+
+    return better()
+
+
+def _wanted_attempts(task: GraspTask, seed: int, wanted: Wanted) -> Iterator[Attempt[GraspPlan]]:
+    """Independent attempts, or those that build on each other."""
+    if wanted.measure is None or not wanted.improving:
+        return attempts(task, seed=seed, options=wanted.options)
+    check_seed(seed)
+    contexts = _contexts(task, wanted.options)
+    return improving_attempts(contexts, seed=seed, measure=wanted.measure)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """A task with its problems and seeder: made once, for whatever thread asks."""
+
+    task: GraspTask
+    problems: Problems
+    seeder: Seeder
+
+
+@dataclass(frozen=True)
+class _GraspContext:
+    """What all attempts at a task with the same fingers share."""
+
+    problem: _Problem
+    options: SynthesisOptions
+
+    @property
+    def build_s(self) -> float:
+        """Time that building the problems took, s."""
+        return self.problem.problems.build_s
+
+    @property
+    def task(self) -> GraspTask:
+        """The task."""
+        return self.problem.task
+
+    @property
+    def grasp_problem(self) -> GraspProblem:
+        """Its problem."""
+        return self.problem.problems.grasp
+
+    @property
+    def seeder(self) -> Seeder:
+        """What draws its starts."""
+        return self.problem.seeder
+
+    @property
+    def links(self) -> CollisionWorld | None:
+        """The true links, where the capsules of the terms are not exactly those."""
+        return true_links(self.task)
+
+    def attempt(self, rng: np.random.Generator) -> GraspPlan | Failure:
+        """Draw a start, solve, project onto the true surface, verify."""
+        task, problem, options = self.task, self.grasp_problem, self.options
+        with stage("seed"):
+            start = self.seeder.draw(rng)
+        if isinstance(start, Failure):
+            return start
+        roomy = with_room(options, task)
+        with stage("solve"):
+            candidate = self._solved(start, roomy)
+            if roomy is not options and problem.worst_violation(candidate.violation)[1] > NEARLY:
+                candidate = self._solved(start.at(candidate), options)
+        return self.verified(candidate)
+
+    def _solved(self, start: Start, margins: SynthesisOptions) -> Candidate:
+        """Where the solver comes to from a start with margins; true links keep theirs."""
+        problem = self.grasp_problem
+        parameters = problem.parameters(self.task, start, self.seeder.posture, margins)
+        return optimize_grasp(problem, self.task, start, parameters, self.options, self.links)
+
+    def verified(self, candidate: Candidate) -> GraspPlan | Failure:
+        """Project a candidate onto the true surface and verify it."""
+        return finished(self.grasp_problem, self.task, candidate, self.options)
+
+
+@made_once(8)
+def _problem(task: GraspTask, form: ProblemForm) -> _Problem:
+    """Seeder and problems of a task, made once for all who ask with the same one."""
+    seeder = seeder_for(task)
+    true_geometry(task)  # refuses what stands in something else, before the problems are built
+    return _Problem(task, problems_for(task, form), seeder)
+
+
+@made_once(8)
+def _spared_problem(task: GraspTask, form: ProblemForm) -> _Problem:
+    """The same with three fingers alone; with all where three cannot do what is asked."""
+    full = _problem(task, form)
+    try:
+        return _problem(task.with_fingers(full.seeder.tripod), form)
+    except TaskError:  # a region is required of a spared finger, or three do not open as wide
+        return full

@@ -1,1 +1,0 @@
-"""Pictures and windows: what a person sees of a simulation."""
