@@ -31,7 +31,12 @@ SLOW = {
         "sim.sensing.estimation",
         "planner.motion",
     ),
-    *("planner.search.refine", "planner.describe", "planner.synthesis.loops.solver", "planner.batch"),
+    *(
+        "planner.search.refine",
+        "planner.describe",
+        "planner.synthesis.loops.solver",
+        "planner.batch",
+    ),
 }
 """What a plan of a known hand and a known object has no use for."""
 
