@@ -34,7 +34,7 @@ from benchmarks.summary import Cell, Frame, parts, ratio, summary
 from planner.errors import NotFoundError
 from planner.exchange.audit import AuditRow, scaled_object
 from planner.exchange.audit.judge import Judge
-from planner.exchange.formats import GivenGrasp, Reading, Writing
+from planner.exchange.formats import ImportedGrasp, Reading, Writing
 from planner.exchange.table import read_table, write_table
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
@@ -60,12 +60,12 @@ class KnownFault:
 
     name: str
     stages: frozenset[str]
-    grasp: Callable[[GivenGrasp, GraspTask], GivenGrasp] = lambda grasp, task: grasp
+    grasp: Callable[[ImportedGrasp, GraspTask], ImportedGrasp] = lambda grasp, task: grasp
     task: Callable[[GraspTask], GraspTask] = lambda task: task
 
 
-def _opened(share: float) -> Callable[[GivenGrasp, GraspTask], GivenGrasp]:
-    def move(grasp: GivenGrasp, task: GraspTask) -> GivenGrasp:
+def _opened(share: float) -> Callable[[ImportedGrasp, GraspTask], ImportedGrasp]:
+    def move(grasp: ImportedGrasp, task: GraspTask) -> ImportedGrasp:
         if grasp.q_pregrasp is None:
             return grasp
         q = grasp.q + share * (grasp.q_pregrasp - grasp.q)
@@ -74,7 +74,7 @@ def _opened(share: float) -> Callable[[GivenGrasp, GraspTask], GivenGrasp]:
     return move
 
 
-def _first_away(grasp: GivenGrasp, task: GraspTask) -> GivenGrasp:
+def _first_away(grasp: ImportedGrasp, task: GraspTask) -> ImportedGrasp:
     """The first finger of the task at the pre-grasp."""
     q = grasp.q.copy()
     if grasp.q_pregrasp is not None:
@@ -126,7 +126,7 @@ FAULTS: Mapping[str, KnownFault] = MappingProxyType(
 """All faults by name."""
 
 
-def judged_with_fault(name: str, task: GraspTask, grasp: GivenGrasp) -> tuple[AuditRow, bool]:
+def judged_with_fault(name: str, task: GraspTask, grasp: ImportedGrasp) -> tuple[AuditRow, bool]:
     """The verdict on a good grasp with a fault, and whether a stage that must fail does.
 
     Args:
@@ -166,7 +166,7 @@ def measure(case: Row) -> Row:
     judge = Judge(task)
     rows = [judge.row(grasp) for grasp in grasps]
     faults: dict[str, Row] = {}
-    broken: list[GivenGrasp] = []
+    broken: list[ImportedGrasp] = []
     for name, fault in FAULTS.items():
         if name == "wrong hand" and not _has_other(task.hand):
             continue
@@ -191,7 +191,7 @@ def measure(case: Row) -> Row:
     }
 
 
-def _through_a_file(plans: Sequence[GraspPlan]) -> tuple[GivenGrasp, ...]:
+def _through_a_file(plans: Sequence[GraspPlan]) -> tuple[ImportedGrasp, ...]:
     """Plans as a reader gives them."""
     with TemporaryDirectory() as folder:
         (path,) = write_table(plans, Path(folder) / "grasps.npz", Writing())

@@ -1,7 +1,7 @@
 """Write plans in every format of other tools, read them again, and measure the errors.
 
 Each cell of a hand and an object becomes one file per format, or one per grasp where a format holds
-no more. What is compared is what ``GivenGrasp`` says: the pose of the hand's base in the frame of
+no more. What is compared is what ``ImportedGrasp`` says: the pose of the hand's base in the frame of
 the object's file, joints at the grasp, and joints before and after it where the format has them.
 Joints without names are read in the order in which they were written.
 """
@@ -22,7 +22,7 @@ from benchmarks.bench import HandOptions, ObjectsOption
 from benchmarks.common import cells_of, known, task_of
 from benchmarks.summary import Cell, Frame, amount, flat, parts, ratio, summary
 from planner.errors import PlannerError
-from planner.exchange import GivenGrasp, Reading, export_plans
+from planner.exchange import ImportedGrasp, Reading, export_plans
 from planner.exchange.formats import FORMATS, format_named, load_formats
 from planner.exchange.joints import T_object_body
 from planner.plan import GraspPlan
@@ -93,7 +93,7 @@ def _trip(name: str, plans: Sequence[GraspPlan]) -> Row:
     return trip | {"back": len(errors), **worst}
 
 
-def _errors(plan: GraspPlan, given: GivenGrasp) -> dict[str, float | None]:
+def _errors(plan: GraspPlan, given: ImportedGrasp) -> dict[str, float | None]:
     """How far what came back is from the plan, m and rad; joints of slides are in m."""
     wanted, found = T_object_body(plan), given.T_object_base
     opened = given.q_pregrasp

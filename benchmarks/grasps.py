@@ -1,4 +1,4 @@
-"""Plan and execute hands x objects x seeds; the table of the README."""
+"""Plan and execute hands x objects x seeds: how many are found, and how many hold."""
 
 from __future__ import annotations
 

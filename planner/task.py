@@ -24,14 +24,12 @@ from planner.hands.hand import Hand
 from planner.immutable import fixed_pose, is_pose
 from planner.objects import GraspObject, parse_object
 from planner.spatial import SE3, FloatArray, fixed_array
+from planner.tolerances import DEFAULT_MU
 
 __all__ = ["DEFAULT_MU", "GRAVITY", "GraspTask", "Obstacle"]
 
 GRAVITY = (0.0, 0.0, -9.81)
 """Default gravity, m/s2, world axes."""
-
-DEFAULT_MU = 0.5
-"""Sliding friction that planning assumes (-); simulation uses 0.6, so that a plan has a margin."""
 
 GRIP_SAFETY = 2.0
 """Default grip: each finger presses with this many times the weight it would have to carry by

@@ -11,6 +11,7 @@ __all__ = [
     "ANGLE_TOL",
     "CLOSURE_EDGES",
     "CLOSURE_MARGIN",
+    "DEFAULT_MU",
     "FLAT_ANGLE_TOL",
     "FRICTION_SHARE",
     "JOINT_TOL",
@@ -43,6 +44,10 @@ CLOSURE_EDGES = 8
 CLOSURE_MARGIN = 0.05
 """Least normalised min-weight (-) at every knot of a motion, and of the contacts that hold while a
 finger is away: contacts of a moving grasp are off by more than those of one that rests."""
+
+DEFAULT_MU = 0.5
+"""Sliding friction that planning assumes (-). A trial has 0.6 (``sim.scene.physics``), so that a
+plan has a margin. The shares below are of the friction of a task."""
 
 SYNTHESIS_SHARE = 0.7
 """Share of the friction coefficient (-) that the internal forces of synthesis may use."""

@@ -16,7 +16,7 @@ from rich.text import Text
 from planner.arrays import finite
 from planner.contacts import ContactSet
 from planner.files import plan_from_dict, plan_to_dict
-from planner.files.json_csv import MOVEMENT_FORMATS
+from planner.files.disk import MOVEMENT_FORMATS
 from planner.plan import GraspPlan
 from planner.quality import QualityReport, analyse
 from planner.showing import Shown, in_notebook

@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from planner.files.json_csv import checked_file, read_json, whole_file
+from planner.files.disk import checked_file, read_json, whole_file
 from planner.pages.page import read_page_data
 from planner.schema import StrictData
 from sim.controllers.base import EventKind

@@ -61,7 +61,6 @@ REASONS: tuple[Reason, ...] = Reason.__args__  # type: ignore[attr-defined]
 
 GraspOutcome: TypeAlias = Literal["held", "held, another grasp", "not held"]
 """How a trial ended: held as planned, held by another grasp, or not held."""
-"""What became of a trial: held as planned, held by another grasp than was planned, or not held."""
 
 OUTCOMES: tuple[GraspOutcome, ...] = GraspOutcome.__args__  # type: ignore[attr-defined]
 """Every outcome of a trial."""

@@ -22,11 +22,11 @@ from planner.exchange.audit import (
     audit_file,
     audit_grasps,
     audit_plans,
-    given_of_plans,
+    plans_as_imported,
     scaled_object,
 )
 from planner.exchange.audit.judge import Judge
-from planner.exchange.formats import GivenGrasp, GivenGrasps, Reading, Writing
+from planner.exchange.formats import ImportedGrasp, ImportedGrasps, Reading, Writing
 from planner.exchange.table import read_table, write_table
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
@@ -39,7 +39,7 @@ from planner.verification.grasp import verify_grasp
 
 BOX = "box:0.05x0.05x0.08"
 
-Good = tuple[GraspTask, list[GraspPlan], GivenGrasps]
+Good = tuple[GraspTask, list[GraspPlan], ImportedGrasps]
 
 
 def _good(hand: str, spec: str, count: int, folder: Path) -> Good:
@@ -110,7 +110,7 @@ def test_the_verdict_is_that_on_our_own_plans(good: Good) -> None:
             fault = FAULTS.get(name)
             made = grasp if fault is None else fault.grasp(grasp, plan.task)
             asked = plan.task if fault is None else fault.task(plan.task)
-            row = Judge(asked, fingers_told=True, approach=True).row(made)
+            row = Judge(asked, fixed_fingers=True, approach=True).row(made)
             base = asked.T_world_object * made.T_object_base
             plain = verify_grasp(asked, base, made.q, record=record)
             assert row.passed == isinstance(plain, GraspPlan), (name, row.reason)
@@ -125,7 +125,7 @@ def test_the_gap_is_how_tolerant_one_would_have_to_be(good: Good) -> None:
     assert gaps[needed - 1] > 0.5
 
 
-def _moved(grasp: GivenGrasp, turn: FloatArray) -> GivenGrasp:
+def _moved(grasp: ImportedGrasp, turn: FloatArray) -> ImportedGrasp:
     """The same grasp with hand and object turned together in the world."""
     assert grasp.T_world_object is not None
     by = pose_from_wxyz(np.array([0.3, -0.2, 0.5]), turn)
@@ -161,7 +161,7 @@ class Witness:
         self.data = mujoco.MjData(self.model)
         self.hand = hand
 
-    def place(self, grasp: GivenGrasp) -> None:
+    def place(self, grasp: ImportedGrasp) -> None:
         """Put the box where the hand's base has it."""
         for name, value in zip(self.hand.joint_names, grasp.q, strict=True):
             self.data.qpos[self.model.joint(name).qposadr[0]] = value
@@ -267,7 +267,7 @@ class Witness:
         return bool(found.success and -found.fun > 1e-7 and rank == 6)
 
 
-def _agrees(witness: Witness, grasp: GivenGrasp, task: GraspTask, row: AuditRow) -> set[str]:
+def _agrees(witness: Witness, grasp: ImportedGrasp, task: GraspTask, row: AuditRow) -> set[str]:
     """Compare a row with the witness; names of the stages that it judged."""
     witness.place(grasp)
     hand = task.hand
@@ -474,7 +474,7 @@ def test_a_grasp_that_cannot_be_judged_ends_itself_alone(
 ) -> None:
     row, asked = Judge.row, []
 
-    def fails_once(self: Judge, grasp: GivenGrasp, index: int = 0, source: str = "") -> AuditRow:
+    def fails_once(self: Judge, grasp: ImportedGrasp, index: int = 0, source: str = "") -> AuditRow:
         asked.append(index)
         if index == 0:
             raise PlannerError("no solver decides it")
@@ -483,7 +483,7 @@ def test_a_grasp_that_cannot_be_judged_ends_itself_alone(
     monkeypatch.setattr(Judge, "row", fails_once)
     task, _, several = good
     given = replace(several, grasps=several.grasps[:1] * 2)
-    report = audit_grasps(task, given, fingers_told=True)
+    report = audit_grasps(task, given, fixed_fingers=True)
     first, second = report.rows
     assert asked == [0, 1] and second.passed and not first.passed and not report.ok
     assert first.stages["joints"].reason == "no solver decides it"
@@ -526,7 +526,7 @@ def test_rows_are_written_and_read_by_others(good: Good, tmp_path: Path) -> None
 
 def test_a_plan_goes_through_the_same_door(good: Good) -> None:
     _, plans, _ = good
-    for task, given in given_of_plans(plans, Path("x")):
-        assert audit_grasps(task, given, fingers_told=True).ok
+    for task, given in plans_as_imported(plans, Path("x")):
+        assert audit_grasps(task, given, fixed_fingers=True).ok
     with pytest.raises(TaskError, match="nothing to join"):
         audit_plans([], Path("x"))

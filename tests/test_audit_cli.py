@@ -13,7 +13,7 @@ import trimesh
 from typer.testing import CliRunner
 
 from planner.batch import GraspSet, plan_grasps
-from planner.exchange.audit import given_of_plans
+from planner.exchange.audit import plans_as_imported
 from planner.exchange.dexgraspbench import export_dexgraspbench
 from planner.exchange.formats import Writing
 from planner.exchange.table import write_table
@@ -22,7 +22,7 @@ from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from sim.cli import app
-from sim.protocols.dexgraspbench import hold_given_grasp
+from sim.protocols.dexgraspbench import hold_imported_grasp
 
 RUN = CliRunner()
 BOX = "box:0.05x0.05x0.08"
@@ -204,14 +204,14 @@ def test_bad_input_is_told(folder: Path, arguments: list[str], said: str) -> Non
 
 def test_a_grasp_that_does_not_press_falls(plans: list[GraspPlan]) -> None:
     """The trial tells grasps apart: one opened to its pre-grasp holds nothing."""
-    for task, given in given_of_plans(plans[:1], Path("x")):
+    for task, given in plans_as_imported(plans[:1], Path("x")):
         (grasp,) = given.grasps
-        good = hold_given_grasp(task, grasp)
+        good = hold_imported_grasp(task, grasp)
         assert good.passed, good.reason
         loose = replace(grasp, q=plans[0].q_pregrasp, q_squeeze=plans[0].q_pregrasp)
-        bad = hold_given_grasp(task, loose)
+        bad = hold_imported_grasp(task, loose)
         assert bad.passed is False and "the object moved" in bad.reason
-        still = hold_given_grasp(replace(task, gravity=np.zeros(3)), loose)
+        still = hold_imported_grasp(replace(task, gravity=np.zeros(3)), loose)
         assert still.passed, "without weight it stays"
 
 

@@ -15,7 +15,7 @@ from planner.batch import GraspFeatures, plan_several, separations
 from planner.batch.run import farthest_points
 from planner.errors import FileFormatError, NoGraspFoundError, NotFoundError, TaskError
 from planner.files import plan_to_dict, read_plan, write_plan
-from planner.files.json_csv import read_json, write_json
+from planner.files.disk import read_json, write_json
 from planner.files.plans import plan_from_dict
 from planner.plan import GraspPlan
 from planner.search.best import FALLEN_BEHIND

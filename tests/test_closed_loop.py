@@ -110,6 +110,13 @@ def test_tendons_and_servos_hold(shadow_plan: GraspPlan) -> None:
     assert report.controller == "ObjectImpedance"
 
 
+def test_soft_contacts_hold(plan_of: PlanOf) -> None:
+    plan = plan_of("allegro_hand", "cylinder:0.03x0.1", contact_model="soft", mu_torsion=0.005)
+    controller = ObjectImpedance(plan)
+    assert run(plan, controller).success
+    assert np.abs(controller.forces[:, 3]).max() > 1e-6  # N m: they bear a part
+
+
 def test_a_push_deflects_the_object_by_push_over_stiffness(plan: GraspPlan) -> None:
     stiffness, force = 1500.0, 2.0
     gains = ImpedanceGains(

@@ -384,11 +384,16 @@ def gripped(plan: GraspPlan) -> tuple[HoldingTorques, ContactSet]:
     return torques, contacts
 
 
-def test_commands_produce_the_torques_of_the_forces(plan: GraspPlan) -> None:
+@pytest.mark.parametrize("model", ["point", "soft"])
+def test_commands_produce_the_torques_of_the_forces(model: str, plan_of: PlanOf) -> None:
+    plan = plan_of("allegro_hand", "sphere", contact_model=model, mu_torsion=0.005)
     torques, contacts = gripped(plan)
     n = len(contacts)
     all_hold, none = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
-    ctrl = torques.commands(contacts.forces_in_axes(), contacts.normals, all_hold, none)
+    assert (model == "soft") == bool(np.abs(contacts.forces[:, 3]).max() > 1e-6)
+    ctrl = torques.commands(
+        contacts.forces_in_axes(), contacts.normals, all_hold, none, moments=contacts.forces[:, 3]
+    )
     a = plan.task.hand.actuation
     length = a.moment @ plan.q + a.length0
     made = (a.gain * ctrl + a.bias[:, 0] + a.bias[:, 1] * length) @ a.moment

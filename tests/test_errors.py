@@ -12,7 +12,7 @@ from planner import errors
 from planner.errors import InfeasibleError, NoGraspFoundError, NotFoundError, PlannerError
 from planner.exchange.yaml_text import number, table, text
 from planner.files import PlanFile
-from planner.files.json_csv import checked_file
+from planner.files.disk import checked_file
 from planner.schema import StrictData, faults_of
 from planner.shapes import shape_from_dict
 

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.errors import FileFormatError, TaskError
-from planner.exchange.formats import GivenGrasp, GivenGrasps, Reading, Writing, format_of
-from planner.exchange.table import read_table, write_given, write_table
+from planner.exchange.formats import ImportedGrasp, ImportedGrasps, Reading, Writing, format_of
+from planner.exchange.table import read_table, write_imported, write_table
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.spatial import SE3, pose_from_wxyz
@@ -42,13 +42,13 @@ def hand() -> Hand:
 
 
 @st.composite
-def given_grasps(draw: st.DrawFn, nq: int) -> GivenGrasp:
+def given_grasps(draw: st.DrawFn, nq: int) -> ImportedGrasp:
     """Any grasp with nq joints."""
 
     def joints() -> np.ndarray:
         return np.array(draw(st.lists(numbers, min_size=nq, max_size=nq)))
 
-    return GivenGrasp(
+    return ImportedGrasp(
         name=draw(texts.filter(bool)),
         T_object_base=draw(poses),
         q=joints(),
@@ -61,7 +61,7 @@ def given_grasps(draw: st.DrawFn, nq: int) -> GivenGrasp:
     )
 
 
-def _need_same(a: GivenGrasp, b: GivenGrasp) -> None:
+def _need_same(a: ImportedGrasp, b: ImportedGrasp) -> None:
     assert (a.name, a.object, a.scale, a.confidence) == (b.name, b.object, b.scale, b.confidence)
     for name in ("T_object_base", "T_world_object"):
         one, other = getattr(a, name), getattr(b, name)
@@ -77,11 +77,11 @@ def _need_same(a: GivenGrasp, b: GivenGrasp) -> None:
 
 @settings(deadline=None)  # a hand is loaded at the first
 @given(st.lists(given_grasps(16), min_size=1, max_size=3), st.sampled_from(FORMS))
-def test_any_grasps_come_back(grasps: list[GivenGrasp], form: str) -> None:
+def test_any_grasps_come_back(grasps: list[ImportedGrasp], form: str) -> None:
     mine = load_hand("allegro_hand")
-    given = GivenGrasps(source=Path("x"), format="x", hand="", grasps=tuple(grasps))
+    given = ImportedGrasps(source=Path("x"), format="x", hand="", grasps=tuple(grasps))
     with TemporaryDirectory() as folder:
-        (path,) = write_given(given, mine, Path(folder) / f"grasps{form}")
+        (path,) = write_imported(given, mine, Path(folder) / f"grasps{form}")
         assert format_of(path).name == "table"
         again = read_table(path, mine, Reading())
     assert len(again) == len(grasps)
@@ -167,9 +167,9 @@ def test_damaged_tables_name_the_place(
 
 def test_a_table_for_another_hand_or_version_is_refused(hand: Hand, tmp_path: Path) -> None:
     path = tmp_path / "a.json"
-    grasp = GivenGrasp(name="g", T_object_base=SE3.Identity(), q=np.zeros(16))
-    given = GivenGrasps(source=path, format="x", hand="", grasps=(grasp,))
-    write_given(given, hand, path)
+    grasp = ImportedGrasp(name="g", T_object_base=SE3.Identity(), q=np.zeros(16))
+    given = ImportedGrasps(source=path, format="x", hand="", grasps=(grasp,))
+    write_imported(given, hand, path)
     with pytest.raises(FileFormatError, match="for the hand 'allegro_hand', and 'allegro_hand_l"):
         read_table(path, load_hand("allegro_hand_left"), Reading())
     data = json.loads(path.read_text())
@@ -188,12 +188,12 @@ def test_a_table_for_another_hand_or_version_is_refused(hand: Hand, tmp_path: Pa
 
 
 def test_nothing_is_half_written(hand: Hand, tmp_path: Path) -> None:
-    grasp = GivenGrasp(name="g", T_object_base=SE3.Identity(), q=np.zeros(16))
-    given = GivenGrasps(source=tmp_path, format="x", hand="", grasps=(grasp,))
+    grasp = ImportedGrasp(name="g", T_object_base=SE3.Identity(), q=np.zeros(16))
+    given = ImportedGrasps(source=tmp_path, format="x", hand="", grasps=(grasp,))
     with pytest.raises(TaskError, match=r"a table ends with \.json, \.npz, \.csv"):
-        write_given(given, hand, tmp_path / "a.yaml")
+        write_imported(given, hand, tmp_path / "a.yaml")
     with pytest.raises(FileFormatError):
-        write_given(given, hand, tmp_path / "none" / "a.csv")
+        write_imported(given, hand, tmp_path / "none" / "a.csv")
     assert not list(tmp_path.iterdir())
 
 

@@ -164,7 +164,7 @@ def test_a_failed_write_keeps_the_old_file(
         assert partial.stat().st_size > 100
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("planner.files.json_csv.os.replace", full)
+    monkeypatch.setattr("planner.files.disk.os.replace", full)
     with pytest.raises(FileFormatError, match="No space left on device"):
         write_plan(plan, path)
     assert path.read_text(encoding="utf-8") == old

@@ -173,7 +173,7 @@ MADE = frozenset(
             "Filtered",
             "FingerDescription",
             "ForceStep",
-            "GivenGrasp",
+            "ImportedGrasp",
             "GraspPoint",
         ),
         *(

@@ -36,7 +36,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.exchange import GivenGrasp, GivenGrasps, GraspFormat
+from planner.exchange import ImportedGrasp, ImportedGrasps, GraspFormat
 from planner.spatial import SE3
 from sim.controllers import GraspController
 from sim.protocols.forces import forces_cases
@@ -49,10 +49,10 @@ def read(path, hand, reading):
     rows = json.loads(path.read_text())["lab_grasps"]
     place = SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
     grasps = tuple(
-        GivenGrasp(name=f"row {i}", T_object_base=place, q=np.array(row))
+        ImportedGrasp(name=f"row {i}", T_object_base=place, q=np.array(row))
         for i, row in enumerate(rows)
     )
-    return GivenGrasps(source=path, format="lab", hand="", grasps=grasps)
+    return ImportedGrasps(source=path, format="lab", hand="", grasps=grasps)
 
 
 FORMAT = GraspFormat(

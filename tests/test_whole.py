@@ -14,7 +14,7 @@ import typer
 import planner.bridge  # noqa: F401 - what is tested
 from planner.errors import FileFormatError
 from planner.files import plain_name, write_json
-from planner.files.json_csv import whole_file
+from planner.files.disk import whole_file
 from sim.cli.common import errors_for_people, make_folder
 
 

@@ -22,7 +22,13 @@ import numpy as np
 
 from planner.errors import FileFormatError
 from planner.exchange.array_files import read_array_file
-from planner.exchange.formats import GivenGrasp, GivenGrasps, GraspFormat, Reading, register_format
+from planner.exchange.formats import (
+    GraspFormat,
+    ImportedGrasp,
+    ImportedGrasps,
+    Reading,
+    register_format,
+)
 from planner.exchange.joints import FileJoints
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray
@@ -33,7 +39,7 @@ _PLACE = ("WRJTx", "WRJTy", "WRJTz")
 _TURN = ("WRJRx", "WRJRy", "WRJRz")
 
 
-def read_dexgraspnet(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
+def read_dexgraspnet(path: Path, hand: Hand, reading: Reading) -> ImportedGrasps:
     """Grasps of a file; poses are of the palm if ``reading`` names no other body.
 
     Raises:
@@ -45,7 +51,7 @@ def read_dexgraspnet(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
             f"{path} is no list of dictionaries with qpos; it is no file of DexGraspNet: say "
             "which format with --format"
         )
-    grasps: list[GivenGrasp] = []
+    grasps: list[ImportedGrasp] = []
     joints: FileJoints | None = None
     for i, row in enumerate(values):
         where = f"{path}, grasp {i}"
@@ -69,7 +75,7 @@ def read_dexgraspnet(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
             raise FileFormatError(f"{where} names other joints than the grasps before; split it")
         q = joints.of(_numbers(qpos, first, where), where)
         grasps.append(
-            GivenGrasp(
+            ImportedGrasp(
                 name=f"grasp {i}",
                 T_object_base=joints.base(_pose(qpos, reading.unit or 1.0, where), q),
                 q=q,
@@ -77,7 +83,7 @@ def read_dexgraspnet(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
                 scale=float(_numbers(row, ["scale"], where)[0]),
             )
         )
-    return GivenGrasps(
+    return ImportedGrasps(
         source=path,
         format=NAME,
         hand="shadow",

@@ -21,7 +21,13 @@ import numpy as np
 
 from planner.errors import FileFormatError
 from planner.exchange.array_files import read_array_file, read_pickle
-from planner.exchange.formats import GivenGrasp, GivenGrasps, GraspFormat, Reading, register_format
+from planner.exchange.formats import (
+    GraspFormat,
+    ImportedGrasp,
+    ImportedGrasps,
+    Reading,
+    register_format,
+)
 from planner.exchange.joints import FileJoints, pose_of_seven
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray
@@ -29,7 +35,7 @@ from planner.spatial import SE3, FloatArray
 NAME = "frogger"
 
 
-def read_frogger(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
+def read_frogger(path: Path, hand: Hand, reading: Reading) -> ImportedGrasps:
     """Grasps of a file; those that FRoGGeR did not find are left out.
 
     Raises:
@@ -64,7 +70,7 @@ def read_frogger(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
         q = joints.of(row[7:] if floats else row, where)
         body = _floating(row, reading, where) if floats else SE3.Identity()
         grasps.append(
-            GivenGrasp(
+            ImportedGrasp(
                 name=f"row {i}",
                 T_object_base=joints.base(T_world_object.inverse() * body, q),
                 q=q,
@@ -74,7 +80,7 @@ def read_frogger(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
         )
     if not grasps:
         raise FileFormatError(f"{path} holds no grasp: no row of q_stars is finite")
-    return GivenGrasps(
+    return ImportedGrasps(
         source=path, format=NAME, hand=robot, grasps=tuple(grasps), assumed=tuple(joints.assumed)
     )
 

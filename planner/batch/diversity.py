@@ -1,4 +1,6 @@
-"""Features by which grasps of one object are compared: base, contacts and joints.
+"""Features of grasps, near-duplicates among them, and how different a set is.
+
+Features by which grasps of one object are compared: base, contacts and joints.
 
 All in the object's frame, so that where the object lies in the world makes no difference.
 

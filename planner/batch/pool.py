@@ -1,4 +1,6 @@
-"""Jobs in parallel: results as they are finished, even if workers die.
+"""Parallel jobs that outlive dying workers; the requests of a batch, and what plans one.
+
+Jobs in parallel: results as they are finished, even if workers die.
 
 Workers are copies of this process ("fork") where that is safe: a copy has libraries, hand, tasks
 and machine code already, so that a worker costs milliseconds instead of the seconds of a new

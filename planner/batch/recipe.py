@@ -1,4 +1,6 @@
-"""A grasp task as text that another process can make the task from again.
+"""A task as text, the recipe; and the manifest of a stored batch.
+
+A grasp task as text that another process can make the task from again.
 
 Hands and problems cannot be sent between processes: a worker makes each task once from its text and
 keeps it. Stored batches hold the same text. It gives the same task to the last bit, so that a
@@ -23,7 +25,7 @@ from pydantic import Field, ValidationError
 from planner.errors import FileFormatError
 from planner.files import TaskData, read_json, task_data, task_from_data
 from planner.files.data import Finite, PoseData
-from planner.files.json_csv import refuse_other_request
+from planner.files.disk import refuse_other_request
 from planner.forces.grip import ExpectedLoad
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand

@@ -1,4 +1,6 @@
-"""Rows of a dataset of grasps as plain data, and the Arrow schemas that they follow.
+"""Rows of a dataset: their schemas, and the checks of rows that are read.
+
+Rows of a dataset of grasps as plain data, and the Arrow schemas that they follow.
 
 Everything is in the object's frame, whose origin is its centre of mass; the tasks, which say where
 the object stands, are kept once per object in the manifest. A row holds what ``GraspSet.plan``

@@ -1,4 +1,6 @@
-"""``plan_grasps``: many grasps of many objects, on all cores, into a folder.
+"""``plan_grasps``: many grasps into a folder; ``plan_several``: a few as plans.
+
+``plan_grasps``: many grasps of many objects, on all cores, into a folder.
 
 ``plan_several``: a few grasps of one task as plans, the first found or as different as can be.
 

@@ -24,7 +24,7 @@ from planner.batch.recipe import MANIFEST, Manifest, read_manifest
 from planner.batch.rows import arrow, attempt_rows, attempt_schema
 from planner.errors import FileFormatError
 from planner.files import write_json
-from planner.files.json_csv import PART, Journal, read_json_lines
+from planner.files.disk import PART, Journal, read_json_lines
 
 GRASPS, ATTEMPTS = "grasps", "attempts"
 """The two tables."""

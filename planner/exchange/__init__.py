@@ -1,10 +1,10 @@
-"""Readers and writers of other tools' files, one module or folder per tool."""
+"""Files of other tools: read and written, a module or folder for each; ``audit`` judges grasps."""
 
 from planner.exchange.export import Export, export_plans, plans_of
 from planner.exchange.formats import (
-    GivenGrasp,
-    GivenGrasps,
     GraspFormat,
+    ImportedGrasp,
+    ImportedGrasps,
     Reading,
     Writing,
     register_format,
@@ -12,9 +12,9 @@ from planner.exchange.formats import (
 
 __all__ = [
     "Export",
-    "GivenGrasp",
-    "GivenGrasps",
     "GraspFormat",
+    "ImportedGrasp",
+    "ImportedGrasps",
     "Reading",
     "Writing",
     "export_plans",

@@ -17,7 +17,7 @@ from planner.errors import FileFormatError, NotFoundError, TaskError, shown
 from planner.exchange.formats import FORMATS, GraspFormat, Writing, writable_format
 from planner.exchange.joints import channels_of
 from planner.files import plan_files, read_json, read_movement, read_plan
-from planner.files.json_csv import MOVEMENT_FORMATS
+from planner.files.disk import MOVEMENT_FORMATS
 from planner.motion.plan import MovementPlan
 from planner.plan import GraspPlan
 from planner.task import GraspTask

@@ -1,11 +1,13 @@
-"""All file formats of other tools by name; a format is one module or folder, and one registration.
+"""The formats of other tools by name, and grasps as such a file tells them.
+
+All file formats of other tools by name; a format is one module or folder, and one registration.
 
 A format reads grasps, writes plans, or both. ``opposable refine`` reads whatever is
 registered here, ``opposable export`` writes it.
 
 Grasps as a file of another tool tells them: poses and joints, of which nothing is verified.
 
-Every reader makes ``GivenGrasps``, in the conventions of this package and in the order of our
+Every reader makes ``ImportedGrasps``, in the conventions of this package and in the order of our
 hand's joints; ``planner.exchange.audit`` and ``planner.search.refine`` take them from there.
 """
 
@@ -28,7 +30,7 @@ from planner.system.plugins import plugin, plugin_names
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GivenGrasp:
+class ImportedGrasp:
     """One grasp of a file.
 
     Attributes:
@@ -62,7 +64,7 @@ class GivenGrasp:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivenGrasps:
+class ImportedGrasps:
     """All grasps of a file.
 
     Attributes:
@@ -76,7 +78,7 @@ class GivenGrasps:
     source: Path
     format: str
     hand: str
-    grasps: tuple[GivenGrasp, ...]
+    grasps: tuple[ImportedGrasp, ...]
     assumed: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -205,7 +207,7 @@ class GraspFormat:
         movements: Whether ``write`` takes motions, gaits and manipulation plans as well.
         hand_of: What a file calls its hand, as ``load_hand`` takes it, "" where it says nothing;
             None for a format whose files name no hand of ours.
-        object_specs: Whether ``GivenGrasp.object`` is what ``parse_object`` takes, and not only
+        object_specs: Whether ``ImportedGrasp.object`` is what ``parse_object`` takes, and not only
             what the other tool calls the object.
     """
 
@@ -214,7 +216,7 @@ class GraspFormat:
     suffixes: tuple[str, ...]
     loses: str
     recognises: Callable[[Path], bool]
-    read: Callable[[Path, Hand, Reading], GivenGrasps] | None = None
+    read: Callable[[Path, Hand, Reading], ImportedGrasps] | None = None
     write: Callable[[Sequence[Any], Path, Writing], tuple[Path, ...]] | None = None
     heeds: frozenset[str] = frozenset()
     movements: bool = False

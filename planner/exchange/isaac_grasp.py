@@ -32,9 +32,9 @@ import numpy as np
 
 from planner.errors import FileFormatError, shown
 from planner.exchange.formats import (
-    GivenGrasp,
-    GivenGrasps,
     GraspFormat,
+    ImportedGrasp,
+    ImportedGrasps,
     Reading,
     Writing,
     register_format,
@@ -114,7 +114,7 @@ def write_isaac_grasp(plans: Sequence[GraspPlan], path: Path, writing: Writing) 
     return (path,)
 
 
-def read_isaac_grasp(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
+def read_isaac_grasp(path: Path, hand: Hand, reading: Reading) -> ImportedGrasps:
     """Read the grasps of a file.
 
     Raises:
@@ -142,7 +142,7 @@ def read_isaac_grasp(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
         next((text(data[k], f"{where}: {k}") for k in keys if k in data), "") for keys in FRAMES
     ]
     grasps = table(member(data, "grasps", where), f"{where}: grasps")
-    return GivenGrasps(
+    return ImportedGrasps(
         source=path,
         format=ISAAC_GRASP.name,
         hand=named[1],
@@ -160,7 +160,7 @@ def read_isaac_grasp(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
 
 def _read_grasp(
     name: str, value: Any, where: str, hand: Hand, reading: Reading, item: str
-) -> GivenGrasp:
+) -> ImportedGrasp:
     grasp = table(value, where)
     turn = table(member(grasp, "orientation", where), f"{where}.orientation")
     xyz = numbers(member(turn, "xyz", f"{where}.orientation"), 3, f"{where}.orientation.xyz")
@@ -173,7 +173,7 @@ def _read_grasp(
     if key in grasp:
         opened = _joints(grasp[key], f"{where}.{key}", hand, reading)
     sure = grasp.get("confidence")
-    return GivenGrasp(
+    return ImportedGrasp(
         name=name,
         T_object_base=pose * T_base_body(hand, q, reading.base_body).inverse(),
         q=q,

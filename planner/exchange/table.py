@@ -14,9 +14,9 @@ import numpy as np
 
 from planner.errors import FileFormatError, TaskError
 from planner.exchange.formats import (
-    GivenGrasp,
-    GivenGrasps,
     GraspFormat,
+    ImportedGrasp,
+    ImportedGrasps,
     Reading,
     Writing,
     register_format,
@@ -42,7 +42,7 @@ HEAD = 4096
 """Bytes of a file by which it is recognised."""
 
 
-def read_table(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
+def read_table(path: Path, hand: Hand, reading: Reading) -> ImportedGrasps:
     """Grasps of a table.
 
     Raises:
@@ -85,7 +85,7 @@ def read_table(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
         if row.object_position is not None and row.object_quaternion_wxyz is not None:
             place = _pose(row.object_position, row.object_quaternion_wxyz, unit, order, where)
         grasps.append(
-            GivenGrasp(
+            ImportedGrasp(
                 name=row.name or f"row {i}",
                 T_object_base=joints.base(body, q),
                 q=q,
@@ -97,7 +97,7 @@ def read_table(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
                 confidence=row.confidence,
             )
         )
-    return GivenGrasps(
+    return ImportedGrasps(
         source=path,
         format=NAME,
         hand=table.hand,
@@ -156,7 +156,7 @@ def write_table(plans: Sequence[GraspPlan], path: Path, writing: Writing) -> tup
     return _write(table_of(plans, writing), path)
 
 
-def write_given(given: GivenGrasps, hand: Hand, path: Path) -> tuple[Path, ...]:
+def write_imported(given: ImportedGrasps, hand: Hand, path: Path) -> tuple[Path, ...]:
     """Write grasps that were read from another format as a table.
 
     Raises:

@@ -36,7 +36,7 @@ from pydantic import Field, model_validator
 from planner.errors import FileFormatError, few_of
 from planner.exchange.array_files import read_npz
 from planner.files import read_json
-from planner.files.json_csv import checked_file
+from planner.files.disk import checked_file
 from planner.schema import StrictData
 
 LENGTHS = {"m": 1.0, "mm": 1e-3}

@@ -9,7 +9,7 @@ from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
     from planner.files.data import PLAN_VERSION, PlanFile, TaskData, task_data, task_from_data
-    from planner.files.json_csv import (
+    from planner.files.disk import (
         format_told,
         plain_name,
         plan_files,
@@ -76,7 +76,7 @@ __all__ = [
 
 _NAMES = {
     "planner.files.data": "PLAN_VERSION PlanFile TaskData task_data task_from_data",
-    "planner.files.json_csv": (
+    "planner.files.disk": (
         "format_told plain_name plan_files read_json whole_file write_json write_trajectory"
     ),
     "planner.files.movements": (

@@ -27,7 +27,7 @@ from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask, Obstacle
 
 PLAN_VERSION = 1
-"""Version of plan files that is written."""
+"""Version of plan files that are written; 2 where the plan is the best of several."""
 
 QUATERNION_TOL = 1e-3
 """How far (-) the length of a quaternion in a file may be from 1: figures typed with few digits."""

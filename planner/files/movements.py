@@ -32,7 +32,7 @@ from planner.files.data import (
     PoseData,
     Vector3,
 )
-from planner.files.json_csv import MOVEMENT_FORMATS, checked_file, read_json, write_json
+from planner.files.disk import MOVEMENT_FORMATS, checked_file, read_json, write_json
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
 from planner.motion.ending import backwards, object_at_target, verify_release

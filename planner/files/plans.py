@@ -1,4 +1,6 @@
-"""Plan files: versioned JSON that can be read without this package.
+"""Plan files: written, read, their figures checked; and contacts to be analysed.
+
+Plan files: versioned JSON that can be read without this package.
 
 The schema is the pydantic model ``PlanFile``; ``opposable export --schema plan`` prints it as JSON
 Schema. Reading checks the format, the version and the hand's digest, rebuilds the task, and
@@ -41,7 +43,7 @@ from planner.files.data import (
     task_data,
     task_from_data,
 )
-from planner.files.json_csv import checked_file, read_json, write_json
+from planner.files.disk import checked_file, read_json, write_json
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan

@@ -4,7 +4,7 @@ Where arrays are small, calling NumPy costs more than its arithmetic. A kernel i
 plain loops, which numba compiles, and in NumPy. Both give the same numbers to rounding, which a
 test of each kernel checks.
 
-Loading numba and its machine code takes half a second per process, and compiling 15 to 30 s once
+Loading numba and its machine code takes half a second per process, and compiling 20 to 45 s once
 per machine: more than a single plan. So attempts run in NumPy until a search lasts, and compiled
 from then on. Which attempts those are is a matter of counts, never of the clock or of what was
 compiled before, and the same seed gives the same plan in any thread or process:
@@ -196,7 +196,7 @@ def planning_time() -> float:
 @lru_cache(maxsize=1)
 def _tell_once() -> None:
     logging.getLogger(__name__).warning(
-        "compiling the inner loops for this machine, once: 15 to 30 s of CPU"
+        "compiling the inner loops for this machine, once: 20 to 45 s of CPU"
     )
 
 

@@ -38,7 +38,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from planner.errors import FileFormatError, PlannerError
-from planner.files.json_csv import plain_name, whole_file
+from planner.files.disk import plain_name, whole_file
 from planner.pages.blocks import PLOTS, Block, Verdict, block_html
 from planner.pages.scene import Part, Scene
 from planner.version import __version__

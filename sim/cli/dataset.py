@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from planner.tolerances import DEFAULT_MU
 from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NOT_FOUND,
@@ -74,7 +75,7 @@ def states(
     motions: Annotated[int, option("Planned turns, likewise.", "N", SEARCH, min=0)] = 30,
     gaits: Annotated[int, option("Planned gaits, likewise.", "N", SEARCH, min=0)] = 4,
     fingers: FingersOption = None,
-    mu: MuOption = 0.5,
+    mu: MuOption = DEFAULT_MU,
     friction: Annotated[str, option("Range (-).", "LOW,HIGH", DRAWN)] = "0.6,1.2",
     mass: Annotated[
         str | None, option("Range, kg; 0.5 to 1.5 times the object's.", "LOW,HIGH", DRAWN)

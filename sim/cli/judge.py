@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from planner.exchange.audit.report import AuditReport
-    from planner.exchange.formats import GivenGrasps
+    from planner.exchange.formats import ImportedGrasps
     from planner.task import GraspTask
 
-    Sets = Sequence[tuple[GraspTask, GivenGrasps]]
+    Sets = Sequence[tuple[GraspTask, ImportedGrasps]]
 
 SHOWN = 10
 """Grasps that do not pass and are listed with their reasons."""
@@ -59,14 +59,14 @@ def sets_of_ours(file: Path, kind: str) -> Sets:
         PlannerError: A file that cannot be read.
     """
     from planner.batch import GraspSet
-    from planner.exchange.audit.grasp_file import given_of_batch, given_of_plans
+    from planner.exchange.audit.grasp_file import batch_as_imported, plans_as_imported
     from planner.files import read_plan
 
     if kind == "batch":
-        return list(given_of_batch(GraspSet(file), file))
+        return list(batch_as_imported(GraspSet(file), file))
     files = listed_plans([file])
     called = None if kind == "plan" else [one.stem for one in files]
-    return list(given_of_plans([read_plan(one) for one in files], file, called))
+    return list(plans_as_imported([read_plan(one) for one in files], file, called))
 
 
 def sets_of_theirs(
@@ -86,7 +86,7 @@ def sets_of_theirs(
             replace(opened, object=name),
             partial(request.task, object=spec),
             loaded,
-            fingers_told=request.fingers is not None,
+            fixed_fingers=request.fingers is not None,
         )
         for name, spec in opened.objects(opened.grasps(loaded), object).items()
     ]
@@ -95,7 +95,7 @@ def sets_of_theirs(
 def judge(
     sets: Sets,
     *,
-    fingers_told: bool,
+    fixed_fingers: bool,
     approach: bool,
     simulate: bool,
     workers: int,
@@ -106,7 +106,7 @@ def judge(
 
     Args:
         sets: Tasks with their grasps.
-        fingers_told: Whether the tasks say which fingers take part.
+        fixed_fingers: Whether the tasks say which fingers take part.
         approach: Whether a straight way in is asked for, too.
         simulate: Whether every grasp is executed, too.
         workers: Processes; -1 for one per core.
@@ -121,9 +121,9 @@ def judge(
 
     execute: Callable[..., Any] | None = None
     if simulate:
-        from sim.protocols.dexgraspbench import hold_given_grasp
+        from sim.protocols.dexgraspbench import hold_imported_grasp
 
-        execute = hold_given_grasp
+        execute = hold_imported_grasp
     reports: list[AuditReport] = []
     total = sum(len(given) for _, given in sets)
     with ProgressBar(err, quiet=as_json) as bar:
@@ -132,7 +132,7 @@ def judge(
                 audit_grasps(
                     task,
                     given,
-                    fingers_told=fingers_told,
+                    fixed_fingers=fixed_fingers,
                     approach=approach,
                     execute=execute,
                     workers=workers,

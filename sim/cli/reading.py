@@ -129,7 +129,7 @@ def one_plan(path: Path) -> GraspPlan:
     """
     from planner.errors import TaskError, few_of, shown
     from planner.files import format_told, read_plan
-    from planner.files.json_csv import MOVEMENT_FORMATS
+    from planner.files.disk import MOVEMENT_FORMATS
 
     files = listed_plans([path])
     if len(files) > 1:

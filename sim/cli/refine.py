@@ -33,7 +33,7 @@ from sim.progress import ProgressBar
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from planner.exchange.formats import GivenGrasp
+    from planner.exchange.formats import ImportedGrasp
     from planner.search.refine import RefinedGrasp
     from planner.spatial import SE3, FloatArray
     from planner.task import GraspTask
@@ -123,7 +123,7 @@ def refine(
             sets_of_theirs(file, hand, object, reading, request)
             if kind is None
             else sets_of_ours(file, kind),
-            fingers_told=kind is not None or request.fingers is not None,
+            fixed_fingers=kind is not None or request.fingers is not None,
             approach=approach,
             simulate=simulate,
             workers=(1 if kind in ("plan", "plans") else -1) if workers is None else workers,
@@ -224,7 +224,7 @@ def _poses(
             replace(opened, object=name),
             partial(request.task, object=spec),
             loaded,
-            fingers_told=request.fingers is not None,
+            fixed_fingers=request.fingers is not None,
             within=NEAR,
         )
         task_for = _task_for(task, own_place=request.table == "none")
@@ -243,21 +243,21 @@ def _of_plan(file: Path) -> _Given:
 def _of_batch(folder: Path) -> Iterator[_Given]:
     """The poses of a batch."""
     from planner.batch import GraspSet
-    from planner.exchange.audit import given_of_batch
+    from planner.exchange.audit import batch_as_imported
 
-    for task, given in given_of_batch(GraspSet(folder), folder):
+    for task, given in batch_as_imported(GraspSet(folder), folder):
         for grasp in given.grasps:
             yield _placed(grasp, task)
 
 
-def _task_for(first: GraspTask, *, own_place: bool) -> Callable[[GivenGrasp], GraspTask]:
+def _task_for(first: GraspTask, *, own_place: bool) -> Callable[[ImportedGrasp], GraspTask]:
     """The task of each grasp: one per scale and, where the file says so, place of the object."""
     from planner.exchange.audit.judge import scaled_object
     from planner.exchange.joints import T_file_object
 
     made: dict[Any, GraspTask] = {}
 
-    def task_for(grasp: GivenGrasp) -> GraspTask:
+    def task_for(grasp: ImportedGrasp) -> GraspTask:
         where = grasp.T_world_object if own_place else None
         key = (grasp.scale, None if where is None else where.homogeneous.tobytes())
         if key not in made:
@@ -274,7 +274,7 @@ def _task_for(first: GraspTask, *, own_place: bool) -> Callable[[GivenGrasp], Gr
     return task_for
 
 
-def _placed(grasp: GivenGrasp, task: GraspTask) -> _Given:
+def _placed(grasp: ImportedGrasp, task: GraspTask) -> _Given:
     """A grasp in the world of its task; its file knows the object by the object's own file."""
     from planner.exchange.joints import T_file_object
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.markup import escape
 
+from planner.tolerances import DEFAULT_MU
 from sim.cli.common import err, say
 from sim.cli.options import (
     GRIP,
@@ -182,7 +183,7 @@ class TaskOptions:
     ] = None
     gravity: Annotated[str, option("In m/s2.", "X,Y,Z", SCENE)] = GRAVITY
     fingers: FingersOption = None
-    mu: MuOption = 0.5
+    mu: MuOption = DEFAULT_MU
     mu_torsion: Annotated[
         float | None, option("Soft contacts with this torsional friction, m.", "M", GRIP)
     ] = None

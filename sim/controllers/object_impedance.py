@@ -152,6 +152,7 @@ class ObjectImpedance:
         self.calibration = self._opening.calibration
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
+        self._soft = "soft" in plan.contacts.models
         self._stops = StopCorrection(task.hand.actuation, plan.q)
         self._correction = EstimateCorrection()
         self._calibrated = self._moved = False
@@ -286,7 +287,8 @@ class ObjectImpedance:
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
         return self._torques.commands(
-            forces, normals, holding, self.schedule.searching, corrected, read
+            *(forces, normals, holding, self.schedule.searching, corrected, read),
+            moments=self.forces[:, 3] if self._soft else None,
         )
 
     def _carried(
@@ -395,7 +397,10 @@ class ObjectImpedance:
         eased = self._infeasibility.grip_share if eases else 1.0
         grip = self.grip * max(LEAST_GRIP, self._grip * eased)
         # actuators of a finger without force do not limit the others
-        loaded = np.where((share > 0.0)[:, None, None], self._torques.jacobians, 0.0)
+        jacobians = self._torques.jacobians
+        if self._soft:
+            jacobians = np.concatenate([jacobians, self._torques.turning], axis=1)
+        loaded = np.where((share > 0.0)[:, None, None], jacobians, 0.0)
         step = self._loop.step(
             -wrench,
             positions=self._points,

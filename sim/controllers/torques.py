@@ -76,6 +76,8 @@ class HoldingTorques:
         T_base_palm: Pose of the palm.
         centers: (n, 3), centres of the pads, m.
         jacobians: (n, 3, nq), of the pads' material points at the contacts.
+        turning: (n, 3, nq), of the pads' angular velocity, base axes, through which the torsional
+            moment of a soft contact acts.
         own_torque: (nq,), N m, what holds the hand itself, and moves it against its joints' drag.
     """
 
@@ -88,6 +90,7 @@ class HoldingTorques:
         self.T_base_palm = SE3.Identity()
         self.centers = np.zeros((n, 3))
         self.jacobians = np.zeros((n, 3, nq))
+        self.turning = np.zeros((n, 3, nq))
         self.own_torque = np.zeros(nq)
         self._drag, self._stiction = joint_drag(self._hand)
         self._found = np.zeros(nq)
@@ -163,6 +166,7 @@ class HoldingTorques:
         self._apart = self._latched() - self.centers
         full = np.where(self._loads.moved_by[:, None], self._loads.jacobian, 0.0)
         self.jacobians[:] = full[:, :3] - skew(points) @ full[:, 3:]
+        self.turning[:] = full[:, 3:]
         self._tip_velocity[:] = self.jacobians @ self._v_moving
         mask = holding[:, None]
         grasp = grasp_matrix(points - center) * np.repeat(holding, 3)
@@ -181,6 +185,7 @@ class HoldingTorques:
         searching: NDArray[np.bool_],
         corrected: FloatArray | None = None,
         read: FloatArray | None = None,
+        moments: FloatArray | None = None,
     ) -> FloatArray:
         """Commands (nu,) that press.
 
@@ -192,8 +197,13 @@ class HoldingTorques:
             corrected: (nq,), joints as the stops have them (``sim.controllers.joint_stops``); those
                 of ``move`` if None.
             read: (nq,), joints as the servos' encoders have them; those of ``move`` if None.
+            moments: (n,), torsional moments of soft contacts on the object about their normals,
+                N m, of the fingers that hold; none if None.
         """
         torque = self._tip_torque(forces, normals, holding, searching) + self._posture_torque()
+        if moments is not None:
+            about = np.where(holding, moments, 0.0)[:, None] * normals
+            torque += about.ravel() @ self.turning.reshape(-1, len(self._q))
         torque = torque + self._stiffness * (self._q_ref - self._q)
         torque = np.asarray(torque - self._damping * (self._v - self._v_ref))
         if searching.any() and self._found.any():

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from planner.arrays import check_fields
 from planner.errors import FileFormatError, HandError, NotFoundError, PlannerError, TaskError, shown
 from planner.exchange.array_files import checked_small, read_npz
-from planner.files.json_csv import whole_file
+from planner.files.disk import whole_file
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.plan import GraspPlan

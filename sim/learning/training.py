@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 from planner.arrays import check_fields
 from planner.errors import FileFormatError, TaskError
 from planner.files import read_json, write_json
-from planner.files.json_csv import refuse_other_request, whole_file
+from planner.files.disk import refuse_other_request, whole_file
 from sim.learning.policy import (
     ACTION_SCALE,
     RATE_HZ,

@@ -16,7 +16,7 @@ from scipy.interpolate import interp1d
 from scipy.spatial.transform import Rotation
 
 from planner.files.data import ContactData
-from planner.files.json_csv import checked_file
+from planner.files.disk import checked_file
 from planner.files.movements import MovementFile, as_movement
 from planner.motion.plan import standing_under
 from planner.pages.scene import Contacts

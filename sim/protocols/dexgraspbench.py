@@ -23,7 +23,7 @@ scene, each with its share of the verdicts:
 
 The constraint Jacobian stays dense (mujoco 4.0.0 factorises sparse Hessians wrongly).
 
-``hold_given_grasp`` executes a grasp that somebody else made, verified or not, by position commands
+``hold_imported_grasp`` executes a grasp that somebody else made, verified or not, by position commands
 alone, with the same world, physics and steps: a hand welded at
 its pose, a free object without gravity, servos led from the pre-grasp to the grasp and to the
 squeeze in 10 stages of 10 steps each. Then the object's weight pulls at its centre of mass for 2 s,
@@ -50,7 +50,7 @@ from planner.exchange.audit.report import StageResult
 from planner.exchange.dexgraspbench import benchmark_pieces, plan_squeeze
 from planner.exchange.dexgraspbench.export import MASS, PUSH, without_servos
 from planner.exchange.dexgraspbench.models import T_model_base, frame_shift
-from planner.exchange.formats import GivenGrasp
+from planner.exchange.formats import ImportedGrasp
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_change, pose_from_wxyz, pose_to_wxyz
@@ -363,7 +363,7 @@ HOLD_S = 2.0
 """How long the weight pulls, s."""
 
 
-def hold_given_grasp(task: GraspTask, grasp: GivenGrasp) -> StageResult:
+def hold_imported_grasp(task: GraspTask, grasp: ImportedGrasp) -> StageResult:
     """Execute a grasp; its number is how far the object moved, mm.
 
     Args:
@@ -405,7 +405,7 @@ def hold_given_grasp(task: GraspTask, grasp: GivenGrasp) -> StageResult:
     return StageResult(passed=held, number=worst[0], reason=reason)
 
 
-def _squeeze(task: GraspTask, grasp: GivenGrasp, base: SE3) -> FloatArray:
+def _squeeze(task: GraspTask, grasp: ImportedGrasp, base: SE3) -> FloatArray:
     """Commands (nu,) that press."""
     actuation = task.hand.actuation
     if grasp.q_squeeze is not None:

@@ -21,7 +21,7 @@ from rich.console import Console
 
 from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.files import given_plan, plan_from_dict, plan_to_dict
-from planner.files.json_csv import Journal
+from planner.files.disk import Journal
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.registry import Registry

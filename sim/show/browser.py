@@ -21,7 +21,7 @@ from typing import Any, Protocol, TypeAlias
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from planner.errors import FileFormatError, PlannerError, TaskError
-from planner.files.json_csv import whole_file
+from planner.files.disk import whole_file
 from planner.pages.blocks import Sentence
 from planner.pages.page import Page, has_browser, page_html, temporary_page
 

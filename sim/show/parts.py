@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.errors import FileFormatError
 from planner.files.data import PlanFile, TaskData, task_from_data
-from planner.files.json_csv import checked_file
+from planner.files.disk import checked_file
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.pages.blocks import Block, Command, Facts, Folded, Heading, Sentence, Table

@@ -6,7 +6,7 @@ from importlib import import_module
 
 from planner.errors import NoGraspFoundError
 from planner.files import plan_from_dict
-from planner.files.json_csv import MOVEMENT_FORMATS
+from planner.files.disk import MOVEMENT_FORMATS
 from planner.files.movements import movement_from_dict
 from planner.pages.motion_page import motion_page
 from planner.pages.page import Page

@@ -5,7 +5,12 @@ ours, both by ``planner.verification`` and with its tolerances, so that both sta
 ``audit_file`` reads and judges, and says where a file was read in another unit, order or hand.
 """
 
-from planner.exchange.audit.grasp_file import GraspFile, given_of_batch, given_of_plans, right_task
+from planner.exchange.audit.grasp_file import (
+    GraspFile,
+    batch_as_imported,
+    plans_as_imported,
+    right_task,
+)
 from planner.exchange.audit.judge import scaled_object
 from planner.exchange.audit.report import STAGES, AuditReport, AuditRow, StageResult, joined_reports
 from planner.exchange.audit.run import audit_file, audit_grasps, audit_plans

@@ -1,4 +1,6 @@
-"""``GraspFile``: a file of another tool, with the hand and the objects that its grasps are for.
+"""A file of another tool: opened, its hand and objects settled, its reading doubted.
+
+``GraspFile``: a file of another tool, with the hand and the objects that its grasps are for.
 
 ``audit`` and ``refine`` open files through it: what a file says of its hand and object is used
 where nothing is told, and compared with what is told.
@@ -28,9 +30,9 @@ from planner.batch.recipe import with_fingers_of
 from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError, few_of, shown
 from planner.exchange.audit.judge import Judge
 from planner.exchange.formats import (
-    GivenGrasp,
-    GivenGrasps,
     GraspFormat,
+    ImportedGrasp,
+    ImportedGrasps,
     Reading,
     format_of,
     readable_format,
@@ -118,7 +120,7 @@ class GraspFile:
                 "file with --hand"
             ) from error
 
-    def grasps(self, hand: Hand, reading: Reading | None = None) -> GivenGrasps:
+    def grasps(self, hand: Hand, reading: Reading | None = None) -> ImportedGrasps:
         """The grasps that are meant.
 
         Args:
@@ -143,7 +145,7 @@ class GraspFile:
             return given
         return replace(given, grasps=tuple(g for g in given.grasps if g.object == self.object))
 
-    def objects(self, given: GivenGrasps, told: str | None) -> dict[str, str]:
+    def objects(self, given: ImportedGrasps, told: str | None) -> dict[str, str]:
         """Name of each object in the file -> what ``parse_object`` takes for it.
 
         Args:
@@ -253,16 +255,16 @@ def right_task(
     task_for: Callable[[Hand], GraspTask],
     hand: Hand,
     *,
-    fingers_told: bool = False,
+    fixed_fingers: bool = False,
     within: float | None = None,
-) -> tuple[GraspTask, GivenGrasps]:
+) -> tuple[GraspTask, ImportedGrasps]:
     """Task and grasps of one object of a file, seen to be read as they were written.
 
     Args:
         file: The file, restricted to an object where it has several.
         task_for: Makes the task for a hand.
         hand: The hand.
-        fingers_told: Whether the fingers of the task hold and no others.
+        fixed_fingers: Whether the fingers of the task hold and no others.
         within: Distance (m) of two pads from the object up to which a pose is as it was meant,
             where poses need be no grasps; by ``SIGNS`` if None.
 
@@ -275,14 +277,14 @@ def right_task(
     if not len(given):
         raise TaskError(f"{file.path} holds no grasp; give a file with grasps")
     task = task_for(hand)
-    judge = Judge(task, fingers_told=fingers_told)
+    judge = Judge(task, fixed_fingers=fixed_fingers)
     if within is None or _share_near(judge, given, within, 2) <= FEW:
         _need_right_reading(file, judge, given, task_for)
     return task, given
 
 
 def _need_right_reading(
-    file: GraspFile, judge: Judge, given: GivenGrasps, task_for: Callable[[Hand], GraspTask]
+    file: GraspFile, judge: Judge, given: ImportedGrasps, task_for: Callable[[Hand], GraspTask]
 ) -> None:
     """Refuse a file whose hand is nowhere near the object, and would be in another reading."""
     near = [_share_near(judge, given, *sign) for sign in SIGNS]
@@ -306,7 +308,7 @@ def _need_right_reading(
                 )
 
 
-def _share_near(judge: Judge, given: GivenGrasps, within: float, count: int) -> float:
+def _share_near(judge: Judge, given: ImportedGrasps, within: float, count: int) -> float:
     """Share of the grasps (-) with so many pads so near (m) to the object."""
     step = max(1, len(given) // LOOKED_AT)
     near = [judge.near_pads(g, within) >= count for g in given.grasps[::step][:LOOKED_AT]]
@@ -314,7 +316,7 @@ def _share_near(judge: Judge, given: GivenGrasps, within: float, count: int) -> 
 
 
 def _need_one_hand(
-    file: GraspFile, judge: Judge, given: GivenGrasps, task_for: Callable[[Hand], GraspTask]
+    file: GraspFile, judge: Judge, given: ImportedGrasps, task_for: Callable[[Hand], GraspTask]
 ) -> None:
     """Refuse a file some of whose grasps are those of the hand on the other side."""
     (within, count), mirrored = SIGNS[0], _mirrored(judge.task.hand)
@@ -337,7 +339,7 @@ def _need_one_hand(
         )
 
 
-def _inverted(given: GivenGrasps) -> GivenGrasps:
+def _inverted(given: ImportedGrasps) -> ImportedGrasps:
     """The grasps with the poses that they have if what stands in the file is the object's."""
     grasps = [replace(g, T_object_base=g.T_object_base.inverse()) for g in given.grasps]
     return replace(given, grasps=tuple(grasps))
@@ -368,9 +370,9 @@ def _others(hand: Hand, reading: Reading) -> Iterator[tuple[tuple[str, str], Han
         yield said, load_hand(mirrored), reading
 
 
-def given_of_plans(
+def plans_as_imported(
     plans: Sequence[GraspPlan], source: Path, names: Sequence[str] | None = None
-) -> Iterator[tuple[GraspTask, GivenGrasps]]:
+) -> Iterator[tuple[GraspTask, ImportedGrasps]]:
     """Each plan with its task, as a grasp of which nothing is verified.
 
     Args:
@@ -380,7 +382,7 @@ def given_of_plans(
     """
     for plan, name in zip(plans, names or [f"seed {p.record.seed}" for p in plans], strict=True):
         to_file, upright = T_file_object(plan.task), plan.task.T_world_object
-        grasp = GivenGrasp(
+        grasp = ImportedGrasp(
             name=name,
             T_object_base=to_file * upright.inverse() * plan.T_world_base,
             q=plan.q,
@@ -390,14 +392,14 @@ def given_of_plans(
         )
         yield (
             plan.task,
-            GivenGrasps(source=source, format="plan", hand=plan.task.hand.name, grasps=(grasp,)),
+            ImportedGrasps(source=source, format="plan", hand=plan.task.hand.name, grasps=(grasp,)),
         )
 
 
-def given_of_batch(grasps: GraspSet, source: Path) -> Iterator[tuple[GraspTask, GivenGrasps]]:
+def batch_as_imported(grasps: GraspSet, source: Path) -> Iterator[tuple[GraspTask, ImportedGrasps]]:
     """The found grasps of a batch, one set per object and fingers, with their task."""
     for label in grasps.labels:
-        sets: dict[tuple[str, ...], tuple[GraspTask, list[GivenGrasp]]] = {}
+        sets: dict[tuple[str, ...], tuple[GraspTask, list[ImportedGrasp]]] = {}
         for index, row in grasps.found(label):
             task = with_fingers_of(grasps.task(label), row)
             to_file = T_file_object(task)
@@ -405,7 +407,7 @@ def given_of_batch(grasps: GraspSet, source: Path) -> Iterator[tuple[GraspTask, 
                 np.array(row["base_position_object_m"]),
                 np.array(row["base_quaternion_object_wxyz"]),
             )
-            grasp = GivenGrasp(
+            grasp = ImportedGrasp(
                 name=f"row {index}",
                 T_object_base=to_file * base,
                 q=np.array(row["q_rad"]),
@@ -417,5 +419,7 @@ def given_of_batch(grasps: GraspSet, source: Path) -> Iterator[tuple[GraspTask, 
         for task, some in sets.values():
             yield (
                 task,
-                GivenGrasps(source=source, format="batch", hand=task.hand.name, grasps=tuple(some)),
+                ImportedGrasps(
+                    source=source, format="batch", hand=task.hand.name, grasps=tuple(some)
+                ),
             )

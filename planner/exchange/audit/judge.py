@@ -20,7 +20,7 @@ from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.errors import TaskError
 from planner.exchange.audit.report import AuditRow, StageResult
-from planner.exchange.formats import GivenGrasp
+from planner.exchange.formats import ImportedGrasp
 from planner.exchange.joints import T_file_object
 from planner.failure import Failure
 from planner.objects import GraspObject, parse_object
@@ -93,21 +93,21 @@ class Judge:
     """Judges grasps of one hand and one object; keeps the scenes that it has made."""
 
     def __init__(
-        self, task: GraspTask, *, fingers_told: bool = False, approach: bool = False
+        self, task: GraspTask, *, fixed_fingers: bool = False, approach: bool = False
     ) -> None:
         """Prepare.
 
         Args:
             task: Hand, object in the size of scale 1, friction, grip, gravity, table.
-            fingers_told: Whether the grasps are held by the fingers of the task and no others;
+            fixed_fingers: Whether the grasps are held by the fingers of the task and no others;
                 else they are found from each pose.
             approach: Whether the way in is judged too.
         """
-        self.task, self.told, self.approach = task, fingers_told, approach
+        self.task, self.told, self.approach = task, fixed_fingers, approach
         self._tasks: OrderedDict[object, GraspTask] = OrderedDict()
         self._worlds: dict[GraspTask, CollisionWorld] = {}
 
-    def row(self, grasp: GivenGrasp, index: int = 0, source: str = "") -> AuditRow:
+    def row(self, grasp: ImportedGrasp, index: int = 0, source: str = "") -> AuditRow:
         """The verdict on a grasp.
 
         Args:
@@ -146,13 +146,13 @@ class Judge:
             stages=results,
         )
 
-    def near_pads(self, grasp: GivenGrasp, within: float) -> int:
+    def near_pads(self, grasp: ImportedGrasp, within: float) -> int:
         """How many pads are within a distance (m) of the surface, either side."""
         every = self._task(grasp, self._all_fingers)
         touches = pad_contacts(every, T_world_base(every, grasp), np.array(grasp.q))
         return sum(abs(_gap(t)) <= within for t in touches)
 
-    def task_of(self, grasp: GivenGrasp, fingers: Sequence[str]) -> GraspTask:
+    def task_of(self, grasp: ImportedGrasp, fingers: Sequence[str]) -> GraspTask:
         """The task that a grasp solves with some fingers, with gravity as it pulls there."""
         return self._weighed(self._task(grasp, tuple(fingers)), grasp)
 
@@ -188,7 +188,7 @@ class Judge:
         count = max(len(touching), task.fingers_needed)
         return tuple(task.finger_names[i] for i in sorted(order[:count]))
 
-    def _task(self, grasp: GivenGrasp, fingers: tuple[str, ...]) -> GraspTask:
+    def _task(self, grasp: ImportedGrasp, fingers: tuple[str, ...]) -> GraspTask:
         """The task for a grasp's scale and place, and for some fingers."""
         place: object = None
         if self._stands and grasp.T_world_object is not None:
@@ -213,7 +213,7 @@ class Judge:
         """Whether it matters for the geometry where the object is."""
         return self.task.table_height is not None or bool(self.task.obstacles)
 
-    def _made(self, grasp: GivenGrasp, fingers: tuple[str, ...]) -> GraspTask:
+    def _made(self, grasp: ImportedGrasp, fingers: tuple[str, ...]) -> GraspTask:
         item = scaled_object(self.task.object, grasp.scale)
         task = replace(self.task, object=item, wrist_free=True)
         if fingers != task.finger_names:
@@ -224,7 +224,7 @@ class Judge:
             task = replace(task, T_world_base=T_world_base(task, grasp))
         return task
 
-    def _weighed(self, task: GraspTask, grasp: GivenGrasp) -> GraspTask:
+    def _weighed(self, task: GraspTask, grasp: ImportedGrasp) -> GraspTask:
         """The task with gravity as it pulls where the file has the object.
 
         Without surroundings all grasps share one scene, and gravity is turned into it.
@@ -235,7 +235,7 @@ class Judge:
         return replace(task, gravity=turn @ task.gravity)
 
 
-def T_world_base(task: GraspTask, grasp: GivenGrasp) -> SE3:
+def T_world_base(task: GraspTask, grasp: ImportedGrasp) -> SE3:
     """Pose of the hand's base in the world of a task, from that in the frame of the object's file.
 
     Args:

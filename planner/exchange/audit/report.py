@@ -1,4 +1,6 @@
-"""``AuditReport``: rows, and how many grasps pass each stage.
+"""The report of judged grasps, and what is said of one.
+
+``AuditReport``: rows, and how many grasps pass each stage.
 
 What is said of one grasp: a result per stage, with its number and its reason.
 """
@@ -72,7 +74,7 @@ class AuditRow:
 
     Attributes:
         index: Its place in the file.
-        name: As ``GivenGrasp.name``.
+        name: As ``ImportedGrasp.name``.
         source: The file.
         object: The object as the file names it.
         scale: Factor on the object's mesh.

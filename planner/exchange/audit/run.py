@@ -11,10 +11,15 @@ from pathlib import Path
 from planner.batch.pool import default_backend, end_with, finished
 from planner.batch.recipe import recipe_of, task_of
 from planner.errors import PlannerError, TaskError
-from planner.exchange.audit.grasp_file import GraspFile, given_of_plans, need_one_object, right_task
+from planner.exchange.audit.grasp_file import (
+    GraspFile,
+    need_one_object,
+    plans_as_imported,
+    right_task,
+)
 from planner.exchange.audit.judge import Judge
 from planner.exchange.audit.report import AuditReport, AuditRow, StageResult, joined_reports
-from planner.exchange.formats import GivenGrasp, GivenGrasps, Reading
+from planner.exchange.formats import ImportedGrasp, ImportedGrasps, Reading
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.task import GraspTask
@@ -27,7 +32,7 @@ AT_ONCE = 16
 """Grasps of a job: one takes some milliseconds, a message a part of one."""
 
 Progress = Callable[[AuditRow], object]
-Execute = Callable[[GraspTask, GivenGrasp], StageResult]
+Execute = Callable[[GraspTask, ImportedGrasp], StageResult]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,16 +55,16 @@ class AuditJob:
     approach: bool
     first: int
     source: str
-    grasps: tuple[GivenGrasp, ...]
+    grasps: tuple[ImportedGrasp, ...]
     execute: Execute | None
     parent: int
 
 
 def audit_grasps(
     task: GraspTask,
-    given: GivenGrasps,
+    given: ImportedGrasps,
     *,
-    fingers_told: bool = False,
+    fixed_fingers: bool = False,
     approach: bool = False,
     execute: Execute | None = None,
     workers: int = 1,
@@ -73,7 +78,7 @@ def audit_grasps(
         task: Hand, object in the size of scale 1, friction, grip, gravity, table. Where a grasp
             says how its object stands, that counts and not ``task.T_world_object``.
         given: The grasps.
-        fingers_told: Whether the fingers of the task hold and no others; else they are found.
+        fixed_fingers: Whether the fingers of the task hold and no others; else they are found.
         approach: Whether a straight way in is asked for too.
         execute: Executes a grasp and says whether it held; adds the stage "held".
         workers: Processes at most; -1 for one per core. Few grasps are judged here; several
@@ -87,7 +92,7 @@ def audit_grasps(
         raise TaskError(f"{given.source} holds no grasp; there is nothing to judge")
     rows: list[AuditRow] = []
     try:
-        for some in _chunks(task, given, fingers_told, approach, execute, workers):
+        for some in _chunks(task, given, fixed_fingers, approach, execute, workers):
             rows += some
             for row in some:
                 if progress is not None:
@@ -127,8 +132,8 @@ def audit_plans(
         TaskError: There is no plan.
     """
     reports = [
-        audit_grasps(task, given, fingers_told=True, approach=approach, progress=progress)
-        for task, given in given_of_plans(plans, source)
+        audit_grasps(task, given, fixed_fingers=True, approach=approach, progress=progress)
+        for task, given in plans_as_imported(plans, source)
     ]
     joined = joined_reports(reports)
     rows = tuple(replace(row, index=i) for i, row in enumerate(joined.rows))
@@ -143,11 +148,11 @@ def audit_file(
     format: str | None = None,
     reading: Reading | None = None,
     only: str = "",
-    fingers_told: bool = False,
+    fixed_fingers: bool = False,
     approach: bool = False,
     execute: Execute | None = None,
     workers: int = 1,
-    started: Callable[[GivenGrasps], object] | None = None,
+    started: Callable[[ImportedGrasps], object] | None = None,
     progress: Progress | None = None,
 ) -> AuditReport:
     """The verdict on the grasps of a file.
@@ -159,7 +164,7 @@ def audit_file(
         format: Name of the format; that which the file looks like if None.
         reading: What the file does not say.
         only: Only grasps whose object's name holds this text.
-        fingers_told: As in ``audit_grasps``.
+        fixed_fingers: As in ``audit_grasps``.
         approach: As in ``audit_grasps``.
         execute: As in ``audit_grasps``.
         workers: As in ``audit_grasps``.
@@ -174,13 +179,13 @@ def audit_file(
     """
     file = GraspFile.open(path, format=format, reading=reading, only=only)
     need_one_object(path, sorted({g.object for g in file.grasps(hand).grasps}))
-    task, given = right_task(file, task_for, hand, fingers_told=fingers_told)
+    task, given = right_task(file, task_for, hand, fixed_fingers=fixed_fingers)
     if started is not None:
         started(given)
     return audit_grasps(
         task,
         given,
-        fingers_told=fingers_told,
+        fixed_fingers=fixed_fingers,
         approach=approach,
         execute=execute,
         workers=workers,
@@ -190,7 +195,7 @@ def audit_file(
 
 def _chunks(
     task: GraspTask,
-    given: GivenGrasps,
+    given: ImportedGrasps,
     told: bool,
     approach: bool,
     execute: Execute | None,
@@ -198,7 +203,7 @@ def _chunks(
 ) -> Iterator[list[AuditRow]]:
     """Rows, some at a time."""
     if workers == 1 or len(given) <= (FEW if execute is None else FEW_EXECUTED):
-        judge = Judge(task, fingers_told=told, approach=approach)
+        judge = Judge(task, fixed_fingers=told, approach=approach)
         for i, grasp in enumerate(given.grasps):
             yield [_judged(judge, grasp, i, str(given.source), execute)]
         return
@@ -233,11 +238,11 @@ def _work(job: AuditJob) -> list[AuditRow]:
 
 @lru_cache(maxsize=2)
 def _judge_of(recipe: str, told: bool, approach: bool) -> Judge:
-    return Judge(task_of(recipe), fingers_told=told, approach=approach)
+    return Judge(task_of(recipe), fixed_fingers=told, approach=approach)
 
 
 def _judged(
-    judge: Judge, grasp: GivenGrasp, index: int, source: str, execute: Execute | None
+    judge: Judge, grasp: ImportedGrasp, index: int, source: str, execute: Execute | None
 ) -> AuditRow:
     """The row of a grasp, also where it comes to no verdict."""
     try:
@@ -255,6 +260,6 @@ def _given_up(job: AuditJob, reason: str) -> list[AuditRow]:
     return [_not_judged(g, job.first + i, job.source, reason) for i, g in enumerate(job.grasps)]
 
 
-def _not_judged(grasp: GivenGrasp, index: int, source: str, reason: str) -> AuditRow:
+def _not_judged(grasp: ImportedGrasp, index: int, source: str, reason: str) -> AuditRow:
     stages = {"joints": StageResult(passed=None, reason=reason)}
     return AuditRow(index=index, name=grasp.name, source=source, stages=stages)

@@ -1,4 +1,6 @@
-"""Grasps as DexGraspBench reads them: a dictionary in an .npy file each.
+"""DexGraspBench's files of grasps, its squeeze pose, and the folder that it evaluates.
+
+Grasps as DexGraspBench reads them: a dictionary in an .npy file each.
 
     obj_path                   folder with urdf/meshes/*.obj, convex, and info/simplified.json
     obj_scale                  factor on the object's meshes; 1 here

@@ -28,7 +28,13 @@ from planner.errors import FileFormatError
 from planner.exchange.array_files import read_array_file
 from planner.exchange.dexgraspbench.export import write_dexgraspbench
 from planner.exchange.dexgraspbench.models import T_model_base
-from planner.exchange.formats import GivenGrasp, GivenGrasps, GraspFormat, Reading, register_format
+from planner.exchange.formats import (
+    GraspFormat,
+    ImportedGrasp,
+    ImportedGrasps,
+    Reading,
+    register_format,
+)
 from planner.exchange.joints import FileJoints, pose_of_seven
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray
@@ -36,7 +42,7 @@ from planner.spatial import SE3, FloatArray
 NAME = "dexgraspbench"
 
 
-def read_dexgraspbench(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
+def read_dexgraspbench(path: Path, hand: Hand, reading: Reading) -> ImportedGrasps:
     """Grasps of a file, or of all .npy files in a folder.
 
     Raises:
@@ -44,7 +50,7 @@ def read_dexgraspbench(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
             that it needs; or a folder without any.
     """
     files = sorted(path.rglob("*.npy"), key=_in_order) if path.is_dir() else [path]
-    grasps: list[GivenGrasp] = []
+    grasps: list[ImportedGrasp] = []
     assumed: dict[str, None] = {}
     for file in files:
         data = read_array_file(file)
@@ -66,7 +72,7 @@ def read_dexgraspbench(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
         assumed.update(dict.fromkeys(notes))
     if not grasps:
         raise FileFormatError(f"{path} holds no grasp of DexGraspBench, BODex or Dexonomy")
-    return GivenGrasps(
+    return ImportedGrasps(
         source=path, format=NAME, hand="", grasps=tuple(grasps), assumed=tuple(assumed)
     )
 
@@ -82,7 +88,7 @@ def _is_grasp(data: Any) -> bool:
 
 def _grasps_of(
     data: Mapping[str, Any], file: Path, label: str, hand: Hand, reading: Reading
-) -> tuple[list[GivenGrasp], list[str]]:
+) -> tuple[list[ImportedGrasp], list[str]]:
     """Grasps of one file, and what was taken for granted."""
     order = reading.quaternion or "wxyz"
     unit = reading.unit or 1.0
@@ -103,7 +109,7 @@ def _grasps_of(
         q = joints.of(at[7:], where)
         body = place.inverse() * _pose(at, order, unit, where) * model
         out.append(
-            GivenGrasp(
+            ImportedGrasp(
                 name=where,
                 T_object_base=joints.base(body, q),
                 q=q,

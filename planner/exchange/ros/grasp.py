@@ -23,9 +23,9 @@ import numpy as np
 from planner.errors import FileFormatError
 from planner.exchange.export import AnyPlan, task_of_plan
 from planner.exchange.formats import (
-    GivenGrasp,
-    GivenGrasps,
     GraspFormat,
+    ImportedGrasp,
+    ImportedGrasps,
     Reading,
     Writing,
     register_format,
@@ -128,7 +128,7 @@ def write_ros_grasps(plans: Sequence[GraspPlan], path: Path, writing: Writing) -
     return write_messages(messages, path, comments)
 
 
-def read_ros_grasps(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
+def read_ros_grasps(path: Path, hand: Hand, reading: Reading) -> ImportedGrasps:
     """Read messages of moveit_msgs/Grasp for a hand; a pose is taken to be in the object's frame.
 
     Raises:
@@ -140,7 +140,7 @@ def read_ros_grasps(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
             "well; leave that out"
         )
     grasps = tuple(_read(data, where, hand, reading) for where, data in read_messages(path))
-    return GivenGrasps(
+    return ImportedGrasps(
         source=path,
         format=ROS_GRASP.name,
         hand="",
@@ -153,7 +153,7 @@ def read_ros_grasps(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
     )
 
 
-def _read(data: Any, where: str, hand: Hand, reading: Reading) -> GivenGrasp:
+def _read(data: Any, where: str, hand: Hand, reading: Reading) -> ImportedGrasp:
     check_message(data, GRASP, where)
     stamped, at = _inside(data, where, "grasp_pose")
     pose, at = _inside(stamped, at, "pose")
@@ -167,7 +167,7 @@ def _read(data: Any, where: str, hand: Hand, reading: Reading) -> GivenGrasp:
     if data.get("pre_grasp_posture", {}).get("points"):
         opened = _posture(data, where, "pre_grasp_posture", hand, reading)
     quality = data.get("grasp_quality")
-    return GivenGrasp(
+    return ImportedGrasp(
         name=str(data.get("id", "")) or where.rpartition(": ")[2],
         T_object_base=T_object_body * T_base_body(hand, q, reading.base_body).inverse(),
         q=q,

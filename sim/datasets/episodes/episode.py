@@ -31,7 +31,7 @@ import numpy as np
 from planner.arrays import check_fields, checked_count
 from planner.errors import FileFormatError, NotFoundError, TaskError, shown
 from planner.files.data import PlanFile
-from planner.files.json_csv import checked_file
+from planner.files.disk import checked_file
 from planner.files.movements import MovementFile, as_movement
 from planner.hands.hand import Hand
 from planner.pages.page import without_folder

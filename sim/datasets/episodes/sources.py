@@ -14,7 +14,7 @@ from typing import Any
 from planner.batch import GraspSet
 from planner.errors import FileFormatError, NotFoundError, TaskError, shown
 from planner.files import plan_files
-from planner.files.json_csv import MOVEMENT_FORMATS
+from planner.files.disk import MOVEMENT_FORMATS
 from planner.files.movements import manipulation_from_dict
 from planner.files.plans import plan_from_dict
 from planner.plan import GraspPlan

@@ -47,7 +47,7 @@ import numpy as np
 from planner.batch.rows import arrow
 from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError
 from planner.exchange.array_files import OWN_BYTES, checked_small, read_npz
-from planner.files.json_csv import whole_file
+from planner.files.disk import whole_file
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz, pose_to_wxyz
 from planner.version import written_by
 

@@ -15,7 +15,7 @@ import numpy as np
 from planner.batch.pool import check_backend, default_backend, finished
 from planner.errors import FileFormatError, TaskError
 from planner.files import write_json
-from planner.files.json_csv import Journal
+from planner.files.disk import Journal
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray, pose_from_wxyz

@@ -49,7 +49,7 @@ from planner.batch.pool import end_with
 from planner.batch.store import lock_folder
 from planner.errors import FileFormatError, shown
 from planner.files import read_json, write_json
-from planner.files.json_csv import read_json_lines, refuse_other_request, whole_file
+from planner.files.disk import read_json_lines, refuse_other_request, whole_file
 from planner.spatial import FloatArray, IntArray
 from planner.version import written_by
 from sim.datasets.reset_states.hold import REASONS, hold

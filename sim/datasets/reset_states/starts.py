@@ -32,7 +32,7 @@ from planner.contacts import MOST_FRICTION, ContactSet
 from planner.errors import NoGraspFoundError, ObjectError, PlannerError, TaskError
 from planner.exchange.dexgraspbench.export import plan_squeeze, without_servos
 from planner.files import write_json
-from planner.files.json_csv import plain_name, whole_file
+from planner.files.disk import plain_name, whole_file
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.motion import MovementPlan, plan_motion

@@ -130,7 +130,7 @@ class RealityOfTrial:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """What was drawn as few numbers; see ``words.drawn_numbers``."""
+        """What was drawn as few numbers; see ``sim.sensing.reality.drawn_numbers``."""
         return drawn_numbers(self.drawn, self.task.hand)
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,4 +1,6 @@
-"""JSON files, checked by a schema, and trajectories: every refusal says why and which file.
+"""What touches the disk: JSON by a schema, files written whole, journals, folders of plans.
+
+JSON files, checked by a schema, and trajectories: every refusal says why and which file.
 
 Files that are written whole or not at all, and names that stay in their folder.
 
