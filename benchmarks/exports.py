@@ -1,8 +1,8 @@
 """Write plans in every format of other tools, read them again, and measure the errors.
 
 Each cell of a hand and an object becomes one file per format, or one per grasp where a format holds
-no more. What is compared is what ``ImportedGrasp`` says: the pose of the hand's base in the frame of
-the object's file, joints at the grasp, and joints before and after it where the format has them.
+no more. What is compared is what ``ImportedGrasp`` says: the pose of the hand's base in the frame
+of the object's file, joints at the grasp, and joints before and after it where the format has them.
 Joints without names are read in the order in which they were written.
 """
 

@@ -240,6 +240,7 @@ def test_a_plan_keeps_it(compiled: bool) -> None:
 
 
 def test_a_distance_of_more_than_its_numbers_is_refused() -> None:
+    assert OFF_BALLS.clearance is not None
     wrong = replace(
         OFF_BALLS.clearance, distance=lambda g, ball, point: ca.norm_2(point - ball[:3]) - g.mu
     )

@@ -34,7 +34,7 @@ from sim.report import TrialReport
 from sim.report_file import read_report, write_report
 from sim.scene.carrier import Timeline
 from sim.scene.physics import PhysicsOptions
-from sim.show import trial_page
+from sim.show.trial_page import trial_page
 from sim.trial import simulate
 
 QUICK = Timeline(approach=0.2, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.3, hold=0.2)

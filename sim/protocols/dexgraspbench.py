@@ -23,8 +23,8 @@ scene, each with its share of the verdicts:
 
 The constraint Jacobian stays dense (mujoco 4.0.0 factorises sparse Hessians wrongly).
 
-``hold_imported_grasp`` executes a grasp that somebody else made, verified or not, by position commands
-alone, with the same world, physics and steps: a hand welded at
+``hold_imported_grasp`` executes a grasp that somebody else made, verified or not, by position
+commands alone, with the same world, physics and steps: a hand welded at
 its pose, a free object without gravity, servos led from the pre-grasp to the grasp and to the
 squeeze in 10 stages of 10 steps each. Then the object's weight pulls at its centre of mass for 2 s,
 along the gravity of the task. It is held if it stays within 50 mm and 15 degrees of where it was.

@@ -24,9 +24,9 @@ __all__ = [
     "audit_file",
     "audit_grasps",
     "audit_plans",
-    "given_of_batch",
-    "given_of_plans",
+    "batch_as_imported",
     "joined_reports",
+    "plans_as_imported",
     "right_task",
     "scaled_object",
 ]

@@ -159,7 +159,7 @@ class Judge:
     @property
     def how(self) -> dict[str, bool]:
         """How it was made, as arguments."""
-        return {"fingers_told": self.told, "approach": self.approach}
+        return {"fixed_fingers": self.told, "approach": self.approach}
 
     @property
     def _all_fingers(self) -> tuple[str, ...]:

@@ -138,14 +138,14 @@ def evaluate(p: ProblemTables, run: RunTables, x: FloatArray) -> float:
         run_tape(p.program, work)
         for k in range(len(rows.least)):
             rows.least[k] = 0.0
-        rows.count[0] = rows.count[1] = 0
+        rows.filled[0] = rows.filled[1] = 0
         place_hand(p.joints, run.hand, work, x)
         clearance_rows(p.clearances, run.clearances, p.joints, run.hand, run.field, rows)
         finger_rows(p.capsules, run.capsules, p.joints, run.hand, rows)
         kept.worst[0] = largest(rows, 0)
         kept.worst[0] = written_rows(p.written, rows, work, kept.worst[0])
-        kept.counts[0], kept.counts[1] = rows.count[0], rows.count[1]
-    rows.count[0], rows.count[1] = kept.counts[0], kept.counts[1]
+        kept.counts[0], kept.counts[1] = rows.filled[0], rows.filled[1]
+    rows.filled[0], rows.filled[1] = kept.counts[0], kept.counts[1]
     link_rows(run.links, x, rows)
     worst: float = max(kept.worst[0], largest(rows, kept.counts[0]))
     resistance_rows(p.contacts, run.resistance, work, x, rows)
@@ -156,7 +156,7 @@ def evaluate(p: ProblemTables, run: RunTables, x: FloatArray) -> float:
 def largest(rows: Rows, begin: int) -> float:
     """Largest absolute value of the rows so far, from one on."""
     out = 0.0
-    for k in range(begin, rows.count[0]):
+    for k in range(begin, rows.filled[0]):
         out = max(out, abs(rows.values[k]))
     return out
 
@@ -179,7 +179,7 @@ def written_rows(written: Written, rows: Rows, work: FloatArray, worst: float) -
     for k in range(len(written.values_at)):
         value, end = work[written.values_at[k]], written.entry_ends[k]
         if written.both[k] or value < 0.0:
-            at = rows.count[1]
+            at = rows.filled[1]
             for j in range(begin, end):
                 rows.columns[at] = written.entry_columns[j]
                 rows.entries[at] = work[written.entries_at[j]]
@@ -234,7 +234,7 @@ def minimise(
             break
         iterations += 1
         total_to = 0.0
-        for k in range(run.rows.count[0]):
+        for k in range(run.rows.filled[0]):
             total_to += run.rows.values[k] ** 2
         if iterations > 1:
             gain = (total - total_to) / expected if expected > 0 else -1.0
@@ -298,7 +298,7 @@ def normal_equations(rows: Rows, s: Scratch, n: int) -> None:
         for j in range(n):
             normal[i, j] = 0.0
     begin = 0
-    for row in range(rows.count[0]):
+    for row in range(rows.filled[0]):
         r, count = rows.values[row], 0
         for k in range(begin, rows.ends[row]):
             i = numbers[0, rows.columns[k]]

@@ -236,5 +236,5 @@ def _rows(problem: LoopProblem, n_links: int) -> Rows:
         entries=np.empty(entries),
         least=np.zeros(len(problem.places)),
         weights=np.array([term.weight for term in problem.places]),
-        count=np.zeros(2, dtype=np.int64),
+        filled=np.zeros(2, dtype=np.int64),
     )

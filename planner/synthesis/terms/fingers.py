@@ -226,7 +226,7 @@ def finger_rows(t: CapsuleTables, run: CapsuleRun, p: Joints, hand: HandAt, rows
                 )
                 rate = along + turning
                 rates[j] += rate if side == 0 else -rate
-        at = rows.count[1]
+        at = rows.filled[1]
         for j in range(len(rates)):
             if rates[j] != 0.0:
                 rows.columns[at], rows.entries[at] = 6 + j, weight * rates[j]

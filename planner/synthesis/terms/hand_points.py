@@ -115,7 +115,7 @@ class Rows(NamedTuple):
         least: Least value of each term that must hold and whose rows are numbers; 0 where none is
             violated. Of term ``place``.
         weights: Their weights.
-        count: Rows, and entries, so far (2,).
+        filled: Rows, and entries, so far (2,).
     """
 
     values: FloatArray
@@ -124,7 +124,7 @@ class Rows(NamedTuple):
     entries: FloatArray
     least: FloatArray
     weights: FloatArray
-    count: IntArray
+    filled: IntArray
 
 
 class Joints(NamedTuple):
@@ -253,7 +253,7 @@ def point_row(
     s: int,
 ) -> None:
     """Append the gap of point k (3,) that moves with a joint, with slope s (3,)."""
-    weight, at, f = rows.weights[place], rows.count[1], p.carried[joint]
+    weight, at, f = rows.weights[place], rows.filled[1], p.carried[joint]
     rows.least[place] = min(rows.least[place], gap)
     d0, d1, d2 = slopes[s, 0], slopes[s, 1], slopes[s, 2]
     b0, b1, b2 = local[k, 0], local[k, 1], local[k, 2]
@@ -283,6 +283,6 @@ def point_row(
 @loops_of_kernels
 def end_row(rows: Rows, value: float, end: int) -> None:
     """Finish a row whose entries have been appended: its weighted value, where they end."""
-    n = rows.count[0]
+    n = rows.filled[0]
     rows.values[n], rows.ends[n] = value, end
-    rows.count[0], rows.count[1] = n + 1, end
+    rows.filled[0], rows.filled[1] = n + 1, end

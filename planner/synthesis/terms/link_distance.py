@@ -218,7 +218,7 @@ def link_rows(run: LinkRun, x: FloatArray, rows: Rows) -> None:
             value += run.rates[k, j] * (x[j] - run.x[j])
         if value < -ROUNDING:
             rows.least[place] = min(rows.least[place], value)
-            at = rows.count[1]
+            at = rows.filled[1]
             for j in range(len(x)):
                 if run.rates[k, j] != 0.0:
                     rows.columns[at], rows.entries[at] = j, weight * run.rates[k, j]

@@ -187,7 +187,7 @@ def resistance_rows(
         z0 = pressed * (along * f[1, 0]) - c * f[0, 0]
         z1 = pressed * (along * f[1, 1]) - c * f[0, 1]
         z2 = pressed * (along * f[1, 2]) - c * f[0, 2]
-        at, first = rows.count[1], t.first + 3 * best
+        at, first = rows.filled[1], t.first + 3 * best
         for j in range(3):
             a, b = (j + 1) % 3, (j + 2) % 3
             wa = w0 if a == 0 else (w1 if a == 1 else w2)
