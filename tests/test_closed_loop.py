@@ -13,6 +13,7 @@ from benchmarks.slips import LATENCY, true_slips
 from planner.certify import smallest_breaking
 from planner.certify.breaking import Disturbance
 from planner.errors import NotFoundError, TaskError
+from planner.forces import QuadraticCost
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
@@ -115,6 +116,17 @@ def test_soft_contacts_hold(plan_of: PlanOf) -> None:
     controller = ObjectImpedance(plan)
     assert run(plan, controller).success
     assert np.abs(controller.forces[:, 3]).max() > 1e-6  # N m: they bear a part
+
+
+def test_a_cost_of_ones_own_shapes_the_forces(plan: GraspPlan) -> None:
+    """The first finger is to press with 4 N; without the cost it presses as the rest do."""
+    row = np.zeros((1, 3 * len(plan.contacts)))
+    row[0, 0] = 1.0
+    wanted = QuadraticCost.of_residual(row, [4.0], weight=1e3, name="first finger")
+    plain, own = ObjectImpedance(plan), ObjectImpedance(plan, costs=[wanted])
+    assert run(plan, plain).success and run(plan, own).success
+    assert own.forces[0, 0] == pytest.approx(4.0, abs=0.05)
+    assert plain.forces[0, 0] < 3.5
 
 
 def test_a_push_deflects_the_object_by_push_over_stiffness(plan: GraspPlan) -> None:

@@ -27,11 +27,12 @@ What it notices and what it does then:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from planner.errors import NotFoundError, TaskError
-from planner.forces import ForceLoop, turned_frames
+from planner.forces import ForceLoop, QuadraticCost, turned_frames
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Event, EventKind, Observation, Phase, Reference, Sense
@@ -112,6 +113,7 @@ class ObjectImpedance:
         mass: float | None = None,
         mu: float | None = None,
         max_normal: float = MAX_NORMAL,
+        costs: Sequence[QuadraticCost] = (),
     ) -> None:
         """Prepare for a plan.
 
@@ -121,8 +123,10 @@ class ObjectImpedance:
             mass: Mass that the object is believed to have, kg; the task's if None.
             mu: Friction that the contacts are believed to have (-); the task's if None.
             max_normal: Largest normal force that a pad is asked for, N.
+            costs: Costs of your own of the contact forces, in every step.
 
         Raises:
+            ContactError: A cost of another number of force components.
             TaskError: A mass, a friction or a largest force that is not positive.
         """
         task = plan.task
@@ -136,7 +140,7 @@ class ObjectImpedance:
         ):
             if not (np.isfinite(value) and value > 0):
                 raise TaskError(f"the {name} is {value}; give a number > 0{unit}")
-        self._max_normal = max_normal
+        self._max_normal, self._costs = max_normal, tuple(costs)
         n = len(task.fingers)
         if gains is None:
             felt_mass, inertia = effective_inertia(plan, self._mass)
@@ -445,6 +449,7 @@ class ObjectImpedance:
             change_cost=CHANGE_COST,
             edges=FRICTION_EDGES,
             edge_cost=RESERVE_COST,
+            costs=self._costs,
             actuation=self.plan.task.hand.actuation,
         )
 
