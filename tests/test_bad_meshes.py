@@ -13,7 +13,7 @@ import trimesh
 from planner.errors import NotFoundError, ObjectError, PlannerError
 from planner.objects import parse_object
 from planner.shapes import Mesh
-from planner.shapes.meshes import io
+from planner.shapes.meshes import soundness
 from planner.system.disk_cache import CACHE_VARIABLE
 
 Make = Callable[[Path], Path]
@@ -112,7 +112,7 @@ and read, is read by test_large_meshes."""
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(io, "MOST_TRIANGLES", FEW)
+    monkeypatch.setattr(soundness, "MOST_TRIANGLES", FEW)
 
 
 def crowd() -> trimesh.Trimesh:

@@ -25,6 +25,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.objects import TouchRegion, parse_object, parse_region
+from planner.search.finishing import verified_on_surface
 from planner.search.refine import Movement, RefinedGrasp, with_fingers
 from planner.search.refine.pose import palm_pose, under_pads
 from planner.search.refine.rungs import NEAR, near_numbers
@@ -32,7 +33,6 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem_cache import problems_for
 from planner.synthesis.seeds.mesh import seeder_for
-from planner.verification.finishing import verified_on_surface
 from planner.verification.grasp import verify_grasp
 
 HANDS = ("allegro_hand", "shadow_hand")

@@ -20,6 +20,7 @@ from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
 from planner.plan import GraspPlan
 from planner.search.best import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted, improving_attempts
+from planner.search.finishing import UNSOLVED, finished, true_geometry, true_links
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import NEARLY, optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions
@@ -31,7 +32,6 @@ from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.terms.registry import TERMS
 from planner.system.threads import made_once, stage
 from planner.task import GraspTask
-from planner.verification.finishing import UNSOLVED, finished, true_geometry, true_links
 
 __all__ = [
     "DEFAULT_MAX_ATTEMPTS",

@@ -28,6 +28,7 @@ from planner.failure import Failure
 from planner.immutable import freeze
 from planner.numerics.kernels import attempt_kernels
 from planner.plan import GraspPlan, SolveRecord
+from planner.search.finishing import true_geometry, verified_on_surface
 from planner.search.refine.pose import (
     GivenPose,
     Movement,
@@ -42,7 +43,6 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem_cache import Problems, problems_for
 from planner.system.threads import made_once
 from planner.task import GraspTask
-from planner.verification.finishing import true_geometry, verified_on_surface
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,6 +31,7 @@ from planner.collision.moving_hand import moving_hand
 from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
+from planner.search.finishing import finished, true_links
 from planner.search.refine.pose import JOINT_UNIT, LENGTH_UNIT, TURN_UNIT, GivenPose, UnderPads
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import FloatArray
@@ -43,7 +44,6 @@ from planner.synthesis.terms.registry import register_term
 from planner.synthesis.terms.term import Role, Rows, Term
 from planner.system.threads import stage
 from planner.task import GraspTask
-from planner.verification.finishing import finished, true_links
 
 SMALLEST_RANGE = 1e-3
 """Least range (rad or m) of a joint that its change is compared with."""
