@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import MISSING, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from manipulations import QUICK, phases_of, task_of
+from pydantic import ValidationError
 from star_hand import write_star_hand
 from typer.testing import CliRunner
 
@@ -39,6 +40,9 @@ from planner.motion.plan import MovementPlan
 from planner.plan import JointTrajectory
 from sim.cli import app
 from sim.manipulation import ManipulationReport, manipulate, read_manipulation_report
+from sim.manipulation.report_file import ManipulationReportFile
+from sim.manipulation.simulation import ManipulationOptions
+from sim.manipulation.timeline import ManipulationTimeline, SuccessCriteria
 
 
 @pytest.fixture(scope="module")
@@ -432,3 +436,12 @@ def test_a_report_prints_as_a_screen(report: ManipulationReport) -> None:
     lines = str(report).splitlines()
     assert len(lines) < 45 and max(map(len, lines)) < 120
     assert lines[-1] == "complete; the turn: success with closure"
+
+
+def test_an_ending_is_required_and_no_timeline_is_the_default_one() -> None:
+    ending = next(f for f in fields(ManipulationPlan) if f.name == "ending")
+    assert ending.default is MISSING
+    options = ManipulationOptions().with_changes(timeline=None, criteria=None, physics=None)
+    assert options.timeline == ManipulationTimeline() and options.criteria == SuccessCriteria()
+    with pytest.raises(ValidationError, match="events"):
+        ManipulationReportFile.model_validate({})

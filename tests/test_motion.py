@@ -772,6 +772,8 @@ def test_a_motion_file_gives_the_motion_back(ninety: MotionPlan, tmp_path: Path)
         (lambda data: data["knots"][0]["q_rad"].__setitem__(0, 0.1), "is not its grasp"),
         (lambda data: data["knots"][5]["q_rad"].__setitem__(1, 0.4), "fails its checks"),
         (lambda data: data["path"].update(angle_rad=0.8), "fails its checks"),
+        (lambda data: data.update(angle_rad=99.0), "it is to turn by"),
+        (lambda data: data.update(shift_m=[0.0, 0.0, 0.01]), "its translation is not"),
         (
             lambda data: data["knots"][5]["contacts"][0].update(force_normal_N=9.0),
             "are not those of its joints",

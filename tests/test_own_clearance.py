@@ -254,3 +254,13 @@ def test_a_term_with_two_kinds_of_rows_is_refused() -> None:
         register_term(replace(OFF_BALLS, name="both", write=lambda g: []))
     with pytest.raises(TaskError, match=r"role=Role\.INEQUALITY"):
         register_term(replace(OFF_BALLS, name="soft", role=Role.COST))
+
+
+def test_a_margin_beside_least_and_three_parts_of_it_are_refused() -> None:
+    with pytest.raises(TaskError, match=r"margin 0\.02; put it into what its least="):
+        register_term(replace(OFF_BALLS, name="wide", margin=0.02))
+    assert OFF_BALLS.clearance is not None
+    three = replace(OFF_BALLS.clearance, least=lambda g, sphere: (sphere.radius, APART, APART))
+    TERMS["off_balls"] = replace(OFF_BALLS, clearance=three)
+    with pytest.raises(TaskError, match="give one or two"):
+        problems_for(GraspTask.create("allegro_hand", "sphere:0.034"), options(*OWN).form)

@@ -88,6 +88,7 @@ lab_hand = lab_of_ours:HAND
 lab = lab_of_ours:FORMAT
 [opposable.protocols]
 upwards = lab_of_ours:upwards
+torn = no_such_package:cases
 [opposable.controllers]
 lab_driver = lab_of_ours:Driver
 [opposable.senses]
@@ -160,6 +161,9 @@ def test_a_protocol_refuses_a_plan_and_stays_out_of_all(laboratory: Path, plan: 
     assert unsuitable("upwards", plan.task) == ""
     import lab_of_ours  # type: ignore[import-not-found]
 
+    assert "torn" not in in_all()  # it cannot be imported, which a warning says
+    with pytest.raises(ModelError, match="no_such_package"):
+        run_protocol(plan, "torn")
     lab_of_ours.upwards.in_all = False
     assert "upwards" not in in_all()
 

@@ -175,13 +175,12 @@ class Journal:
     """
 
     def __init__(self, path: Path, *, anew: bool = False) -> None:
-        """Open it at its end, in a folder that is made; ``anew`` without the rows that it has.
+        """Open it at its end; ``anew`` without the rows that it has.
 
         Raises:
-            FileFormatError: It cannot be written.
+            FileFormatError: It cannot be written, or its folder does not exist.
         """
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = path.open("w" if anew else "a", encoding="utf-8")
             if self._stream.tell():
                 self._stream.write("\n")  # after half a line, if a kill left one

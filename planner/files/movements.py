@@ -14,6 +14,7 @@ Files of the three formats that this one replaces are read as well: ``opposable-
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -357,7 +358,9 @@ def movement_from_dict(
     file = checked_file(MovementFile, data, source)
     grasp = plan_from_dict(data["grasp"], source, hand=hand)
     plan = _strokes(file, grasp, source)
-    if file.ending is not None:
+    if file.ending is None:
+        plan = replace(plan, angle=file.angle_rad, shift=np.array(file.shift_m))
+    else:
         plan = _whole(plan, file, file.ending)
     fault = _fault(plan, file.torque_reserve)
     if fault:

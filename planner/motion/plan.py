@@ -571,7 +571,7 @@ class ManipulationPlan(MovementPlan):
         ending: Final pose of the object, and how the hand lets go of it.
     """
 
-    ending: Ending
+    ending: Ending = field()  # required, though any movement may have one
 
     @classmethod
     def of(

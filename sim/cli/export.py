@@ -195,6 +195,8 @@ def _print_schema(kind: str) -> None:
         "contacts": ContactsFile,
         "grasp-table": TableFile,
     }
+    if kind in ("motion", "gait", "manipulation"):  # names of earlier versions
+        kind = "movement"
     if kind not in models:
         raise NotFoundError("schema", kind, models)
     print_json(models[kind].model_json_schema())

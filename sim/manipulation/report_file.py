@@ -9,7 +9,7 @@ from planner.files.disk import checked_file
 from planner.schema import StrictData
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.timeline import ManipulationPhase
-from sim.report_file import ExecutionFile, report_data, upgraded
+from sim.report_file import EventData, ExecutionFile, report_data, upgraded
 
 
 class PhaseData(StrictData):
@@ -59,6 +59,8 @@ class ManipulationReportFile(ExecutionFile):
     dropped: bool
     faults: str
     collision: str
+    controller: str
+    events: list[EventData]
     asked_deg: float
     asked_shift_mm: list[float]
     shifted_mm: list[float | None]

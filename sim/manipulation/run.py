@@ -69,7 +69,7 @@ class ManipulationRun:
             changes: Fields of ``ManipulationOptions`` by name that are to be others.
         """
         self.plan = plan
-        self.options = options = replace(options or ManipulationOptions(), **changes)
+        self.options = options = (options or ManipulationOptions()).with_changes(**changes)
         self.results: list[PhaseResult] = []
         self._force_limit = options.criteria.normal_N or force_limit(plan)
         most = ASKED_SHARE * self._force_limit
@@ -264,7 +264,8 @@ def manipulate(
         TaskError: The controller is none, ``view`` without a display, or a video that cannot be
             written.
     """
-    plan, options = given_manipulation(plan), replace(options or ManipulationOptions(), **changes)
+    plan = given_manipulation(plan)
+    options = (options or ManipulationOptions()).with_changes(**changes)
     fresh = copy.deepcopy(options.controller) if retry else None  # as it is before the first run
     run = ManipulationRun(plan, options)
     run.sim.simulation.on_step = on_step

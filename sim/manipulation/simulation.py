@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TypedDict
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -73,8 +73,8 @@ class ManipulationKeywords(TypedDict, total=False):
     controller: AnyTurningController | None
     true_task: GraspTask | None
     physics: AnyPhysics | None
-    timeline: ManipulationTimeline
-    criteria: SuccessCriteria
+    timeline: ManipulationTimeline | None
+    criteria: SuccessCriteria | None
     push: Push | None
     reality: AnyReality | None
     estimator: AnyEstimator | None
@@ -106,6 +106,14 @@ class ManipulationOptions:
     push: Push | None = None
     reality: AnyReality | None = None
     estimator: AnyEstimator | None = None
+
+    def with_changes(self, **changes: Unpack[ManipulationKeywords]) -> ManipulationOptions:
+        """The same with other fields; None for timeline or criteria gives their defaults."""
+        given: dict[str, Any] = dict(changes)
+        for name, default in (("timeline", ManipulationTimeline), ("criteria", SuccessCriteria)):
+            if name in given and given[name] is None:
+                given[name] = default()
+        return replace(self, **given)
 
 
 class ManipulationSim:

@@ -7,6 +7,7 @@ it is in its file, and one that cannot be run is an outcome with the reason "not
 from __future__ import annotations
 
 import json
+import logging
 import os
 import time
 from collections.abc import Callable, Collection, Sequence
@@ -19,7 +20,7 @@ import mujoco
 import numpy as np
 from rich.console import Console
 
-from planner.errors import NotFoundError, PlannerError, TaskError
+from planner.errors import ModelError, NotFoundError, PlannerError, TaskError
 from planner.files import given_plan, plan_from_dict, plan_to_dict
 from planner.files.disk import Journal
 from planner.hands.hand import Hand
@@ -123,8 +124,18 @@ def protocol_named(name: str) -> Protocol:
 
 
 def in_all() -> tuple[str, ...]:
-    """Names of the protocols that "all" stands for."""
-    return tuple(name for name in PROTOCOLS if protocol_named(name).in_all)
+    """Names of the protocols that "all" stands for; those that cannot be imported are left out.
+
+    They are named in a warning of this module's logger.
+    """
+    found = []
+    for name in PROTOCOLS:
+        try:
+            if protocol_named(name).in_all:
+                found.append(name)
+        except ModelError as error:
+            logging.getLogger(__name__).warning("left out of 'all': %s", error)
+    return tuple(found)
 
 
 def cases_of(protocol: str, settings: Settings, seed: int) -> tuple[Case, ...]:

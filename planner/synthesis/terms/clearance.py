@@ -198,6 +198,11 @@ def surface_rows(g: GraspSymbols, terms: Iterable[Term]) -> tuple[SurfaceRows, .
         spheres = sets[clearance.spheres]
         asked = [clearance.least(g, sphere) for sphere in spheres]
         parts = [((-np.inf,) if a is None else a) + (0.0,) for a in asked]
+        if any(a is not None and len(a) not in (1, 2) for a in asked):
+            raise TaskError(
+                f"least of term {term.name!r} gives {[len(a) for a in asked if a is not None]} "
+                "expressions; give one or two"
+            )
         surfaces = clearance.numbers(g)
         distance = None
         if surfaces and not (clearance.of_object and g.surface.field is not None):

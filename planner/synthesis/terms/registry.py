@@ -68,6 +68,11 @@ def register_term(term: Term) -> Term:
             f"term {term.name!r} has clearances and the role {term.role.name}; give it "
             "role=Role.INEQUALITY"
         )
+    if term.clearance is not None and term.margin != 0:
+        raise TaskError(
+            f"term {term.name!r} has clearances and the margin {term.margin}; put it into what its "
+            "least= takes off"
+        )
     if not (term.weight > 0 and term.margin >= 0):
         raise TaskError(
             f"term {term.name!r} has weight {term.weight} and margin {term.margin}; "

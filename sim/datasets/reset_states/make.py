@@ -242,6 +242,7 @@ def _planned(
             backend=default_backend(workers),
             given_up=_no_plan,
         )
+        (folder / WORK).mkdir(parents=True, exist_ok=True)
         with Journal(folder / WORK / JOURNAL) as lines:
             for plan in results:
                 lines.add(plan)
