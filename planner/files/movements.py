@@ -473,6 +473,8 @@ def _fault(plan: MovementPlan, reserve: float | None) -> str:
 
 def _fault_of_ending(plan: MovementPlan, ending: Ending) -> str:
     """The same of how the object is put down."""
+    if ending.back and plan.cycles > 1:
+        return f"its {plan.cycles} strokes are said to be made backwards, which only one is"
     x, y, _ = ending.T_world_target.translation
     made = 0.0 if ending.back else plan.angle
     target = object_at_target(plan.task, plan.path.axis, made, (x, y))
