@@ -35,8 +35,8 @@ makes the pads creep upwards instead. What helps is a smaller R_t, a larger b, o
                         0.9999: contacts then chatter), tau of some 2.5 time steps
 
 A pyramid of condim 3 loses its linear law at f_t = mu f_n / 2 (condim 4: / 3), where its opposite
-facet goes out; from there on it creeps up to twice as fast per force. ``bench physics`` measures
-creep beside this formula.
+facet goes out; from there on it creeps up to twice as fast per force. ``python -m benchmarks
+physics`` measures creep beside this formula.
 """
 
 from __future__ import annotations

@@ -168,7 +168,9 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class DropCriteria:
-    """When an object counts as lost: the one definition of every script.
+    """When an object counts as lost in trials, manipulations and the protocols of MuJoCo.
+
+    Reset states have tests of their own: ``sim.datasets.reset_states.hold``.
 
     Attributes:
         fewest: Fewest fingers that hold it, the palm counted as one where the caller counts it.

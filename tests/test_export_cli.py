@@ -1,4 +1,4 @@
-"""``opposable export`` and ``bench exports``: what goes in, what is refused, what comes back."""
+"""``opposable export`` and ``benchmarks exports``: what goes in, is refused, and comes back."""
 
 from __future__ import annotations
 

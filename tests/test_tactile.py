@@ -534,7 +534,7 @@ def test_an_unknown_sense_is_refused_with_those_there_are() -> None:
 
 @pytest.mark.slow
 def test_a_reading_of_four_pads_calls_few_functions(plan: GraspPlan) -> None:
-    """``bench touch`` times it, in microseconds per step of the simulation."""
+    """``python -m benchmarks touch`` times it, in microseconds per step of the simulation."""
     simulation = Simulation(plan, reality=Reality(name="t", touch="taxels"))
     run(simulation, approach=0.8, close=1.0, squeeze=0.2)
     assert simulation.reality is not None

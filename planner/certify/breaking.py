@@ -38,9 +38,9 @@ measured by |(force, torque / length)|.
 The hand answers each disturbance as well as its actuators can, in the planned posture, and the
 disturbance comes slowly. So this is what the best control bears, and neither what a fixed grip does
 nor what the controller of ``sim`` does. Slow loads broke that one at 0.95 of the promise and above,
-20 of 22 at 0.97 and above; sudden ones from 0.3 of it on, half of them below 0.75 (``opposable
-bench control --parts promise -n 12``). Postures near the planned one have a bound of their own, in
-``planner.certify.nearby``.
+20 of 22 at 0.97 and above; sudden ones from 0.3 of it on, half of them below 0.75 (``python -m
+benchmarks control --parts promise -n 12``). Postures near the planned one have a bound of their
+own, in ``planner.certify.nearby``.
 """
 
 from __future__ import annotations

@@ -251,7 +251,7 @@ BENDS = 18
 class _Handled(Walled):
     """A cup whose outer wall has patches about +x, where handles begin.
 
-    The rings of its straight wall are the outline's points from ``_bottom`` on.
+    ``_outline`` says at which rings its straight wall begins and ends.
     """
 
     radius: float

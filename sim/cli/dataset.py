@@ -217,12 +217,10 @@ def episodes(
     folder: Annotated[
         Path, option("The data set, a new folder.", "DIR", None, "--out", "-o")
     ] = Path("episodes"),
-    to: Annotated[str, option("lerobot or parquet.", "FORMAT")] = "lerobot",
+    to: Annotated[str, option("lerobot.", "FORMAT")] = "lerobot",
     fps: Annotated[
         int | None,
-        option(
-            "Frames per second; of lerobot 50 if not given, of parquet all samples.", "N", min=1
-        ),
+        option("Frames per second; if not given the most that fit, usually 50.", "N", min=1),
     ] = None,
     video: Annotated[bool, flag("--video", "Film every episode (lerobot).")] = False,
     size: Annotated[str, option("Width and height of the films, pixels.", "WxH")] = "320x240",
@@ -244,7 +242,7 @@ def episodes(
     physics: PhysicsOption = "ours",
     as_json: JsonOption = False,
 ) -> None:
-    """Trials as a data set of episodes: LeRobot or Parquet.
+    """Trials as a LeRobot data set of episodes.
 
     Plans of grasps and manipulations and the rows of batches are executed in MuJoCo; reports with
     states are taken as they are. All are of one hand. Ctrl-C keeps the episodes that are whole; an

@@ -1,13 +1,16 @@
-"""Why Pinocchio's own reader differs: known causes, each seen in the file AND in the numbers.
+"""Why Pinocchio's own reader differs: known causes, each seen in the file, most in the numbers too.
 
 ``causes.toml`` lists the known mistakes of one version of that reader. A cause is named only if the
-file has the feature at the very part that differs and the reader's value is the one that this
-mistake produces. Anything else stays without a cause ("cause unknown").
+file has the feature at the very part that differs. Where the mistake produces a known value, the
+reader's value is compared with it: poses, limits, damping, gravity, masses, balanced inertias,
+scaled and fitted meshes. Of an ``axisangle`` the reader's matrix must be no rotation. Missing
+parts, equalities, a mesh's ``refpos`` and a geom's pose from its class are named by the feature
+alone. Anything else stays without a cause ("cause unknown").
 
 ``EVIDENCE`` has a function for each: it looks at one difference and gives the reasons that apply
-with the values of their texts; none where the file lacks the feature, or the number is not the one
-that the mistake makes. A mistake with masses is made on purpose in a copy of the model, which
-MuJoCo then compiles: the cause is named if the reader's mass is the one that comes out.
+with the values of their texts; none where they do not. A mistake with masses is made on purpose in
+a copy of the model, which MuJoCo then compiles: the cause is named if the reader's mass is the one
+that comes out.
 """
 
 from __future__ import annotations

@@ -2,8 +2,9 @@
 
 Until the fingers touch it is ``GraspController``. From the squeeze on the hand follows the playback
 of the plan, and ``rate_hz`` times a second the policy decides by how much the joint targets differ
-from it; that offset is held until the next decision. It reads joints and touch only. In a
-manipulation the clock tells the phases how far the turn has come.
+from it; that offset is held until the next decision. It reads joints and touch, and the estimated
+pose of the object if the policy has the sense ``object``. In a manipulation the clock tells the
+phases how far the turn has come.
 
 ``policy_file``: the file of a policy, one of our own or of those that come with Opposable.
 

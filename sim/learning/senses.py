@@ -12,7 +12,7 @@ posture as read at that moment, and K takes the servos along.
 
 ``ObjectLag``: how far the object is from where the plan has it, expressed in joints.
 
-It is the sense ``object`` of a policy (``sim.learning.senses``). The pose is that of an estimator;
+It is the sense ``object`` of a policy (``SenseHistory``). The pose is that of an estimator;
 without a camera it is made of joints and touch (``sim.sensing.estimation``). With G the planned map
 from joint rates to the object's twist (contacts stick, least squares over the contacts), a
 deviation e of the pose is expressed as
@@ -33,8 +33,8 @@ targets   offset from the playback's commands at the last decision, as an action
 plan      the playback's posture (nq,), what pressing adds to its commands (nu,), the posture at
           the first touch less the planned one (nq,), and which fingers take part (fingers,)
 clock     place on the path, rate, share of the planned forces, whether the object stands (4,)
-object    its deviation from the plan as joints (2 nq,), degrees: ``sim.learning.senses``;
-          as joints
+object    its deviation from the plan, expressed in joints (2 nq,), degrees (``ObjectLag``),
+          likewise
 
 ``ObjectRange``: an object of which dimensions are drawn: ``cylinder:0.025..0.035x0.08``.
 """

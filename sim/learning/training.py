@@ -456,7 +456,7 @@ def learn(
         course: How much is trained.
         folder: Keeps everything; made if it is not there.
         command: What the policy's file says made it.
-        progress: SenseData after every episode and fit.
+        progress: Called after every episode and fit.
 
     Raises:
         FileFormatError: The folder was begun with another task or course, or is damaged.

@@ -42,7 +42,7 @@ LEAST_OF_STROKE = 0.4
 
 
 class Phases:
-    """The phases of one sim.
+    """The phases of one manipulation.
 
     Attributes:
         regrasping: Fingers that move on.

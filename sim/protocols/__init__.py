@@ -5,10 +5,12 @@
 ``shake``          the gantry shaken in six degrees of freedom
 ``robust``         another mass, friction and object pose than planned
 ``reality``        sensors, drives and object off, drawn anew for every trial
-(``sim.sensing.reality``) ``pushes``         held for a minute under random pushes
+                   (``sim.sensing.reality``)
+``pushes``         held for a minute under random pushes
 ``drake``          the exported scene held and pushed in another engine, if that is installed
 
-``run_protocol(plan, "forces")`` runs one; ``opposable test PLAN`` does on the command line.
+``run_protocol(plan, "forces")`` runs one; ``opposable test PLAN --protocol forces`` does on the
+command line.
 """
 
 from __future__ import annotations

@@ -3,9 +3,10 @@
 ``ControlLoop``: reads a hand, asks a controller, writes its commands, at a fixed rate.
 
 A tick, in this order: read; refuse readings that are broken, old or beyond a limit; ask the
-controller; ask whether to stop; keep the command within its limits; write. Whatever goes wrong, a
-run ends with a report, and after an emergency stop nothing is written (``sim.real_hand.safety``).
-After the last phase the hand holds its last command. Phases of a trial: ``sim.real_hand.joints``.
+controller; ask whether to stop; keep the command within its limits; write. What ``StopCause`` lists
+ends the run with a report; an unforeseen error stops the hand too, and is raised. After an
+emergency stop nothing is written (``sim.real_hand.safety``). After the last phase the hand holds
+its last command. Phases of a trial: ``sim.real_hand.joints``.
 """
 
 from __future__ import annotations

@@ -264,7 +264,7 @@ def draw_tape(
     Args:
         tape: What was recorded.
         pictures: File (its ending says the format, as for Pillow) -> moment, s; None for the end.
-        video: File of a film, one of ``film.FORMATS``.
+        video: File of a film, its ending is one of ``FORMATS``.
         arrows: Draw the contact forces, and the object as glass.
 
     Raises:

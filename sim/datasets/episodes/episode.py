@@ -14,7 +14,7 @@ nothing is interpolated, so that forces and contacts are those of the simulation
 All formats of episodes by name; a format is one module, and one registration.
 
 A format has a writer, which takes episodes one by one into a folder of its own. ``opposable
-episodes --to NAME`` writes whatever is registered here.
+dataset episodes --to NAME`` writes whatever is registered here.
 """
 
 from __future__ import annotations

@@ -250,7 +250,7 @@ VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 
 
 class LeRobotWriter:
-    """One data set in a new folder; see ``formats.EpisodeWriter``."""
+    """One data set in a new folder; see ``sim.datasets.episodes.EpisodeWriter``."""
 
     def __init__(self, folder: Path, asked: Asked) -> None:
         """Begin.

@@ -1,8 +1,8 @@
 """``PoseFilter``: carries estimate and covariance from one sample to the next.
 
 Prediction by contacts that stick (``rolling``), correction by contacts that lie on the surface
-(``surface``) and by what a camera saw. Errors that last, as a pad's or a camera's drift do, count
-as white noise with the same information per correlation time T: variance (1 + 2 T / dt) s^2.
+(``touch_equations``) and by what a camera saw. Errors that last, as a pad's or a camera's drift do,
+count as white noise with the same information per correlation time T: variance (1 + 2 T / dt) s^2.
 
 A contact far from where it is expected is trusted less: its variance grows until it is ``FAR``
 standard deviations off, so that its pull falls with its distance. A pose beyond

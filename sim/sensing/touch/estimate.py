@@ -1,4 +1,4 @@
-"""``estimate_contact``: place, normal, force and torsion of a contact from an image of taxels.
+"""``ContactEstimator``: place, normal, force and torsion of a contact from an image of taxels.
 
 What it knows is the layout: no joint, no object, no contact of the simulator. Dead taxels, which a
 driver knows, are filled with the mean of their live neighbours. The place is the centroid of the

@@ -69,7 +69,7 @@ SHARED = 1.5
 neighbouring differences share a block, and are correlated by one half."""
 
 LEAST_FORCE = 0.25
-"""Normal force (N) below which a pad is too unloaded loaded to tell."""
+"""Normal force (N) below which a pad is too lightly loaded to tell."""
 
 LEAST_NOISE = 0.01
 """Noise (-) that is expected of the best array."""

@@ -1,9 +1,9 @@
 """The sense ``taxels``: arrays of taxels on the pads, and what follows from their images.
 
 Every step: perfect images from MuJoCo's contacts (``exact``), through noise, threshold, dead
-taxels, rate and latency (``array``), to a contact per pad (``estimate``); from their shiver,
-whether it slips (``slip``); from the spread of their shear, the friction (``friction``). How fast
-it slides is seen in the joints (``bodies``). A pad feels whatever presses on it, the table too, and
+taxels, rate and latency (``layout``), to a contact per pad (``estimate``); from their shiver,
+whether it slips (``slip``); from the spread of their shear, the friction (``estimate``). How fast
+it slides is seen in the joints (``senses``). A pad feels whatever presses on it, the table too, and
 only what presses on its array.
 """
 
