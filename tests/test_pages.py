@@ -31,8 +31,10 @@ from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NotFoundError
 from planner.files import plan_to_dict, read_plan
 from planner.hands.catalog import hand_names
+from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.pages.blocks import resisted_forces
+from planner.pages.described import named_joints
 from planner.pages.hand_model import hand_model
 from planner.pages.motion_page import motion_page, object_motion
 from planner.pages.page import pack, page_html, read_page_data, three_source, write_page
@@ -372,3 +374,17 @@ def test_a_task_that_the_command_line_cannot_say_has_no_command(plan: GraspPlan)
     item = dataclasses.replace(plan.task.object, shape=made)
     task = dataclasses.replace(plan.task, object=item, T_world_object=item.resting_pose())
     assert plan_command(dataclasses.replace(plan, task=task)) == ""
+
+
+@pytest.mark.parametrize(
+    ("sentence", "joints"),
+    [
+        ("index_3 is stiff", [3]),
+        ("the finger thumb.", [12, 13, 14, 15]),
+        ("the geometry index_pad touches", [3]),
+        ("the body middle_distal touches", [7]),
+        ("nothing", []),
+    ],
+)
+def test_a_sentence_names_joints(allegro: Hand, sentence: str, joints: list[int]) -> None:
+    assert list(named_joints(allegro, sentence)) == joints
