@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
+from weakref import finalize
 
 import numpy as np
 import pytest
@@ -380,3 +382,17 @@ def test_copies_send_functions_without_a_name_too() -> None:
 
 def _curried(job: Callable[[int], int]) -> Callable[[int], int]:
     return lambda x: job(x) + 1
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks are a matter of POSIX")
+def test_a_fork_that_ends_leaves_the_grasps_of_its_parent(allegro: Hand) -> None:
+    grasps = plan_grasps(allegro, ["sphere"], 1, workers=1)
+    folder = grasps.folder
+    at_exit: Any = finalize
+    child = multiprocessing.get_context("fork").Process(target=at_exit._exitfunc)
+    child.start()
+    child.join()
+    assert folder.is_dir()
+    del grasps
+    gc.collect()
+    assert not folder.exists()

@@ -14,6 +14,7 @@ chosen grasp are never chosen.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -151,8 +152,14 @@ def plan_grasps(
             rmtree(folder)
         raise
     if out is None:
-        finalize(grasps, rmtree, folder)
+        finalize(grasps, _remove, folder, os.getpid())
     return grasps
+
+
+def _remove(folder: Path, owner: int) -> None:
+    """Remove the folder of grasps that nobody wanted kept; a fork of its owner leaves it there."""
+    if os.getpid() == owner:
+        rmtree(folder, ignore_errors=True)
 
 
 def _fill(
