@@ -393,6 +393,10 @@ def test_friction_is_found_from_the_spread_of_shear_before_anything_slips(mu: fl
         watch.step(0.002, [seen], np.array([False]))
     assert watch.friction[0] == pytest.approx(mu, rel=0.2)
     assert watch.used[0] == pytest.approx(0.7, abs=0.15)
+    # a jerk beyond the friction that is believed uses all of it, and no more
+    jerk = press(layout, (0.0, 0.0), 3.0, (2.0 * mu * 3.0, 0.0), used=1.0)
+    watch.step(0.002, [estimator.estimate(contact_image(layout, jerk))], np.array([False]))
+    assert watch.used[0] == 1.0
 
 
 def test_what_slips_has_all_of_its_friction_in_use() -> None:
