@@ -60,7 +60,10 @@ class Options:
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1
     output: Annotated[
         Path | None,
-        typer.Option("--out", help="JSON goes here; what is left of a run goes on from it."),
+        typer.Option(
+            "--out",
+            help="Write the result here as JSON; an interrupted run continues from FILE.journal.",
+        ),
     ] = None
     as_json: JsonOption = False
 

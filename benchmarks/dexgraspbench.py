@@ -144,7 +144,7 @@ def _evaluated(
             f"hand={hand}",
             f"setting={setting}",
             f"n_worker={workers}",
-            "skip=True",  # what is in eval_dir already
+            "skip=True",  # grasps with a result in eval_dir
             "task.analytic_fc_metrics=null",
             f"grasp_dir={export / 'graspdata' / hand}",
             f"eval_dir={out}",

@@ -66,7 +66,7 @@ class Options(Shared):
 
 
 def cases(options: Options) -> Iterator[Row]:
-    """Numbers of programmes; with the seed they are what is drawn from."""
+    """Options: how many programmes of each kind are drawn, from the seed."""
     yield from ({"seed": options.seed, "k": k} for k in range(options.n))
 
 

@@ -6,10 +6,11 @@ All loops execute the same plans against the same draws. A further column is one
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from planner.errors import NotFoundError, TaskError
+from planner.errors import TaskError
+from planner.registry import Registry
 from sim.controllers import GraspController, MakeController, ObjectImpedance
 from sim.learning import open_loop, policy_controller
 from sim.learning.controller import POLICY
@@ -34,8 +35,8 @@ class Loop:
         turning: Makes what holds and turns the object of a manipulation, out of its grasp; None for
             the closed loop of ``manipulate``.
         estimator: Name of what tells it where the object is, out of ``sim.sensing.estimation``.
-        told: The reality whose sensors it reads, out of that of the trial; what it changes of
-            drives and world it changes for all.
+        told: Makes of the trial's reality the one whose sensors the loop reads. It must leave
+            drives and object as they are, since all loops share them.
         usual: Whether it is a column where none are named.
         tasks: Names of the tasks that it can do; all if empty.
         why_not: Why it cannot run here, such as a package that is missing; "" if it can.
@@ -57,9 +58,7 @@ class Loop:
         return not self.tasks or task in self.tasks
 
 
-_LOOPS: dict[str, Loop] = {}
-
-LOOPS: Mapping[str, Loop] = _LOOPS
+LOOPS: Registry[Loop] = Registry("loop")
 """Loops by their names, in the order of the columns."""
 
 
@@ -69,9 +68,7 @@ def register_loop(loop: Loop) -> Loop:
     Raises:
         TaskError: Another one has that name.
     """
-    if _LOOPS.setdefault(loop.name, loop) is not loop:
-        raise TaskError(f"there is a loop {loop.name!r} already; give another name")
-    return loop
+    return LOOPS.add(loop.name, loop)
 
 
 def named_loop(name: str) -> Loop:
@@ -84,11 +81,10 @@ def named_loop(name: str) -> Loop:
     """
     if name.startswith(POLICY):
         return _policy(name)
-    if name not in LOOPS:
-        raise NotFoundError("loop", name, LOOPS)
-    if reason := LOOPS[name].why_not():
+    loop = LOOPS.named(name)
+    if reason := loop.why_not():
         raise TaskError(f"the loop {name!r} cannot run: {reason}")
-    return LOOPS[name]
+    return loop
 
 
 def _policy(name: str) -> Loop:

@@ -1,8 +1,8 @@
 """Measure planning: found per CPU second, CPU by stage, epsilon, diversity.
 
-Request k of an object has the seed that ``planner.batch`` gives it: what is measured here is
-what ``opposable batch`` would plan. CPU time is that of the process with all its threads; what a
-task's attempts share (mesh, field, problems) is told apart from the attempts.
+Request k of an object has the seed that ``planner.batch`` gives it, so the plans are those of
+``opposable batch``. CPU time is that of the process with all its threads; work that all attempts
+of a task share (mesh, field, problems) is reported separately.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -77,8 +78,7 @@ class ExecutionReport(Report, Shown):
         plan: What was executed.
         physics: Name and numbers of ``PhysicsOptions``, as plain data.
         reality: Fields of ``sim.sensing.reality.Reality``, and under "drawn" what was drawn of
-            them; None
-            where sensors, drives and object were as believed.
+            them; None where sensors, drives and object were as believed.
         controller: Name of the controller's class.
         events: What the controller noticed and did, in order; empty for one that notices nothing.
         picture_reason: Why there is no picture, "" where there is one.
@@ -122,9 +122,9 @@ class ExecutionReport(Report, Shown):
         """
         return self.to_file(states=states).model_dump(mode="json")
 
+    @abstractmethod
     def to_file(self, *, states: bool = True) -> ExecutionFile:
         """The same as the data of a file, which pages are made of."""
-        raise NotImplementedError
 
     def _shared(self, *, states: bool) -> dict[str, Any]:
         """Fields of a file that all have."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from io import StringIO
 from typing import Any
@@ -17,20 +18,20 @@ WIDTH = 100
 """Characters of a line of a report that is printed as text."""
 
 
-class Report:
+class Report(ABC):
     """What every report has: a verdict, a form as plain data, and a screen.
 
     ``__rich_console__`` says what stands on the screen.
     """
 
     @property
+    @abstractmethod
     def success(self) -> bool:
         """Whether what was asked for was reached."""
-        raise NotImplementedError
 
+    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; what is not a finite number becomes None."""
-        raise NotImplementedError
 
     def __str__(self) -> str:
         """The screen as plain text."""

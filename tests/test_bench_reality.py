@@ -12,7 +12,7 @@ from benching import run_bench
 from conftest import needs
 from manipulations import task_of
 
-from benchmarks import loops, reality
+from benchmarks import reality
 from benchmarks.loops import LOOPS, named_loop, register_loop
 from benchmarks.reality import ComparedTask, class_of_turn
 from planner.errors import HandError, NotFoundError, TaskError
@@ -87,9 +87,7 @@ def test_what_cannot_be_asked_for_is_refused(
         run_bench("reality", **{**asked, "loops": "reading"})
     with pytest.raises(NotFoundError, match="object of the task"):
         run_bench("reality", **asked, objects="mug")
-    monkeypatch.setattr(loops, "_LOOPS", dict(loops._LOOPS))
-    monkeypatch.setattr(loops, "LOOPS", loops._LOOPS)
-    monkeypatch.setattr(reality, "LOOPS", loops._LOOPS)
+    monkeypatch.setattr(LOOPS, "_known", dict(LOOPS.items()))
     mine = register_loop(replace(LOOPS["open"], name="mine", driver="mine", tasks=("fake",)))
     with pytest.raises(TaskError, match="already"):
         register_loop(replace(mine, about="another"))

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[1]
 
-EACH, DEAR = 6, 1
+EACH, DEAR = 8, 2
 """Inputs per class, and of those that take seconds each; ``python -m tests.fuzz`` takes more."""
 
 

@@ -513,3 +513,21 @@ def test_it_rests_on_a_table() -> None:
     assert DistancePair(Box((0.05, 0.06, 0.1)).coal_geometry(), coal.Box(4, 4, 1)).query(
         pose, table
     ).distance == pytest.approx(0, abs=1e-7)
+
+
+@pytest.mark.parametrize("radius", [1e-4, 3e-3, 0.02])
+def test_triangles_within_are_those_of_brute_force_for_few_points_and_many(
+    radius: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mesh = trimesh.creation.torus(0.04, 0.012, major_sections=40, minor_sections=20)
+    surface = NearestTriangles(np.array(mesh.vertices), np.array(mesh.faces))
+    points = np.random.default_rng(5).uniform(-0.06, 0.06, (30, 3))
+    n, m = len(points), len(surface.faces)
+    owner, triangle = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
+    nearest, _ = nearest_on_triangles(points[owner], surface.corners[triangle])
+    near = ((nearest - points[owner]) ** 2).sum(axis=1) <= radius**2
+    for most in (n * m, 0):  # every triangle is looked at; the tree is asked
+        monkeypatch.setattr("planner.shapes.meshes.nearest_triangle.FEW", most)
+        found = surface.within(points, radius)
+        np.testing.assert_array_equal(found[0], owner[near])
+        np.testing.assert_array_equal(found[1], triangle[near])

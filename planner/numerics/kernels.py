@@ -221,9 +221,13 @@ def _compile(loops: Any, *, called: bool) -> Any:
 def _compile_once(compiled: Any) -> None:
     """Compile loops once for all whole numbers that others call them with.
 
-    numba compiles anew for every number that is written out in a call.
+    numba compiles anew for every number that is written out in a call. Where a version of it has no
+    such method, it does: slower once, and with the same results.
     """
-    unliteral, template_for = _numba().types.unliteral, compiled.get_call_template
+    unliteral = _numba().types.unliteral
+    template_for = getattr(compiled, "get_call_template", None)
+    if template_for is None:
+        return
 
     def template(args: Any, kws: Any) -> Any:
         plain = tuple(unliteral(a) for a in args)

@@ -1,8 +1,6 @@
-"""The report of judged grasps, and what is said of one.
+"""``AuditReport``: rows of judged grasps, and how many pass each stage.
 
-``AuditReport``: rows, and how many grasps pass each stage.
-
-What is said of one grasp: a result per stage, with its number and its reason.
+A row has a result for each stage, with its number and its reason.
 """
 
 from __future__ import annotations
