@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components
 
 from planner.bridge import actuation_from_mujoco
 from planner.errors import HandError, ModelError
-from planner.joints.actuation import STOP_TOL, Actuation
+from planner.joints.actuation import STOP_TOL, Actuation, connected
 from planner.spatial import FloatArray
 
 FOUR_JOINTS = """
@@ -345,3 +346,10 @@ def test_the_limit_of_a_tendon_holds_before_the_gear_as_in_mujoco(gear: float) -
         mujoco.mj_forward(model, data)
         reached.append(float(data.actuator_force[0]))
     np.testing.assert_allclose(actuation_from_mujoco(model).force_range, [reached])
+
+
+@given(st.integers(0, 12), st.integers(0, 2**31), st.floats(0.0, 0.4))
+def test_connected_things_are_those_of_scipy(n: int, seed: int, share: float) -> None:
+    linked = np.random.default_rng(seed).random((n, n)) < share
+    _, label = connected_components(linked, directed=False)
+    np.testing.assert_array_equal(connected(linked), label)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from sim.controllers import (
     ObjectImpedance,
     Observation,
 )
+from sim.controllers.torques import HoldingTorques
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.report import TrialReport
 from sim.report_file import ReportFile
@@ -111,11 +113,20 @@ def test_tendons_and_servos_hold(shadow_plan: GraspPlan) -> None:
     assert report.controller == "ObjectImpedance"
 
 
-def test_soft_contacts_hold(plan_of: PlanOf) -> None:
+def test_soft_contacts_hold_and_their_moments_are_commanded(
+    plan_of: PlanOf, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plan = plan_of("allegro_hand", "cylinder:0.03x0.1", contact_model="soft", mu_torsion=0.005)
-    controller = ObjectImpedance(plan)
+    controller, commands, moments = ObjectImpedance(plan), HoldingTorques.commands, []
+
+    def noted(self: HoldingTorques, *args: Any, **options: Any) -> FloatArray:
+        moments.append(np.array(options["moments"]))
+        return commands(self, *args, **options)
+
+    monkeypatch.setattr(HoldingTorques, "commands", noted)
     assert run(plan, controller).success
     assert np.abs(controller.forces[:, 3]).max() > 1e-6  # N m: they bear a part
+    np.testing.assert_array_equal(moments[-1], controller.forces[:, 3])
 
 
 def test_a_cost_of_ones_own_shapes_the_forces(plan: GraspPlan) -> None:

@@ -11,6 +11,8 @@ from pathlib import Path
 import forks
 import pytest
 
+from planner.batch.pool import finished
+
 
 def tell(word: str) -> None:
     """Print what can be told apart, and end with 3."""
@@ -32,9 +34,8 @@ def sleep(seconds: str) -> None:
 
 def pool() -> None:
     """Leave workers that would stay for minutes, should there be more work."""
-    from joblib import Parallel, delayed
-
-    Parallel(n_jobs=2, backend="loky")(delayed(abs)(k) for k in (-1, 1))
+    jobs = finished(abs, [-1, 1], workers=2, backend="loky", given_up=lambda job, reason: 0)
+    assert list(jobs) == [1, 1]
 
 
 def test_a_program_ends_although_its_workers_would_wait_for_more(tmp_path: Path) -> None:

@@ -37,12 +37,14 @@ from planner.motion.manipulation import (
     plan_regrasping,
 )
 from planner.motion.plan import MovementPlan
+from planner.pages.page import Page
 from planner.plan import JointTrajectory
 from sim.cli import app
 from sim.manipulation import ManipulationReport, manipulate, read_manipulation_report
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.simulation import ManipulationOptions
 from sim.manipulation.timeline import ManipulationTimeline, SuccessCriteria
+from sim.show.targets import Target, ViewOptions, recognise
 
 
 @pytest.fixture(scope="module")
@@ -397,6 +399,10 @@ def test_a_report_file_has_a_head_and_all_channels(
 ) -> None:
     write_json(report.to_dict(), tmp_path / "report.json")
     file = read_manipulation_report(tmp_path / "report.json")
+    target = Target(str(tmp_path / "report.json"))
+    page = recognise(target).shown(target, ViewOptions())
+    assert isinstance(page, Page) and page.data is not None
+    assert page.data["format"] == "opposable-manipulation-report"
     assert (file.format, file.version) == ("opposable-manipulation-report", 3)
     assert (file.hand, file.object, file.seed) == ("allegro_hand", "cylinder:0.03x0.08", 0)
     assert file.mass_kg == 0.1 and file.controller == "ObjectImpedance"
