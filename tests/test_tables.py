@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import pytest
 from rich.console import Console, ConsoleOptions, RenderResult
 
 from sim import screen, tables
@@ -20,6 +22,11 @@ def test_what_is_missing_is_a_dash_or_a_blank() -> None:
 class Report(screen.Report):
     """A report with one line."""
 
+    success = True
+
+    def to_dict(self) -> dict[str, bool]:
+        return {"success": self.success}
+
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The line."""
         yield "held: [bold]yes[/bold]"
@@ -27,3 +34,9 @@ class Report(screen.Report):
 
 def test_a_report_prints_as_plain_text() -> None:
     assert str(Report()) == "held: yes"
+
+
+def test_a_report_without_a_verdict_is_none() -> None:
+    unfinished: Any = screen.Report
+    with pytest.raises(TypeError, match="success"):
+        unfinished()
