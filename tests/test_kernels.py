@@ -160,6 +160,7 @@ def test_loops_are_compiled_once_for_all_numbers_that_are_written_out() -> None:
     assert len(kernels._compile(entry, called=True).overloads) == 1
 
 
+@pytest.mark.slow
 def test_a_plan_does_not_depend_on_what_was_compiled_before() -> None:
     """Attempts in NumPy and compiled ones, mixed in one process in either order, on a mesh."""
     task = GraspTask.create("allegro_hand", "mug")
