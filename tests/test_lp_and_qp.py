@@ -290,6 +290,7 @@ importlib.util.find_spec = lambda name, *more: None if name == "highspy" else tr
 """
 
 
+@pytest.mark.slow
 def test_what_else_is_installed_does_not_choose_the_solver(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

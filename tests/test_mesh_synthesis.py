@@ -309,6 +309,7 @@ def test_a_contact_on_an_edge_of_a_mesh_is_named(allegro: Hand) -> None:
     assert fault([-0.025, -0.03, 0.0]).startswith("middle is on an edge")
 
 
+@pytest.mark.slow
 def test_contacts_leave_edges_while_they_move(
     allegro: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -364,6 +365,7 @@ def blocks(allegro: Hand) -> GraspTask:
     return GraspTask.create(allegro, item)
 
 
+@pytest.mark.slow
 def test_a_small_solid_of_edges_is_grasped(blocks: GraspTask) -> None:
     made = list(islice(attempts(blocks, seed=0), 20))
     assert sum(a.plan is not None for a in made) >= 10

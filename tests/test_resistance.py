@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -75,6 +76,7 @@ def test_only_what_is_missing_counts() -> None:
     np.testing.assert_allclose(values, [MU - 0.9], atol=1e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.integers(0, 10_000))
 def test_the_least_over_a_sample_is_that_of_the_rows_and_no_less_than_epsilon(seed: int) -> None:

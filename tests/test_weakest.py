@@ -73,6 +73,7 @@ def test_wrenches_in_a_plane_have_no_direction() -> None:
     assert weakest_directions(points, inward, 0.0, LENGTH, 12).shape == (0, 6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", ["box", "cylinder:0.03x0.10"])
 def test_rounds_raise_epsilon(allegro: Hand, item: str) -> None:
     task = GraspTask.create(allegro, item)
