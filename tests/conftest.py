@@ -20,6 +20,7 @@ import pytest
 import trimesh
 from hypothesis import settings
 
+from planner.describe import postures
 from planner.errors import ModelError
 from planner.hand_loading import load_hand
 from planner.hands.catalog import find_hand
@@ -28,6 +29,7 @@ from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
+from planner.system.disk_cache import CACHE_VARIABLE
 from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.controllers.base import Target
@@ -37,7 +39,7 @@ from sim.report import TrialReport
 from sim.scene.carrier import Timeline
 from sim.trial import simulate
 
-settings.register_profile("fixed", derandomize=True)
+settings.register_profile("fixed", derandomize=True, deadline=None)  # busy machines are slow
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 # a run is what it was before: HYPOTHESIS_PROFILE=default draws afresh, and what that finds becomes
 # an @example
@@ -237,4 +239,18 @@ def noting_advances(times: list[float]) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MotionReference, "advance", noted)
+        yield
+
+
+@pytest.fixture(scope="module")
+def brief_postures(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Proposals of a module take postures from the shortest search, and from no cache but its own.
+
+    For tests of everything else in a proposal: the search is nine tenths of its time.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(postures, "RADII", (0.022, 0.040))
+        patch.setattr(postures, "FIRST", (0.022,))
+        patch.setattr(postures, "STARTS", 1)
+        patch.setenv(CACHE_VARIABLE, str(tmp_path_factory.mktemp("cache")))
         yield

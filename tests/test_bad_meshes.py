@@ -106,8 +106,8 @@ def stl_of(count: int, holds: int) -> bytes:
 
 
 FEW = 10_000
-"""Triangles at most in these tests: the million of the package, which takes seconds to be written
-and read, is read by test_large_meshes."""
+"""Triangles at most in these tests: the million of the package takes seconds to be written and
+read."""
 
 
 @pytest.fixture

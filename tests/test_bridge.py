@@ -192,7 +192,7 @@ def test_nasty_model_has_the_same_mechanics() -> None:
         assert_same_mechanics(model, np.random.default_rng(seed))
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(seed=st.integers(0, 2**32 - 1))
 def test_random_trees_have_the_same_mechanics(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -15,6 +15,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
+from test_describe import claw, written
 
 from planner import GraspTask, plan_grasp
 from planner.batch.recipe import recipe_of, task_of
@@ -141,17 +142,16 @@ def test_a_model_file_is_found_as_itself(edit_hand: EditHand) -> None:
     assert hand_reference(model) == str(model)
 
 
-def test_a_model_file_is_a_hand_by_its_structure_wherever_it_lies(
-    edit_hand: EditHand, tmp_path: Path
-) -> None:
-    model = edit_hand().parent / "allegro_hand.xml"
+@pytest.mark.usefixtures("brief_postures")
+def test_a_model_file_is_a_hand_by_its_structure_wherever_it_lies(tmp_path: Path) -> None:
+    model = written(tmp_path, claw())
     hand = load_hand(model)
-    assert (hand.nq, len(hand.fingers), hand.path) == (16, 4, model)
+    assert (hand.nq, len(hand.fingers), hand.path) == (6, 3, model)
     assert hand.reference == str(model)
     (tmp_path / "moved").mkdir()
     moved = shutil.copy(model, tmp_path / "moved")
     assert load_hand(moved).digest == hand.digest
-    Path(moved).write_text(model.read_text().replace('mass="0.0119"', 'mass="0.0120"'))
+    Path(moved).write_text(claw().replace('mass="0.02"', 'mass="0.021"'))
     assert load_hand(moved).digest != hand.digest
 
 

@@ -75,9 +75,8 @@ def members(plan: GraspPlan, near: Neighbourhood, count: int) -> Iterator[Member
             continue
         spread = min(near.joints, near.tips / LEVER)
         q = plan.q + size[3] * spread * rng.choice([-1.0, 1.0], size=hand.nq)
-        moved = reached(plan, q, places)
-        q = moved.q
-        if np.abs(q - plan.q).max() > near.joints:
+        moved = reached(plan, q, places, near.joints)
+        if moved is None:
             continue
         points = surface @ T.rotation.T + T.translation
         contacts = ContactSet.from_arrays(
@@ -91,24 +90,30 @@ def members(plan: GraspPlan, near: Neighbourhood, count: int) -> Iterator[Member
             [moved.point_jacobian(f.pad.joint_id, p) for f, p in zip(fingers, points, strict=True)]
         )
         count -= 1
-        yield Member(q=q, contacts=contacts, jacobians=jacobians)
+        yield Member(q=moved.q, contacts=contacts, jacobians=jacobians)
 
 
-def reached(plan: GraspPlan, q: FloatArray, places: FloatArray) -> HandState:
-    """The hand with its pads' centres at places (n, 3), by Newton's method from joints (nq,)."""
+def reached(plan: GraspPlan, q: FloatArray, places: FloatArray, within: float) -> HandState | None:
+    """The hand with its pads' centres at places (n, 3), by Newton's method from joints (nq,).
+
+    None if it does not get there with all joints within so much (rad) of the planned ones.
+    """
+    fingers = plan.task.fingers
     state = HandState(plan.task.hand, q)
-    for _ in range(8):
+    for _ in range(9):
+        missed = [place - state.pad_center(f) for f, place in zip(fingers, places, strict=True)]
+        left = np.abs(state.q - plan.q).max()
+        if np.linalg.norm(missed, axis=1).max() < 1e-6:
+            return state if left <= within else None
+        if left > 3.0 * within:
+            return None
         q = state.q.copy()
-        for finger, place in zip(plan.task.fingers, places, strict=True):
-            center, k = state.pad_center(finger), finger.q_index
-            jacobian = state.point_jacobian(finger.pad.joint_id, center)[:3, k]
-            q[k] += np.linalg.pinv(jacobian, rcond=1e-3) @ (place - center)
+        for finger, way in zip(fingers, missed, strict=True):
+            k = finger.q_index
+            jacobian = state.point_jacobian(finger.pad.joint_id, state.pad_center(finger))[:3, k]
+            q[k] += np.linalg.pinv(jacobian, rcond=1e-3) @ way
         state = HandState(plan.task.hand, q)
-    off = [
-        np.linalg.norm(state.pad_center(f) - p)
-        for f, p in zip(plan.task.fingers, places, strict=True)
-    ]
-    return state if max(off) < 1e-6 else HandState(plan.task.hand, q + np.pi)
+    return None
 
 
 def most_borne(plan: GraspPlan, member: Member, wrench: FloatArray) -> float:
@@ -156,14 +161,20 @@ def test_nowhere_else_it_is_the_bound_of_the_planned_posture() -> None:
         assert bound_nearby(plan, wrench, near=NOWHERE).factor == pytest.approx(upper, rel=2e-3)
 
 
+@pytest.fixture(scope="module")
+def near_members(plan: GraspPlan) -> list[Member]:
+    return list(members(plan, NEAR, 2 * FEW))
+
+
 @pytest.mark.slow
-def test_no_member_bears_more(plan: GraspPlan) -> None:
-    for wrench in (FORCE, TORQUE):
-        planned = breaking_along(plan.forces.problem, wrench).upper
-        for near in (NEAR, replace(NEAR, shift=3e-4, turn=3e-3), replace(NEAR, joints=0.05)):
+def test_no_member_bears_more(plan: GraspPlan, near_members: list[Member]) -> None:
+    planned = [breaking_along(plan.forces.problem, wrench).upper for wrench in (FORCE, TORQUE)]
+    for near in (NEAR, replace(NEAR, shift=3e-4, turn=3e-3), replace(NEAR, joints=0.05)):
+        found = near_members if near is NEAR else list(members(plan, near, FEW))
+        for wrench, least in zip((FORCE, TORQUE), planned, strict=True):
             bound = bound_nearby(plan, wrench, near=near).factor
-            assert planned < bound < 4.0 * planned
-            for member in members(plan, near, FEW):
+            assert least < bound < 4.0 * least
+            for member in found:
                 assert most_borne(plan, member, wrench) <= bound
 
 
@@ -176,7 +187,9 @@ def test_members_bear_more_than_the_planned_posture_could() -> None:
     assert max(borne) > 0.5 * bound_nearby(ball, FORCE).factor
 
 
-def test_no_member_differs_by_more_than_is_said(plan: GraspPlan) -> None:
+def test_no_member_differs_by_more_than_is_said(
+    plan: GraspPlan, near_members: list[Member]
+) -> None:
     changes = Changes.of(plan, NEAR)
     actuation = plan.task.hand.actuation
     here = plan.contacts.transformed(plan.T_world_base.inverse())
@@ -189,7 +202,7 @@ def test_no_member_differs_by_more_than_is_said(plan: GraspPlan) -> None:
         ]
     )
     used = np.zeros(3)
-    for member in members(plan, NEAR, 3 * FEW):
+    for member in near_members:
         there = member.contacts
         arms = np.linalg.norm(
             (there.positions - there.center) - (here.positions - here.center), axis=1

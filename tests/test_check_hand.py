@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from PIL import Image
+from test_describe import claw, written
 from typer.testing import CliRunner
 
 from planner.describe import CheckReport, check_hand
@@ -332,16 +333,17 @@ def test_arrays_of_taxels_are_shown_and_wrong_ones_are_told_by_finger(edit_hand:
         load_hand(edit_hand({line: f"{line}\n{twice}"}))
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("brief_postures")
 def test_describe_command(runner: CliRunner, tmp_path: Path) -> None:
-    model = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
+    model = written(tmp_path, claw())
     printed = runner.invoke(app, ["hands", str(model), "--describe"])
     assert printed.exit_code == 0, printed.output
-    assert 'name = "allegro' in printed.output
+    assert 'name = "claw' in printed.output
     path = tmp_path / "hand.toml"
     wrote = runner.invoke(app, ["hands", str(model), "--describe", "--out", str(path)])
     assert wrote.exit_code == 0, wrote.output
-    assert load_hand(path).joint_names == load_hand("allegro_hand").joint_names
+    fingers = ("thumb", "left", "right")
+    assert load_hand(path).joint_names == tuple(f"{f}_{k}" for f in fingers for k in "ab")
     with Image.open(tmp_path / "hand.png") as picture:  # a row of pinch and open per candidate
         rows = len(load_hand(path).description.postures) // 2
         wide, high = picture.size

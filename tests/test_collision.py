@@ -73,6 +73,7 @@ class Twin:
         self.model.opt.ccd_tolerance = 1e-9
         self.model.opt.ccd_iterations = 200
         self.data = mujoco.MjData(self.model)
+        self.names = {self.model.geom(i).name: i for i in range(self.model.ngeom)}
 
     def place(self, T_world_base: SE3, q: FloatArray) -> None:
         self.data.mocap_pos[0], self.data.mocap_quat[0] = pose_to_wxyz(T_world_base)
@@ -80,8 +81,7 @@ class Twin:
         mujoco.mj_kinematics(self.model, self.data)
 
     def _geom(self, name: str) -> int:
-        names = {self.model.geom(i).name: i for i in range(self.model.ngeom)}
-        return names[name] if name in names else names[f"hand_{name}"]
+        return self.names[name] if name in self.names else self.names[f"hand_{name}"]
 
     def distance(self, first: str, second: str) -> float:
         """Distance of two geoms (m) where they are apart; else some number <= 0."""

@@ -35,6 +35,9 @@ Support = Callable[[FloatArray], FloatArray]
 DEPTHS = (1e-5, 2e-5, 1e-4, 2e-4, 5e-4, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3)
 """m, along a direction; the least translation may be a little less."""
 
+SIX = (*DEPTHS[::2], DEPTHS[-1])
+"""Those of them that many pairs of solids are tried at."""
+
 ACCURATE = 5e-6
 """How far (m) depths may be from the least translation: coal's accuracy in penetration."""
 
@@ -237,7 +240,7 @@ STARTS = np.concatenate([np.eye(3), -np.eye(3), sphere_of(2500)])
 def test_depths_in_convex_objects_are_the_least_translation(link: str, kind: str) -> None:
     (geometry, support), (shape, surface) = LINKS[link], CONVEX[kind]
     pair, rng = shape_pair(geometry, shape), np.random.default_rng([len(link), len(kind)])
-    for depth in DEPTHS:
+    for depth in SIX:
         pose = pose_at(depth, surface, support, *somehow(rng))
         axes = np.concatenate([STARTS, edge_axes(EDGES[kind], EDGES[link] @ pose.rotation.T)])
         true, _ = least(overlap(surface, placed(support, pose)), axes)
@@ -311,7 +314,7 @@ def test_depths_in_the_corner_of_a_concave_mesh_are_those_of_both_plates(link: s
     mesh, boxes = l_bracket()
     pair, rng = shape_pair(geometry, mesh), np.random.default_rng(len(link))
     up, across = np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]])
-    for depth, share in zip(DEPTHS, np.linspace(0.3, 1.0, len(DEPTHS)), strict=True):
+    for depth, share in zip(SIX, np.linspace(0.3, 1.0, len(SIX)), strict=True):
         turn = somehow(rng)[1]
         turned = placed(support, SE3(turn, np.zeros(3)))
         z = boxes[0](up)[0] + turned(-up)[0] - depth
@@ -390,7 +393,7 @@ def test_plans_with_mesh_tips_on_meshes_touch_and_no_more(
     assert isinstance(shape, Mesh)
     samples, _ = shape.surface_samples(20_000, np.random.default_rng(0))
     surface = np.concatenate([samples, shape.vertices])
-    for seed in range(3):
+    for seed in range(2):
         plan = plan_grasp(task, seed=seed)
         state = MovingHand(hand, plan.q)
         base = task.T_world_object.inverse() * plan.T_world_base

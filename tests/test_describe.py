@@ -20,11 +20,11 @@ from hypothesis import strategies as st
 from planner.bridge import hand_geometries, load_spec
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.structure import structure_of
-from planner.describe import Proposal, description_text, propose, write_proposal
+from planner.describe import Proposal, description_text, postures, propose, write_proposal
 from planner.describe.drive import impossible_couplings
 from planner.describe.fingertips import ConvexLink, cone_directions, sphere_directions
 from planner.describe.overlaps import HandGaps
-from planner.describe.postures import PostureSolver
+from planner.describe.postures import PostureCandidate, PostureSolver
 from planner.describe.tree import finger_names, read_tree
 from planner.errors import FileFormatError, HandError, ModelError, NotFoundError
 from planner.hand_loading import hand_from_spec, load_hand
@@ -37,6 +37,11 @@ from planner.spatial import SE3
 from planner.synthesis.seeds.opposition import opposition
 from planner.system.package import models_dir
 from planner.task import GraspTask
+
+pytestmark = pytest.mark.usefixtures("brief_postures")
+
+WHOLE_SEARCH = {name: getattr(postures, name) for name in ("RADII", "FIRST", "STARTS")}
+"""What ``brief_postures`` makes small."""
 
 FINGER = """
 <body name="{name}_a" pos="{x} {y} 0.02" euler="0 0 {turn}">
@@ -93,10 +98,28 @@ def model_of(hand: str) -> Path:
     return models_dir() / "hands" / hand / f"{hand}.xml"
 
 
+Known = tuple[Hand, Proposal, tuple[PostureCandidate, ...]]
+
+
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
-def known(request: pytest.FixtureRequest) -> tuple[Hand, Proposal]:
-    """A shipped hand, and what is proposed from its bare model."""
-    return load_hand(request.param), propose(model_of(request.param))
+def known(request: pytest.FixtureRequest) -> Known:
+    """A shipped hand, what is proposed from its bare model, and the candidates for its postures.
+
+    The search is whole for the smaller of the two.
+    """
+    found: list[tuple[PostureCandidate, ...]] = []
+    search = PostureSolver.candidates
+
+    def noted(solver: PostureSolver) -> tuple[PostureCandidate, ...]:
+        found.append(search(solver))
+        return found[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PostureSolver, "candidates", noted)
+        for name, value in WHOLE_SEARCH.items() if request.param == "allegro_hand" else ():
+            patch.setattr(postures, name, value)
+        proposal = propose(model_of(request.param))
+    return load_hand(request.param), proposal, found[0]
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +134,9 @@ def written(folder: Path, text: str, name: str = "claw.xml") -> Path:
 
 
 def test_a_bare_model_gives_the_anatomy_of_the_shipped_description(
-    known: tuple[Hand, Proposal],
+    known: Known,
 ) -> None:
-    hand, proposal = known
+    hand, proposal, _ = known
     ours, theirs = proposal.description, hand.description
     assert ours.base_body == theirs.base_body
     assert ours.palm_body == theirs.palm_body
@@ -127,9 +150,9 @@ def test_a_bare_model_gives_the_anatomy_of_the_shipped_description(
 
 
 def test_a_bare_model_gives_the_pads_of_the_shipped_description(
-    known: tuple[Hand, Proposal],
+    known: Known,
 ) -> None:
-    hand, proposal = known
+    hand, proposal, _ = known
     theirs = {f.name: f for f in hand.description.fingers}
     for finger in proposal.description.fingers:
         expected = theirs[finger.name]
@@ -142,16 +165,16 @@ def test_a_bare_model_gives_the_pads_of_the_shipped_description(
 
 
 def test_stops_of_tendon_coupled_fingers_are_found_with_their_side(
-    known: tuple[Hand, Proposal],
+    known: Known,
 ) -> None:
-    hand, proposal = known
+    hand, proposal, _ = known
     found = {(frozenset(c.joints.items()), c.value, c.kind) for c in proposal.description.couplings}
     expected = {(frozenset(c.joints.items()), c.value, c.kind) for c in hand.description.couplings}
     assert found == expected
 
 
-def test_proposed_postures_oppose_the_thumb_to_the_others(known: tuple[Hand, Proposal]) -> None:
-    hand, proposal = known
+def test_proposed_postures_oppose_the_thumb_to_the_others(known: Known) -> None:
+    hand, proposal, _ = known
     spec = mujoco.MjSpec.from_file(str(model_of(hand.name)))
     proposed = hand_from_spec(spec, proposal.description)
     task = GraspTask.create(proposed, "sphere")
@@ -174,8 +197,8 @@ def test_the_same_model_gives_the_same_proposal(proposed_claw: Proposal) -> None
     assert again == proposed_claw
 
 
-def test_every_guess_has_a_reason(known: tuple[Hand, Proposal]) -> None:
-    _, proposal = known
+def test_every_guess_has_a_reason(known: Known) -> None:
+    _, proposal, _ = known
     keys = {r.key for r in proposal.reasons}
     d = proposal.description
     expected = {"base_body", "palm_body", "palm_normal", "default_fingers"}
@@ -258,13 +281,11 @@ def test_a_stage_whose_base_is_the_floor_has_its_palm_above_the_fingertips() -> 
 
 
 def test_candidates_differ_and_the_first_is_followed_over_more_openings(
-    known: tuple[Hand, Proposal],
+    known: Known,
 ) -> None:
-    hand, proposal = known
+    hand, proposal, candidates = known
     spec = mujoco.MjSpec.from_file(str(model_of(hand.name)))
     proposed = hand_from_spec(spec, proposal.description)
-    solver = PostureSolver(proposed, proposed.choose_fingers())
-    candidates = solver.candidates()
     assert 1 <= len(candidates) <= 3
     scores = [c.score for c in candidates]
     assert scores == sorted(scores, reverse=True)
@@ -284,8 +305,8 @@ def test_candidates_differ_and_the_first_is_followed_over_more_openings(
             assert candidate.bar or away <= reach + 0.004
 
 
-def test_distances_with_memory_are_those_without(known: tuple[Hand, Proposal]) -> None:
-    hand, _ = known
+def test_distances_with_memory_are_those_without(known: Known) -> None:
+    hand, _, _ = known
     near, rng = 0.01, np.random.default_rng(1)
     gaps, data = HandGaps(hand, near), hand.pin_model.createData()
     q = hand.posture("pinch")
@@ -301,9 +322,16 @@ def test_distances_with_memory_are_those_without(known: tuple[Hand, Proposal]) -
     assert compared > 10
 
 
-def test_a_spec_and_a_compiled_model_give_what_the_file_gives(proposed_claw: Proposal) -> None:
+@pytest.fixture(scope="module")
+def of_spec() -> tuple[mujoco.MjSpec, Proposal]:
     spec = mujoco.MjSpec.from_string(claw())
-    from_spec = propose(spec)
+    return spec, propose(spec)
+
+
+def test_a_spec_and_a_compiled_model_give_what_the_file_gives(
+    proposed_claw: Proposal, of_spec: tuple[mujoco.MjSpec, Proposal]
+) -> None:
+    spec, from_spec = of_spec
     from_model = propose(mujoco.MjModel.from_xml_string(claw()))
     changed = {"model": from_spec.description.model}
     assert from_spec.description == proposed_claw.description.model_copy(update=changed)
@@ -403,7 +431,7 @@ def test_inertias_that_no_link_can_have_are_replaced_by_those_of_the_geometry(
     mended = proposal.description.repair.inertia_from_geometry
     assert len(mended) == 6 and "palm" not in mended  # what carries the hand does not swing
     assert any("0.1 kg m2" in q and "5 more such bodies" in q for q in proposal.open_questions)
-    hand = load_hand(tmp_path / "claw.urdf")
+    hand = hand_from_spec(load_spec(tmp_path / "claw.urdf"), proposal.description)
     assert hand.mj_model.body_inertia[2:].max() < 1e-4
     (tmp_path / "hand.toml").write_text(description_text(proposal.description, tmp_path))
     again = load_hand(tmp_path / "hand.toml")
@@ -418,16 +446,15 @@ def test_closed_loops_are_named_as_what_they_are(tmp_path: Path, base: str | Non
         propose(written(tmp_path, text), base_body=base)
 
 
-def test_a_weld_within_one_link_closes_no_loop(tmp_path: Path) -> None:
-    plain = propose(written(tmp_path, claw()))
+def test_a_weld_within_one_link_closes_no_loop(proposed_claw: Proposal, tmp_path: Path) -> None:
     body = re.search(r'<body name="thumb_b"[^>]*>', claw())
     assert body is not None
     nail = '<body name="nail"><geom size="0.001" mass="1e-6" contype="0" conaffinity="0"/></body>'
     weld = '<equality><weld name="glue" body1="nail" body2="thumb_b"/></equality>'
     text = claw().replace(body[0], body[0] + nail).replace("<actuator>", f"{weld}<actuator>")
     proposal = propose(written(tmp_path, text))
-    assert proposal.description.fingers == plain.description.fingers
-    assert not load_hand(tmp_path / "claw.xml").couplings
+    assert proposal.description.fingers == proposed_claw.description.fingers
+    assert not hand_from_spec(load_spec(tmp_path / "claw.xml"), proposal.description).couplings
 
 
 def test_joints_that_mimic_others_get_no_servo(tmp_path: Path) -> None:
@@ -489,12 +516,13 @@ def hull_tip(radius: float) -> str:
 def test_the_pad_of_a_rounded_hull_is_its_ball(tmp_path: Path) -> None:
     tip = '<geom name="{name}_b" type="mesh" mesh="tip" mass="0.02"/>'
     text = claw(tip=tip).replace("<worldbody>", f"<asset>{hull_tip(0.01)}</asset><worldbody>")
-    pad = propose(written(tmp_path, text)).description.fingers[0].pad
+    description = propose(written(tmp_path, text)).description
+    pad = description.fingers[0].pad
     assert pad.center == pytest.approx((0.0, 0.0, 0.03), abs=1e-3)
     assert pad.radius == pytest.approx(0.01, abs=5e-4)
     assert pad.half_angle_deg >= 40.0
     # the sphere touches the hull from inside: description and geometry fit, so the hand loads
-    load_hand(tmp_path / "claw.xml")
+    hand_from_spec(load_spec(tmp_path / "claw.xml"), description)
 
 
 def test_a_flat_tip_is_told_as_such_and_loads(tmp_path: Path) -> None:
@@ -522,7 +550,7 @@ def test_a_large_flat_hull_has_its_pad_on_the_face_and_not_in_the_edge(tmp_path:
     assert pad.center[0] == pytest.approx(0.0, abs=2e-4)
     assert 0.035 < pad.center[2] < 0.045
     assert sum("not round" in q for q in proposal.open_questions) == 3
-    load_hand(tmp_path / "claw.xml")
+    hand_from_spec(load_spec(tmp_path / "claw.xml"), proposal.description)
 
 
 def test_a_gripper_of_two_fingers_is_said(tmp_path: Path) -> None:
@@ -587,8 +615,8 @@ def test_what_is_no_model_is_said(tmp_path: Path) -> None:
         propose(tmp_path / "missing.xml")
 
 
-def test_a_written_proposal_reads_back(known: tuple[Hand, Proposal], tmp_path: Path) -> None:
-    _, proposal = known
+def test_a_written_proposal_reads_back(known: Known, tmp_path: Path) -> None:
+    _, proposal, _ = known
     path = tmp_path / "hand.toml"
     write_proposal(proposal, path)
     read = read_description(path).description
@@ -690,12 +718,14 @@ def test_cone_directions_are_unit_symmetric_and_within() -> None:
     assert np.allclose(np.cross(directions.mean(axis=0), axis), 0.0, atol=1e-12)
 
 
-def test_an_actuator_in_the_parent_s_axes_drives_its_joint() -> None:
+def test_an_actuator_in_the_parent_s_axes_drives_its_joint(
+    of_spec: tuple[mujoco.MjSpec, Proposal],
+) -> None:
     text = claw()
     in_parent = text.replace("<position joint=", "<position jointinparent=")
     assert in_parent != text
-    usual, other = (propose(mujoco.MjSpec.from_string(t)).description for t in (text, in_parent))
-    assert usual == other
+    other = propose(mujoco.MjSpec.from_string(in_parent)).description
+    assert of_spec[1].description == other
     assert other.actuators == ()  # no servos are missing
 
 

@@ -9,15 +9,15 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_describe import claw, written
 
 from planner.describe import cached, propose, proposed_description
 from planner.errors import HandError, ModelError, NotFoundError
 from planner.hand_loading import load_hand
 from planner.joints.description import HandDescription
 from planner.system.disk_cache import CACHE_VARIABLE, write_text
-from planner.system.package import models_dir
 
-ALLEGRO = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
+pytestmark = pytest.mark.usefixtures("brief_postures")
 
 MODEL = """
 <mujoco model="thing">
@@ -75,17 +75,18 @@ def thing(folder: Path) -> Path:
 
 
 def test_a_kept_proposal_is_the_same_to_the_last_bit(
-    own_cache: Path, monkeypatch: pytest.MonkeyPatch
+    own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fresh = propose(ALLEGRO).description
-    first = load_hand(ALLEGRO)
+    model = written(tmp_path, claw())
+    fresh = propose(model).description
+    first = load_hand(model)
     (stored,) = (own_cache / "proposal").iterdir()
 
     def never(*_: object) -> None:
         raise AssertionError("proposed again")
 
     monkeypatch.setattr(cached, "propose", never)
-    again = load_hand(ALLEGRO)
+    again = load_hand(model)
     assert repr(again.description) == repr(first.description) == repr(fresh)
     assert again.description == fresh
     assert again.digest == first.digest

@@ -19,6 +19,8 @@ from planner.hands.hand import Hand
 from planner.joints.couplings import Coupling, nearest_on_couplings
 from planner.joints.description import CouplingDescription
 
+pytestmark = pytest.mark.usefixtures("brief_postures")
+
 NAMES = ("thumb", "left", "right")
 
 SHARED_TIP = """

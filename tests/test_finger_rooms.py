@@ -18,6 +18,8 @@ from planner.synthesis.problem import build_problem
 from planner.synthesis.terms import fingers
 from planner.synthesis.terms.fingers import FINGERS
 
+pytestmark = pytest.mark.usefixtures("brief_postures")
+
 CLEAR = SynthesisOptions().clear_fingers
 """Distance between fingers that is asked for if nothing is said, m."""
 

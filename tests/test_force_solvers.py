@@ -309,11 +309,11 @@ def answer(contacts: ContactSet, cone: Any, **options: Any) -> tuple[bool, float
 
 
 @pytest.mark.slow
-def test_a_thousand_problems_as_theory_says() -> None:
+def test_hundreds_of_problems_are_as_theory_says() -> None:
     """Inscribed implies round implies circumscribed; costs fall in that order."""
     pytest.importorskip("clarabel")
     between = held = 0
-    for seed in range(1000):
+    for seed in range(600):
         rng = np.random.default_rng(seed)
         contacts = on_ball(seed, int(rng.integers(2, 5)), mu=float(rng.uniform(0.3, 1.0)))
         wrench = rng.normal(size=6) * [1, 1, 1, 0.01, 0.01, 0.01]

@@ -639,9 +639,14 @@ def test_a_hand_made_in_python_has_a_digest_and_no_reference() -> None:
 
 
 def test_the_digest_is_the_same_in_another_process() -> None:
-    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); "
-    code += "from test_foreign_hands import gripper; print(gripper().digest)"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    code = (
+        "import sys, mujoco; from planner.hand_loading import hand_from_spec;"
+        "from planner.joints.description import HandDescription;"
+        "spec = mujoco.MjSpec.from_string(sys.argv[1]);"
+        "print(hand_from_spec(spec, HandDescription.from_json(sys.argv[2])).digest)"
+    )
+    command = [sys.executable, "-c", code, GRIPPER, description().to_json()]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
     assert run.stdout.strip() == gripper().digest
 
 

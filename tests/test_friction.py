@@ -68,6 +68,10 @@ def plan(request: pytest.FixtureRequest, plan_of: PlanOf) -> GraspPlan:
     return plan_of(request.param, "cylinder")
 
 
+BRIEF = Timeline(approach=0.3, lift=0.1, hold=0.1, lift_height=0.01)
+"""Long enough where fingers move: it is there that friction is felt."""
+
+
 class Watched(GraspController):
     """Tells what friction it had found when it began to squeeze."""
 
@@ -90,7 +94,7 @@ def test_a_trial_finds_the_friction_that_the_model_does_not_have(
         return made[0]
 
     reality = Reality(name="dry", dry_friction=friction, encoder_offset=1e-9)
-    simulate(plan, controller=make, reality=reality, timeline=Timeline(hold=0.1))
+    simulate(plan, controller=make, reality=reality, timeline=BRIEF)
     expected = friction * of_fingers(plan.task.hand)
     np.testing.assert_allclose(made[0].found, expected, atol=0.002)
 

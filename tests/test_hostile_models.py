@@ -13,8 +13,11 @@ from planner.bridge import load_spec
 from planner.describe import propose
 from planner.errors import HandError, ModelError, NotFoundError, PlannerError
 from planner.hand_loading import hand_from_spec, load_hand
+from planner.joints.description import HandDescription
 from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT
+
+pytestmark = pytest.mark.usefixtures("brief_postures")
 
 EditHand = Callable[..., Path]
 
@@ -46,9 +49,16 @@ MJCF = {
 }
 
 
-@pytest.mark.slow
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> HandDescription:
+    """The description of the claw that the models below are not."""
+    return propose(written(tmp_path_factory.mktemp("sound"), claw())).description
+
+
 @pytest.mark.parametrize("kind", MJCF)
-def test_numbers_of_no_hand_are_refused_by_name(kind: str, tmp_path: Path) -> None:
+def test_numbers_of_no_hand_are_refused_by_name(
+    kind: str, tmp_path: Path, sound: HandDescription
+) -> None:
     old, new, message = MJCF[kind]
     text = claw()
     assert old in text
@@ -56,9 +66,8 @@ def test_numbers_of_no_hand_are_refused_by_name(kind: str, tmp_path: Path) -> No
     with pytest.raises(ModelError, match=message):
         propose(path)
     # and where somebody describes it by hand
-    description = propose(written(tmp_path, claw(), "sound.xml")).description
     with pytest.raises(PlannerError):
-        hand_from_spec(load_spec(path), description)
+        hand_from_spec(load_spec(path), sound)
 
 
 URDF = {

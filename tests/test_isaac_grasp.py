@@ -60,7 +60,7 @@ def read(shadow: Hand, tmp_path: Path) -> Callable[..., Any]:
 
 @given(numbers=some_numbers())
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_what_is_written_is_read(plan: GraspPlan, numbers: list[float], tmp_path: Path) -> None:
     plans, path = [plan, moved(plan, numbers)], tmp_path / "g.yaml"

@@ -60,21 +60,22 @@ def test_both_forms_agree() -> None:
     assert norms.plain is plain_norms  # type: ignore[attr-defined]
 
 
-def test_numba_is_not_imported_before_a_kernel_is_called() -> None:
-    code = (
-        "import sys, planner.search.grasp, planner.numerics.kernels; print('numba' in sys.modules)"
+def test_planning_loads_nothing_that_few_plans_need() -> None:
+    """SciPy alone takes longer to load than all else together; a single plan needs no Numba."""
+    code = """
+import sys
+from planner import GraspTask, plan_grasp
+print(*sys.modules)
+plan_grasp(GraspTask.create("allegro_hand", "mug"), seed=0)
+print(*sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    before, after = (
+        {name.partition(".")[0] for name in line.split()} for line in done.stdout.splitlines()
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
-
-
-def test_planning_is_imported_without_what_few_plans_need() -> None:
-    """SciPy alone takes longer to load than all else together."""
-    code = "import sys; from planner import plan_grasp, GraspTask; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = {name.partition(".")[0] for name in done.stdout.split()}
-    assert {"casadi", "pinocchio", "coal"} <= loaded
-    assert not loaded & {"scipy", "trimesh", "qpsolvers", "numba"}
+    assert {"casadi", "pinocchio", "coal"} <= before
+    assert not before & {"scipy", "trimesh", "qpsolvers", "numba"}
+    assert "numba" not in after
 
 
 def _told_by_dis(code: CodeType) -> set[str]:
@@ -159,16 +160,7 @@ def test_loops_are_compiled_once_for_all_numbers_that_are_written_out() -> None:
     assert len(kernels._compile(entry, called=True).overloads) == 1
 
 
-def test_a_plan_does_not_load_numba() -> None:
-    code = """
-import sys
-from planner import GraspTask, plan_grasp
-plan_grasp(GraspTask.create("allegro_hand", "mug"), seed=0)
-assert "numba" not in sys.modules
-"""
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
+@pytest.mark.slow
 def test_a_plan_does_not_depend_on_what_was_compiled_before() -> None:
     """Attempts in NumPy and compiled ones, mixed in one process in either order, on a mesh."""
     task = GraspTask.create("allegro_hand", "mug")

@@ -275,6 +275,7 @@ def test_links_that_meet_are_told_apart(shadow: Hand) -> None:
     assert met >= 5
 
 
+@pytest.mark.slow
 def test_descent_and_ipopt_agree_that_a_start_leads_to_a_grasp(allegro: Hand) -> None:
     """From most starts on a sphere both solve all terms: neither is the other's stand-in."""
     task = GraspTask.create(allegro, parse_object("sphere"))

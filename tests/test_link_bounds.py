@@ -42,7 +42,7 @@ def test_no_bound_is_above_the_distance(right_hand: Hand, item: str) -> None:
     bounds = bounds_of(world)
     numbers = np.arange(len(bounds.pairs))
     apart = close = 0
-    for base, q in places(task, 25):
+    for base, q in places(task, 16):
         truth = np.array([c.distance for c in world.distances(base, q)])
         inverse = base.inverse()
         poses = bounds.place(q[None], [inverse * pose for pose in world._table.fixed])
@@ -63,7 +63,7 @@ def test_no_bound_is_above_the_distance_from_a_mesh(right_hand: Hand) -> None:
     bounds = bounds_of(world)
     on_mesh = np.flatnonzero(world._table.on_mesh)
     told = 0
-    for base, q in places(task, 80):
+    for base, q in places(task, 60):
         truth = np.array([c.distance for c in world.distances(base, q)])[on_mesh]
         poses = bounds.place(q[None], [base.inverse() * pose for pose in world._table.fixed])
         found = bounds.at(poses, on_mesh, np.array([np.inf]))[0]
@@ -100,12 +100,12 @@ def test_what_is_called_clear_on_a_way_is_clear_all_along(right_hand: Hand) -> N
     bounds, rng = bounds_of(world), np.random.default_rng(2)
     around = np.flatnonzero(world._table.hand_environment_pairs)
     called = denied = 0
-    for base, q in places(task, 12):
+    for base, q in places(task, 9):
         way = rng.normal(0.0, 0.08, 3)
         poses = bounds.place(q[None], [base.inverse() * pose for pose in world._table.fixed])
         clear = bounds.clear_along(poses, around, base.rotation.T @ way, 0.001)
         least = np.full(len(around), np.inf)
-        for share in np.linspace(0.0, 1.0, 60):
+        for share in np.linspace(0.0, 1.0, 40):
             there = SE3(base.rotation, base.translation + share * way)
             told = np.array([c.distance for c in world.distances(there, q)])[around]
             least = np.minimum(least, told)

@@ -141,7 +141,7 @@ def test_duals_of_rows_limited_on_both_sides_prove_the_least_cost(seed: int) -> 
     assert worth == pytest.approx(found.value, abs=1e-8)
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @drawn(seed=st.integers(0, 2**31), n=st.integers(1, 120), m=st.integers(0, 8))
 def test_programmes_of_any_shape_agree_with_scipy(seed: int, n: int, m: int) -> None:
     """Many unknowns and few rows are solved by their duals, infeasible ones by Farkas' lemma."""
@@ -290,15 +290,15 @@ importlib.util.find_spec = lambda name, *more: None if name == "highspy" else tr
 """
 
 
-def test_what_else_is_installed_does_not_choose_the_solver() -> None:
-    told = [
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=300
-        )
-        for code in (CLOSE, HIDE + CLOSE)
-    ]
-    assert [t.returncode for t in told] == [0, 0], told[1].stderr[-2000:]
-    assert told[0].stdout == told[1].stdout
+@pytest.mark.slow
+def test_what_else_is_installed_does_not_choose_the_solver(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    command = [sys.executable, "-c", HIDE + CLOSE]
+    hidden = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert hidden.returncode == 0, hidden.stderr[-2000:]
+    exec(CLOSE, {})
+    assert hidden.stdout == capsys.readouterr().out
 
 
 def test_what_contradicts_itself_has_no_solution_and_leaves_nothing_behind() -> None:

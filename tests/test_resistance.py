@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
@@ -34,6 +34,7 @@ def missing(
     return missing_resistance(directions, points, normals, slopes, mu=MU, length=LENGTH, target=aim)
 
 
+@settings(max_examples=60)
 @given(st.integers(0, 10_000))
 def test_values_are_those_of_the_expression_and_derivatives_those_of_steps(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -76,6 +77,7 @@ def test_only_what_is_missing_counts() -> None:
 
 
 @pytest.mark.slow
+@settings(max_examples=60)
 @given(st.integers(0, 10_000))
 def test_the_least_over_a_sample_is_that_of_the_rows_and_no_less_than_epsilon(seed: int) -> None:
     rng = np.random.default_rng(seed)

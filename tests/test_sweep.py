@@ -14,17 +14,22 @@ CLEARANCE = 0.001
 
 
 def least_on_way(world: CollisionWorld, base: SE3, q: FloatArray, way: FloatArray) -> float:
-    """Least distance (m) from the surroundings at places 0.4 mm apart."""
-    n = int(np.linalg.norm(way) / 4e-4) + 2
-    return min(
-        world.nearest(
-            SE3(base.rotation, base.translation + s * way), q, surroundings_only=True
-        ).distance
-        for s in np.linspace(0.0, 1.0, n)
-    )
+    """Least distance (m) from the surroundings at places 0.4 mm apart, or one that is too little.
+
+    A hand that is so much farther away than it was before cannot be nearer until it has gone as
+    far: places in between are left out.
+    """
+    length = float(np.linalg.norm(way))
+    least, gone = np.inf, 0.0
+    while True:
+        there = SE3(base.rotation, base.translation + gone / length * way)
+        distance = world.nearest(there, q, surroundings_only=True).distance
+        least = min(least, distance)
+        if gone >= length or least < CLEARANCE - 5e-4:
+            return least
+        gone = min(gone + max(4e-4, distance - least), length)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("item", ["box", "ellipsoid", "lbracket", "torus"])
 def test_a_way_is_free_if_and_only_if_it_is_everywhere(allegro: Hand, item: str) -> None:
     wall = Obstacle(

@@ -124,7 +124,7 @@ def test_grasp_problem_has_exact_derivatives(task: GraspTask, seed: int) -> None
     check_derivatives(Derivatives(problem, x, parameters))
 
 
-def capsule_geometry(capsule: LinkCapsule, pose: SE3) -> tuple[Any, SE3]:
+def capsule_geometry(capsule: LinkCapsule, pose: SE3) -> tuple[Any, Any]:
     """A link capsule as coal's and its pose in the base."""
     inner, outer = pose.act(capsule.inner), pose.act(capsule.outer)
     along = outer - inner
@@ -133,17 +133,19 @@ def capsule_geometry(capsule: LinkCapsule, pose: SE3) -> tuple[Any, SE3]:
     side = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
     side /= np.linalg.norm(side)
     rotation = np.column_stack([side, np.cross(z, side), z])
-    return coal.Capsule(capsule.radius, length), SE3(rotation, (inner + outer) / 2)
+    return coal.Capsule(capsule.radius, length), coal.Transform3s(rotation, (inner + outer) / 2)
 
 
 def between_capsules(first: LinkCapsule, second: LinkCapsule, state: HandState) -> float:
     """Signed distance (m) of two capsules by coal."""
+    one, other = (capsule_geometry(c, state.joint_pose(c.joint_id)) for c in (first, second))
+    return between(one, other)
+
+
+def between(first: tuple[Any, Any], second: tuple[Any, Any]) -> float:
+    """Signed distance (m) of two placed capsules."""
     request, result = coal.DistanceRequest(), coal.DistanceResult()
-    placed = []
-    for capsule in (first, second):
-        geometry, pose = capsule_geometry(capsule, state.joint_pose(capsule.joint_id))
-        placed += [geometry, coal.Transform3s(pose.rotation, pose.translation)]
-    return float(coal.distance(*placed, request, result))
+    return float(coal.distance(*first, *second, request, result))
 
 
 def random_state(hand: Hand, seed: int) -> HandState:
@@ -211,10 +213,11 @@ def test_meeting_bones_are_the_same_every_time_and_contain_pairs_that_often_meet
         places = [state.joint_pose(b.joint_id) for b in capsules]
         middles = [T.act((b.inner + b.outer) / 2) for T, b in zip(places, capsules, strict=True)]
         reach = [float(np.linalg.norm(b.outer - b.inner)) / 2 + b.radius for b in capsules]
+        placed = [capsule_geometry(b, T) for b, T in zip(capsules, places, strict=True)]
         for i, j in combinations(range(len(capsules)), 2):
             far = np.linalg.norm(middles[i] - middles[j]) > reach[i] + reach[j] + COLLISION_MARGIN
             if not far and capsules[i].finger != capsules[j].finger:
-                times[i, j] += between_capsules(capsules[i], capsules[j], state) < COLLISION_MARGIN
+                times[i, j] += between(placed[i], placed[j]) < COLLISION_MARGIN
     often = {pair for pair, count in times.items() if count >= 8}
     assert len(often) >= 3
     assert often <= set(found)

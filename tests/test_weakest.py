@@ -28,12 +28,12 @@ def spread(seed: int, n: int = 4) -> tuple[FloatArray, FloatArray]:
     return points, inward / np.linalg.norm(inward, axis=1, keepdims=True)
 
 
-def resistance(direction: FloatArray, points: FloatArray, inward: FloatArray) -> float:
-    """Support of the wrenches of fine pyramids in one direction: another code's wrenches."""
+def resistance(directions: FloatArray, points: FloatArray, inward: FloatArray) -> FloatArray:
+    """Support (n,) of the wrenches of fine pyramids in directions (n, 6): another code's."""
     contacts = ContactSet.from_arrays(points, inward, mu=MU)
     wrenches = primitive_wrenches(contacts, edges=256).reshape(6, -1)
     wrenches[3:] /= LENGTH
-    return float((direction @ wrenches).max())
+    return np.asarray((directions @ wrenches).max(axis=1))
 
 
 @settings(deadline=None)
@@ -48,8 +48,8 @@ def test_directions_are_weak_apart_and_in_order(seed: int) -> None:
     rng = np.random.default_rng(seed)
     anywhere = rng.normal(size=(40, 6))
     anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
-    usual = np.median([resistance(u, points, inward) for u in anywhere])
-    assert resistance(found[0], points, inward) < usual
+    usual = np.median(resistance(anywhere, points, inward))
+    assert resistance(found[:1], points, inward)[0] < usual
 
 
 def test_the_weakest_direction_is_near_epsilon() -> None:
@@ -58,7 +58,7 @@ def test_the_weakest_direction_is_near_epsilon() -> None:
     for seed in range(30):
         points, inward = spread(seed, 6)
         found = weakest_directions(points, inward, MU, LENGTH, 12)
-        least = min(resistance(u, points, inward) for u in found)
+        least = resistance(found, points, inward).min()
         epsilon = epsilon_round(ContactSet.from_arrays(points, inward, mu=MU), length=LENGTH)
         assert least >= epsilon.lower - 1e-3
         if epsilon.lower > 0:
@@ -73,6 +73,7 @@ def test_wrenches_in_a_plane_have_no_direction() -> None:
     assert weakest_directions(points, inward, 0.0, LENGTH, 12).shape == (0, 6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", ["box", "cylinder:0.03x0.10"])
 def test_rounds_raise_epsilon(allegro: Hand, item: str) -> None:
     task = GraspTask.create(allegro, item)
