@@ -238,3 +238,14 @@ def noting_advances(times: list[float]) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(MotionReference, "advance", noted)
         yield
+
+
+@pytest.fixture
+def brief_manipulations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Manipulations take short phases unless they name others: those of commands and trainings."""
+    from manipulations import QUICK  # here: most modules have no use for what it imports
+
+    from sim.manipulation import ManipulationTimeline
+
+    monkeypatch.setattr(ManipulationTimeline.__init__, "__kwdefaults__", asdict(QUICK))
+    assert ManipulationTimeline() == QUICK

@@ -33,7 +33,6 @@ from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.shapes.decomposition.pieces import Pieces
 from planner.spatial import SE3, pose_from_wxyz
-from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.protocols.dexgraspbench import benchmark_contacts, benchmark_scene
 
@@ -67,10 +66,6 @@ def grasps(tmp_path_factory: pytest.TempPathFactory) -> GraspSet:
     solid.export(folder / "off.stl")
     task = GraspTask.create("allegro_hand", parse_object(f"{folder / 'off.stl'}*0.001"))
     return plan_grasps("allegro_hand", [task], 2, workers=1, out=folder / "set")
-
-
-def _allegro_model() -> Path:
-    return models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
 
 
 def tips_of(model: Any, qpos: Any, names: list[str]) -> Any:
@@ -165,7 +160,8 @@ def test_meshes_travel_with_the_hand(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_every_hand_has_its_own_name_and_none_is_overwritten(tmp_path: Path) -> None:
-    text = _allegro_model().read_text(encoding="utf-8")
+    make_jaw(tmp_path, SERVOS)
+    text = (tmp_path / "jaw.xml").read_text(encoding="utf-8")
     hands = []
     for folder, name in (("one", "model_one"), ("two", "model_two"), ("three", None)):
         path = tmp_path / folder / "right_hand.xml"
@@ -183,7 +179,7 @@ def test_every_hand_has_its_own_name_and_none_is_overwritten(tmp_path: Path) -> 
     other.parent.mkdir()
     other.write_text(
         re.sub(r"<mujoco[^>]*>", '<mujoco model="model_one">', text, count=1).replace(
-            'mass="0.', 'mass="0.1', 1
+            'mass="0.5"', 'mass="0.6"', 1
         ),
         encoding="utf-8",
     )

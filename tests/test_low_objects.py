@@ -23,10 +23,14 @@ from sim.cli.search import PlanOptions
 RUN = CliRunner()
 
 
-def plan(line: str, folder: Path) -> tuple[int, str]:
+FEW = 4
+"""Attempts where none succeeds, however many there are."""
+
+
+def plan(line: str, folder: Path, attempts: int = ATTEMPTS) -> tuple[int, str]:
     """Exit code of ``plan`` with the Allegro-type hand, and what it says."""
     arguments = ["plan", "allegro_hand", *shlex.split(line), "-o", str(folder / "plan.json")]
-    done = RUN.invoke(app, [*arguments, "--max-attempts", str(ATTEMPTS)])
+    done = RUN.invoke(app, [*arguments, "--max-attempts", str(attempts)])
     return done.exit_code, " ".join(done.stderr.split())
 
 
@@ -35,8 +39,7 @@ def plan(line: str, folder: Path) -> tuple[int, str]:
     ("line", "advice"),
     [
         ("box:0.1x0.06x0.012", "it lies 12 mm high"),
-        ("cylinder:0.04x0.015", "it lies 15 mm high"),
-        ("hammer:0.08x0.015x0.006", "it lies 1. mm high"),
+        ("plate:0.07x0.02x0.003", "it lies 20 mm high"),
         ("lbracket:0.09x0.08x0.012x0.012", "it lies 12 mm high"),
     ],
 )
@@ -86,7 +89,7 @@ def test_the_place_and_the_table_are_kept() -> None:
 
 
 def test_nothing_is_advised_where_height_is_not_what_is_missing(tmp_path: Path) -> None:
-    code, said = plan("box --mass 15", tmp_path)
+    code, said = plan("box --mass 15", tmp_path, FEW)
     assert code == 4
     assert "--pose" not in said
     thick = 2 * max(f.pad.radius for f in GraspTask.create("allegro_hand", "box").fingers)
@@ -94,15 +97,15 @@ def test_nothing_is_advised_where_height_is_not_what_is_missing(tmp_path: Path) 
 
 
 def test_what_nothing_helps_is_told_as_before(tmp_path: Path) -> None:
-    code, said = plan("box:0.1x0.06x0.012 --mass 15", tmp_path)
+    code, said = plan("box:0.1x0.06x0.012 --mass 15", tmp_path, FEW)
     assert code == 4
     assert "--pose" not in said
     assert "--stand" not in said
-    assert f"in {ATTEMPTS} attempts: {ATTEMPTS} x" in said
+    assert f"in {FEW} attempts: {FEW} x" in said
 
 
 def test_an_object_whose_pose_was_given_is_not_stood_otherwise(tmp_path: Path) -> None:
-    code, said = plan("box:0.1x0.06x0.012 --at 0,0,0.006,0,0,0", tmp_path)
+    code, said = plan("box:0.1x0.06x0.012 --at 0,0,0.006,0,0,0", tmp_path, FEW)
     assert code == 4
     assert "--pose" not in said
 
