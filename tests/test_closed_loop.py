@@ -38,7 +38,7 @@ from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 
 SHORT = Timeline(
-    approach=0.1,
+    approach=0.2,
     close=0.2,
     close_wait=0.2,
     squeeze=0.2,
@@ -47,7 +47,7 @@ SHORT = Timeline(
     hold=0.6,
     lift_height=0.01,
 )
-"""Long enough to hold the object in the air; 1.3 s simulated."""
+"""Long enough to hold the object in the air; 1.4 s simulated."""
 
 
 @pytest.fixture(scope="module")
@@ -418,7 +418,7 @@ def test_a_slow_load_is_borne_up_to_what_the_certificate_promises(
         made, controller=controller, physics=PhysicsOptions(mu=0.5, mu_torsion=0.0)
     )
     assert hold.close_and_squeeze() is None
-    for share in (*np.linspace(0.1, 0.7, 7), *np.linspace(0.72, 0.94, 12)):
+    for share in (*np.linspace(0.05, 0.7, 14), *np.linspace(0.72, 0.94, 12)):
         hold.push(share * promised)
         assert hold.hold_for(0.08) is None, f"lost at {share:.2f} of the promise"
     assert "slip" not in kinds(controller)

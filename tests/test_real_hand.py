@@ -105,7 +105,7 @@ def test_a_trial_through_the_interface_is_the_trial(plan: GraspPlan, controller:
 
 def test_a_trial_with_tendons_and_a_wrist_is_the_trial(with_tendons: GraspPlan) -> None:
     own = Trial(with_tendons, controller="feedforward", timeline=QUICK).run()
-    hand = simulated(with_tendons, "impedance")
+    hand = simulated(with_tendons, "feedforward")
     run_on(hand, with_tendons)
     assert_same(own, hand.report())
 

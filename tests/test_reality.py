@@ -48,7 +48,7 @@ from sim.simulation import Simulation
 from sim.trial import Trial, simulate
 
 DT = 0.002
-SHORT = Timeline.quick(approach=0.1, lift=0.25, hold=0.3)
+SHORT = Timeline.quick(approach=0.2, lift=0.3, hold=0.3)
 ERRORS = [name for name in Reality().numbers if name != "drift_time"]
 
 
@@ -426,9 +426,7 @@ def test_a_misplaced_contact_stays_on_the_ball_of_its_pad_and_normals_turn(plan:
     senses = RealSenses(reality, nothing(task), task)
     truth = seen(0.0, q=plan.q, normal_forces=np.ones(n), read_pads=lambda: pads)
     read = [senses.read(replace(truth, time=DT * k)).pads for k in range(4000)]
-    places, normals = (
-        np.array([getattr(p, name) for p in read]) for name in ("position", "normal")
-    )
+    places, normals = np.array([p.position for p in read]), np.array([p.normal for p in read])
     np.testing.assert_allclose(places - centers, radii * normals, atol=1e-12)
     np.testing.assert_allclose(np.array([p.force for p in read]), normals, atol=1e-12)
     moved = places - pads.position
