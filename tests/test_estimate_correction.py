@@ -134,6 +134,7 @@ def test_fingers_that_close_around_an_object_that_stands_do_not_move_it(held: Si
     assert abs(answered(held, "hold", sliding=0.0, rates=1.0) - went) > 0.1
 
 
+@pytest.mark.slow
 def test_a_camera_that_drifts_moves_no_object(plan: GraspPlan) -> None:
     """Five degrees and five millimetres of it: the loop that believed it turned the object."""
     drifting = Reality(
