@@ -57,7 +57,7 @@ from sim.learning.senses import (
     columns,
     servo_shift,
 )
-from sim.learning.training import POLICY, fit, read_episode, trained_network
+from sim.learning.training import POLICY, fit, read_episode, run_episode, trained_network
 from sim.manipulation import ManipulationReport, ManipulationRun
 from sim.scene.physics import PhysicsOptions
 from sim.sensing.reality import Reality, named_reality
@@ -498,11 +498,22 @@ def test_the_teacher_drives_less_from_round_to_round_and_not_in_the_last() -> No
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("brief_manipulations")
+@pytest.mark.usefixtures("plan", "brief_manipulations")
 def test_an_interrupted_training_ends_as_if_it_had_not_been(
-    plan: ManipulationPlan, folder: Path, tmp_path: Path
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Episodes of the same arguments are run once: that they are the same is tested elsewhere."""
     pytest.importorskip("sklearn")
+    made: dict[tuple[Any, ...], Any] = {}
+
+    def once(plans: Plans, number: int, *, policy: Policy | None, **asked: Any) -> Any:
+        weights = () if policy is None else tuple(w.tobytes() for w in policy.weights)
+        key = (number, weights, *sorted(asked.items()))
+        if key not in made:
+            made[key] = run_episode(plans, number, policy=policy, **asked)
+        return made[key]
+
+    monkeypatch.setattr("sim.learning.training.run_episode", once)
     at_once, in_two = tmp_path / "at-once", tmp_path / "in-two"
     (at_once / "plans").mkdir(parents=True)
     file = folder / "plan-0000.json"
@@ -529,6 +540,7 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(
     assert np.array_equal(both[0].senses, both[1].senses)
     assert (at_once / POLICY).stat().st_size < 2**20
     assert (at_once / "curves.png").stat().st_size > 1000
+    assert len(made) == 2  # the interruption has changed no argument
     told = whole.to_dict()
     assert [row["episodes"] for row in told["rounds"]] == [1, 1]
     with pytest.raises(FileFormatError, match=r"course.epochs is 1 there and 2 here"):
@@ -540,8 +552,6 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(
 @pytest.mark.slow
 @pytest.mark.usefixtures("plan", "brief_manipulations")
 def test_the_teacher_turns_it_under_lab_by_the_truth(folder: Path) -> None:
-    from sim.learning.training import run_episode
-
     episode = run_episode(Plans(TASK, folder), 0, count=1, policy=None, share=1.0, noise=0.0)
     assert episode.strict, episode.reason
     assert len(episode.senses) == len(episode.wanted) > 300
