@@ -208,7 +208,7 @@ def test_fingers_ease_off_where_one_must_push_alone(plan_of: PlanOf) -> None:
         push(trial, min(since / 0.9, 1.0) * onto_thumb)
 
     controller = ObjectImpedance(alone)
-    report = run(alone, controller, on_hold, timeline=replace(SHORT, hold=1.2))
+    report = run(alone, controller, on_hold, timeline=replace(SHORT, approach=0.3, hold=1.2))
     assert report.success, report.verdict.detail
     assert "gave up" not in kinds(controller)
     grip = alone.task.grip_force

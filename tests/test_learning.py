@@ -745,6 +745,7 @@ SHIPPED = TurnTask(  # with the errors that it was trained with: `lab` has had m
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("brief_manipulations")
 def test_the_shipped_policy_turns_where_the_open_loop_does_not() -> None:
     """A trial that neither plan nor conditions of the training have; angle as asked, and strict."""
     # planned for exact joints: with room for joints that are off the open loop gets there as well

@@ -39,7 +39,7 @@ def plan(line: str, folder: Path, attempts: int = ATTEMPTS) -> tuple[int, str]:
     ("line", "advice"),
     [
         ("box:0.1x0.06x0.012", "it lies 12 mm high"),
-        ("plate:0.07x0.02x0.003", "it lies 20 mm high"),
+        ("cylinder:0.04x0.015", "it lies 15 mm high"),
         ("lbracket:0.09x0.08x0.012x0.012", "it lies 12 mm high"),
     ],
 )

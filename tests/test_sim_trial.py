@@ -32,7 +32,7 @@ from sim.simulation import Simulation
 from sim.trial import Trial, TrialOptions, simulate
 from sim.verdict import Thresholds
 
-QUICK = Timeline(approach=0.2, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.3, hold=0.2)
+QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4, hold=0.2)
 
 
 @pytest.fixture(scope="module")
