@@ -20,7 +20,7 @@ from sim.sensing.reality import REALITIES, Reality
 from sim.simulation import Simulation
 from sim.trial import simulate
 
-SHORT = Timeline.quick(approach=0.2, lift=0.3, hold=0.2)
+SHORT = Timeline.quick(hold=0.3)
 
 
 @pytest.fixture(scope="module")
