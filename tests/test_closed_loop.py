@@ -38,7 +38,7 @@ from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 
 SHORT = Timeline(
-    approach=0.2,
+    approach=0.3,
     close=0.25,
     close_wait=0.2,
     squeeze=0.25,
@@ -47,7 +47,7 @@ SHORT = Timeline(
     hold=0.6,
     lift_height=0.01,
 )
-"""Long enough to hold the object in the air; 1.5 s simulated."""
+"""Long enough to hold the object in the air; 1.6 s simulated."""
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +208,7 @@ def test_fingers_ease_off_where_one_must_push_alone(plan_of: PlanOf) -> None:
         push(trial, min(since / 0.9, 1.0) * onto_thumb)
 
     controller = ObjectImpedance(alone)
-    report = run(alone, controller, on_hold, timeline=replace(SHORT, approach=0.3, hold=1.2))
+    report = run(alone, controller, on_hold, timeline=replace(SHORT, hold=1.2))
     assert report.success, report.verdict.detail
     assert "gave up" not in kinds(controller)
     grip = alone.task.grip_force

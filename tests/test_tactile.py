@@ -475,9 +475,7 @@ def test_effort_and_binary_say_that_all_fingers_touch_and_roughly_where(plan: Gr
 def test_every_controller_holds_with_every_sense(
     plan: GraspPlan, touch: str, controller: str
 ) -> None:
-    brief = Timeline.quick(approach=0.2, lift=0.3, hold=0.3)
-    felt = Reality(name="t", touch=touch)
-    report = simulate(plan, controller=controller, reality=felt, timeline=brief)
+    report = simulate(plan, controller=controller, reality=Reality(name="t", touch=touch))
     assert report.success, report.verdict
     assert report.reality is not None and report.reality["touch"] == touch
 
