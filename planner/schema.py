@@ -28,10 +28,23 @@ class StrictData(BaseModel):
     def _bounded(self) -> Self:
         """Refuse the first number beyond the bound, in fields of any type, by its place."""
         for name in type(self).model_fields:
-            for place, value in _beyond(getattr(self, name), name):
+            field = getattr(self, name)
+            if not _within(field):
+                place, value = next(_beyond(field, name))
                 largest = LARGEST_FLOAT if isinstance(value, float) else LARGEST_INT
                 raise ValueError(f"{place} is {shown(value)}; numbers up to {largest:g} are read")
         return self
+
+
+def _within(value: Any) -> bool:
+    """Whether ``_beyond`` finds nothing: a report holds 50,000 numbers, and no place is named."""
+    if isinstance(value, float):
+        return abs(value) <= LARGEST_FLOAT
+    if isinstance(value, int):
+        return abs(value) <= LARGEST_INT
+    if isinstance(value, list | tuple):
+        return all(map(_within, value))
+    return not isinstance(value, dict) or all(map(_within, value.values()))
 
 
 def _beyond(value: Any, place: str) -> Iterator[tuple[str, float]]:

@@ -254,3 +254,14 @@ def brief_postures(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setattr(postures, "STARTS", 1)
         patch.setenv(CACHE_VARIABLE, str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture
+def brief_manipulations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Manipulations take short phases unless they name others: those of commands and trainings."""
+    from manipulations import QUICK  # here: most modules have no use for what it imports
+
+    from sim.manipulation import ManipulationTimeline
+
+    monkeypatch.setattr(ManipulationTimeline.__init__, "__kwdefaults__", asdict(QUICK))
+    assert ManipulationTimeline() == QUICK

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,13 +13,13 @@ import pinocchio as pin
 
 from planner.hands.hand import Hand
 from planner.motion import MotionPlan
-from planner.motion.manipulation import manipulation_task
+from planner.motion.manipulation import ManipulationPlan, manipulation_task, plan_manipulation
 from planner.objects import parse_object
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Target
 from sim.controllers.follow import MotionReference
-from sim.manipulation import ManipulationReport, ManipulationTimeline
+from sim.manipulation import ManipulationReport, ManipulationTimeline, manipulate
 
 UP = np.array([0.0, 0.0, 1.0])
 DT = 0.002
@@ -47,6 +49,19 @@ def task_of(
 ) -> GraspTask:
     """The task of manipulating an object."""
     return manipulation_task(hand, parse_object(spec, mass=mass), mu=mu, fingers=fingers)
+
+
+@cache
+def turned_cylinder() -> ManipulationPlan:
+    """A turn of a cylinder by 25 degrees in one stroke; planned once. Change none of its arrays."""
+    task = task_of("cylinder:0.03x0.08", mass=0.1)
+    return plan_manipulation(task, angle=math.radians(25.0), place=(0.04, -0.02))
+
+
+@cache
+def turned_cylinder_report() -> ManipulationReport:
+    """What comes of it, in short phases; executed once. Change none of its arrays."""
+    return manipulate(turned_cylinder(), timeline=QUICK)
 
 
 def first_in_palm(motion: MotionPlan) -> SE3:

@@ -350,7 +350,7 @@ def test_rates_are_the_derivative_of_the_motion(plan: GraspPlan) -> None:
 
 
 def test_the_arm_holds_the_object_up(plan: GraspPlan) -> None:
-    trial = Trial(plan)
+    trial = Trial(plan, timeline=Timeline.quick(hold=0.3))
     report = trial.run()
     assert report.success, report.verdict.detail
     assert report.carried_by == "arm"

@@ -124,22 +124,33 @@ def test_soft_contacts_hold_and_their_moments_are_commanded(
         return commands(self, *args, **options)
 
     monkeypatch.setattr(HoldingTorques, "commands", noted)
-    assert run(plan, controller).success
+    assert run(plan, controller, timeline=replace(SHORT, hold=0.3)).success
     assert np.abs(controller.forces[:, 3]).max() > 1e-6  # N m: they bear a part
     np.testing.assert_array_equal(moments[-1], controller.forces[:, 3])
 
 
-def test_a_cost_of_ones_own_shapes_the_forces(plan: GraspPlan) -> None:
+@pytest.fixture(scope="module")
+def plain(plan: GraspPlan) -> tuple[ObjectImpedance, TrialReport]:
+    """A controller without any changes, and its trial; only looked at."""
+    controller = ObjectImpedance(plan)
+    return controller, run(plan, controller, timeline=replace(SHORT, hold=0.3))
+
+
+@pytest.mark.slow
+def test_a_cost_of_ones_own_shapes_the_forces(
+    plan: GraspPlan, plain: tuple[ObjectImpedance, TrialReport]
+) -> None:
     """The first finger is to press with 4 N; without the cost it presses as the rest do."""
     row = np.zeros((1, 3 * len(plan.contacts)))
     row[0, 0] = 1.0
     wanted = QuadraticCost.of_residual(row, [4.0], weight=1e3, name="first finger")
-    plain, own = ObjectImpedance(plan), ObjectImpedance(plan, costs=[wanted])
-    assert run(plan, plain).success and run(plan, own).success
+    own = ObjectImpedance(plan, costs=[wanted])
+    assert plain[1].success and run(plan, own, timeline=replace(SHORT, hold=0.3)).success
     assert own.forces[0, 0] == pytest.approx(4.0, abs=0.05)
-    assert plain.forces[0, 0] < 3.5
+    assert plain[0].forces[0, 0] < 3.5
 
 
+@pytest.mark.slow
 def test_a_push_deflects_the_object_by_push_over_stiffness(plan: GraspPlan) -> None:
     stiffness, force = 1500.0, 2.0
     gains = ImpedanceGains(
@@ -186,9 +197,10 @@ def test_it_holds_against_what_breaks_the_open_loop(plan: GraspPlan) -> None:
     assert closed_loop.largest_slip[0] < 2.0
 
 
-def test_fingers_ease_off_where_one_must_push_alone() -> None:
+@pytest.mark.slow
+def test_fingers_ease_off_where_one_must_push_alone(plan_of: PlanOf) -> None:
     """The thumb stands alone against three: what they press takes from what it can give."""
-    alone = plan_grasp(GraspTask.create("allegro_hand", "box"), seed=2)
+    alone = plan_of("allegro_hand", "box", seed=2)
     k = alone.task.finger_names.index("thumb")
     onto_thumb = -8.0 * alone.contacts.normals[k]
 
@@ -206,9 +218,10 @@ def test_fingers_ease_off_where_one_must_push_alone() -> None:
 
 
 @pytest.mark.slow
-def test_no_delay_and_no_noise_are_the_same_as_none(plan: GraspPlan) -> None:
-    short = replace(SHORT, hold=0.1)
-    exact = run(plan, ObjectImpedance(plan), timeline=short)
+def test_no_delay_and_no_noise_are_the_same_as_none(
+    plan: GraspPlan, plain: tuple[ObjectImpedance, TrialReport]
+) -> None:
+    short, exact = replace(SHORT, hold=0.3), plain[1]
     nothing = Reality(pose_noise=0.0, turn_noise=0.0, pose_delay=0.0, seed=3)
     same = run(plan, ObjectImpedance(plan), timeline=short, reality=nothing)
     late = run(plan, ObjectImpedance(plan), timeline=short, reality=Reality(pose_delay=0.01))
@@ -217,6 +230,7 @@ def test_no_delay_and_no_noise_are_the_same_as_none(plan: GraspPlan) -> None:
     assert np.abs(exact.samples.normal_force - late.samples.normal_force).max() > 1e-6
 
 
+@pytest.mark.slow
 def test_it_holds_with_noise_and_delay(plan: GraspPlan) -> None:
     noisy = Reality(
         pose_noise=3e-4, turn_noise=3e-3, pose_delay=0.01, touch_noise=0.02, sliding_noise=0.002
@@ -227,6 +241,7 @@ def test_it_holds_with_noise_and_delay(plan: GraspPlan) -> None:
     assert "gave up" not in kinds(controller)
 
 
+@pytest.mark.slow
 def test_a_finger_leaves_and_comes_back(plan: GraspPlan) -> None:
     controller = ObjectImpedance(plan)
     forces: dict[str, list[float]] = {"away": [], "back": []}
@@ -253,6 +268,7 @@ def test_a_finger_leaves_and_comes_back(plan: GraspPlan) -> None:
         controller.leave("litle")
 
 
+@pytest.mark.slow
 def test_a_finger_with_tendons_that_leaves_asks_nothing_of_the_others() -> None:
     # its own weight is not what its tendons can hold exactly; that is no reason to give up forces.
     # without rounds, which work on the grasp of all fingers: the others alone may hold worse after
@@ -364,6 +380,7 @@ def test_what_slips_taught_is_forgotten_where_fingers_hold_elsewhere(plan: Grasp
     assert "grip x 1.30" in after[0].detail  # the first step of the grip again
 
 
+@pytest.mark.slow
 def test_what_cannot_be_held_is_said(plan: GraspPlan) -> None:
     controller = ObjectImpedance(plan)
     begun: list[float] = []
@@ -393,17 +410,24 @@ def test_beliefs_must_make_sense(plan: GraspPlan) -> None:
         ObjectImpedance(plan, mu=-1)
 
 
+@pytest.fixture(scope="module")
+def of_ellipsoid() -> GraspPlan:
+    """Of the search alone, whose contacts the certificate is about."""
+    task = GraspTask.create("allegro_hand", "ellipsoid")
+    return plan_grasp(task, options=SynthesisOptions(rounds=0))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["force", "torque"])
-def test_a_slow_load_is_borne_up_to_what_the_certificate_promises(kind: Disturbance) -> None:
+def test_a_slow_load_is_borne_up_to_what_the_certificate_promises(
+    of_ellipsoid: GraspPlan, kind: Disturbance
+) -> None:
     """With the friction and the contacts of the certificate: mu 0.5, no torsion.
 
     The direction is that of the least load that breaks the grasp. No pad slips on the way: where
     one did, the contacts would no longer be those of the certificate.
     """
-    made = plan_grasp(
-        GraspTask.create("allegro_hand", "ellipsoid"), options=SynthesisOptions(rounds=0)
-    )
-    controller = ObjectImpedance(made)
+    made, controller = of_ellipsoid, ObjectImpedance(of_ellipsoid)
     breaking = smallest_breaking(
         made.forces.problem, kind, length=made.task.object.shape.bounding_radius
     )

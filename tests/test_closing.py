@@ -188,7 +188,7 @@ def test_a_search_does_not_run_into_a_neighbour() -> None:
     directions, ahead = search_directions(plan), EARLY
     tried = []
     for i, finger in enumerate(fingers):
-        for turn in np.deg2rad(np.linspace(-15.0, 15.0, 61)):
+        for turn in np.deg2rad(np.linspace(-15.0, 15.0, 31)):
             lean = plan.q.copy()
             lean[finger.q_index[0]] += turn
             further = lean.copy()

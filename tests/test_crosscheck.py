@@ -278,7 +278,7 @@ def spoil(spec: Any, kind: str, rng: np.random.Generator) -> tuple[str, str]:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_every_seeded_fault_is_found_and_named(name: str) -> None:
     path = models_dir() / "hands" / name / f"{name}.xml"
-    for seed in range(20):
+    for seed in range(10):
         spec = mujoco.MjSpec.from_file(str(path))
         expected = spoil(spec, FAULTS[seed % 5], np.random.default_rng(seed))
         report = compare_models(path, spec, n_configurations=1)

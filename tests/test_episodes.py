@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import math
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,14 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from manipulations import QUICK as QUICK_TURN
-from manipulations import task_of
+from conftest import PlanOf
+from manipulations import turned_cylinder_report
 
 from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError
 from planner.hands.hand import Hand
-from planner.motion.manipulation import plan_manipulation
-from planner.search.grasp import plan_grasp
-from planner.task import GraspTask
 from sim.datasets.episodes import (
     FORMATS,
     Asked,
@@ -33,7 +29,7 @@ from sim.datasets.episodes import (
 from sim.datasets.episodes.episode import frames_at, rates_of
 from sim.datasets.episodes.film import draw_episode, sampled_frames
 from sim.datasets.episodes.lerobot import VIDEO_KEY
-from sim.manipulation import ManipulationReport, manipulate
+from sim.manipulation import ManipulationReport
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.recording import PALM
 from sim.report import TrialReport
@@ -55,8 +51,8 @@ def stop_early(simulation: Simulation) -> None:
 
 
 @pytest.fixture(scope="module")
-def held(allegro: Hand) -> TrialReport:
-    report = simulate(plan_grasp(GraspTask.create(allegro, "box")), timeline=QUICK)
+def held(plan_of: PlanOf) -> TrialReport:
+    report = simulate(plan_of("allegro_hand", "box"), timeline=QUICK)
     assert report.success
     return report
 
@@ -69,9 +65,8 @@ def failed(held: TrialReport) -> TrialReport:
 
 
 @pytest.fixture(scope="module")
-def turned(allegro: Hand) -> ManipulationReport:
-    task = task_of("cylinder:0.03x0.08", allegro, mass=0.1)
-    return manipulate(plan_manipulation(task, angle=math.radians(20.0)), timeline=QUICK_TURN)
+def turned() -> ManipulationReport:
+    return turned_cylinder_report()
 
 
 def with_states(report: TrialReport, **changed: Any) -> TrialReport:
@@ -152,7 +147,7 @@ def test_units_follow_from_joints_and_servos(allegro: Hand) -> None:
 def test_a_turn_is_an_episode_with_its_own_sentence(turned: ManipulationReport) -> None:
     (episode,) = episodes_of(turned)
     assert episode.sentence == (
-        "pick up the cylinder with allegro_hand, turn it by 20 degrees in the hand and put it down"
+        "pick up the cylinder with allegro_hand, turn it by 25 degrees in the hand and put it down"
     )
     assert episode.kind == "manipulation" and episode.success == turned.success
     file = ManipulationReportFile.model_validate(turned.to_dict())

@@ -18,13 +18,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import PlanOf
 
-from planner.hands.hand import Hand
-from planner.search.grasp import plan_grasp
-from planner.task import GraspTask
 from sim.datasets.episodes import Episode, episodes_of, write_lerobot
 from sim.datasets.episodes.lerobot import VIDEO_KEY, frames_of
 from sim.report import TrialReport
+from sim.scene.carrier import Timeline
 from sim.trial import simulate
 
 pytestmark = pytest.mark.slow
@@ -103,9 +102,9 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def reports(allegro: Hand) -> list[TrialReport]:
-    specs = ("box", "sphere")
-    return [simulate(plan_grasp(GraspTask.create(allegro, spec))) for spec in specs]
+def reports(plan_of: PlanOf) -> list[TrialReport]:
+    brief = Timeline.quick(lift=0.3, hold=0.2)
+    return [simulate(plan_of("allegro_hand", spec), timeline=brief) for spec in ("box", "sphere")]
 
 
 @pytest.fixture(scope="module")

@@ -23,10 +23,14 @@ from sim.cli.search import PlanOptions
 RUN = CliRunner()
 
 
-def plan(line: str, folder: Path) -> tuple[int, str]:
+FEW = 3
+"""Attempts where none succeeds, however many there are."""
+
+
+def plan(line: str, folder: Path, attempts: int = ATTEMPTS) -> tuple[int, str]:
     """Exit code of ``plan`` with the Allegro-type hand, and what it says."""
     arguments = ["plan", "allegro_hand", *shlex.split(line), "-o", str(folder / "plan.json")]
-    done = RUN.invoke(app, [*arguments, "--max-attempts", str(ATTEMPTS)])
+    done = RUN.invoke(app, [*arguments, "--max-attempts", str(attempts)])
     return done.exit_code, " ".join(done.stderr.split())
 
 
@@ -36,7 +40,6 @@ def plan(line: str, folder: Path) -> tuple[int, str]:
     [
         ("box:0.1x0.06x0.012", "it lies 12 mm high"),
         ("cylinder:0.04x0.015", "it lies 15 mm high"),
-        ("hammer:0.08x0.015x0.006", "it lies 1. mm high"),
         ("lbracket:0.09x0.08x0.012x0.012", "it lies 12 mm high"),
     ],
 )
@@ -53,6 +56,7 @@ def test_a_low_object_is_told_what_would_do_and_it_does(
     assert plan(f"{line} {found[0]}", tmp_path) == (0, "")
 
 
+@pytest.mark.slow
 def test_what_is_to_be_turned_is_told_its_stand() -> None:
     line = ["manipulate", "allegro_hand", "cylinder:0.04x0.015", "--max-attempts", "4"]
     done = RUN.invoke(app, line)
@@ -85,24 +89,26 @@ def test_the_place_and_the_table_are_kept() -> None:
     assert not any("table" in text for text in seen)
 
 
+@pytest.mark.slow
 def test_nothing_is_advised_where_height_is_not_what_is_missing(tmp_path: Path) -> None:
-    code, said = plan("box --mass 15", tmp_path)
+    code, said = plan("box --mass 15", tmp_path, FEW)
     assert code == 4
     assert "--pose" not in said
     thick = 2 * max(f.pad.radius for f in GraspTask.create("allegro_hand", "box").fingers)
     assert LOW * thick < 0.08
 
 
+@pytest.mark.slow
 def test_what_nothing_helps_is_told_as_before(tmp_path: Path) -> None:
-    code, said = plan("box:0.1x0.06x0.012 --mass 15", tmp_path)
+    code, said = plan("box:0.1x0.06x0.012 --mass 15", tmp_path, FEW)
     assert code == 4
     assert "--pose" not in said
     assert "--stand" not in said
-    assert f"in {ATTEMPTS} attempts: {ATTEMPTS} x" in said
+    assert f"in {FEW} attempts: {FEW} x" in said
 
 
 def test_an_object_whose_pose_was_given_is_not_stood_otherwise(tmp_path: Path) -> None:
-    code, said = plan("box:0.1x0.06x0.012 --at 0,0,0.006,0,0,0", tmp_path)
+    code, said = plan("box:0.1x0.06x0.012 --at 0,0,0.006,0,0,0", tmp_path, FEW)
     assert code == 4
     assert "--pose" not in said
 
@@ -110,6 +116,7 @@ def test_an_object_whose_pose_was_given_is_not_stood_otherwise(tmp_path: Path) -
 # other failures
 
 
+@pytest.mark.slow
 def test_a_cause_is_told_in_words_with_the_nearest_size_that_does(tmp_path: Path) -> None:
     line = ["plan", "shadow_hand", "box:0.11x0.11x0.11", "--max-attempts", "8"]
     done = RUN.invoke(app, [*line, "-o", str(tmp_path / "plan.json")])

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from manipulations import QUICK, phases_of, task_of
+from manipulations import QUICK, phases_of, task_of, turned_cylinder, turned_cylinder_report
 from pydantic import ValidationError
 from star_hand import write_star_hand
 from typer.testing import CliRunner
@@ -40,7 +40,7 @@ from planner.motion.plan import MovementPlan
 from planner.pages.page import Page
 from planner.plan import JointTrajectory
 from sim.cli import app
-from sim.manipulation import ManipulationReport, manipulate, read_manipulation_report
+from sim.manipulation import ManipulationReport, read_manipulation_report
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.simulation import ManipulationOptions
 from sim.manipulation.timeline import ManipulationTimeline, SuccessCriteria
@@ -50,8 +50,7 @@ from sim.show.targets import Target, ViewOptions, recognise
 @pytest.fixture(scope="module")
 def turn() -> ManipulationPlan:
     """A turn of a cylinder, in one stroke."""
-    task = task_of("cylinder:0.03x0.08", mass=0.1)
-    return plan_manipulation(task, angle=math.radians(25.0), place=(0.04, -0.02))
+    return turned_cylinder()
 
 
 @pytest.fixture(scope="module")
@@ -78,8 +77,8 @@ def plan(request: pytest.FixtureRequest) -> ManipulationPlan:
 
 
 @pytest.fixture(scope="module")
-def report(turn: ManipulationPlan) -> ManipulationReport:
-    return manipulate(turn, timeline=QUICK)
+def report() -> ManipulationReport:
+    return turned_cylinder_report()
 
 
 # --- files -------------------------------------------------------------------------------------
@@ -347,8 +346,22 @@ def command(*arguments: str | Path) -> Any:
     return CliRunner().invoke(app, ["manipulate", *map(str, arguments)])
 
 
+@pytest.fixture
+def executed(report: ManipulationReport, monkeypatch: pytest.MonkeyPatch) -> list[ManipulationPlan]:
+    """What commands would execute; that it goes as a plan says is tested elsewhere."""
+    plans: list[ManipulationPlan] = []
+
+    def execute(plan: ManipulationPlan, *_: object, **__: object) -> ManipulationReport:
+        plans.append(plan)
+        return report
+
+    monkeypatch.setattr("sim.manipulation.manipulate", execute)
+    return plans
+
+
 @pytest.mark.slow
-def test_the_command_writes_a_plan_and_executes_it_again(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("brief_manipulations")
+def test_the_command_writes_a_plan_executes_it_and_says_what_came_of_it(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     done = command("allegro_hand", "cylinder", "--rotate", "20", "--out", folder)
     assert done.exit_code == 0, done.output
@@ -356,22 +369,37 @@ def test_the_command_writes_a_plan_and_executes_it_again(tmp_path: Path) -> None
     assert written >= {"manipulation.json", "trajectory.csv", "report.json"}
     first = read_manipulation_report(folder / "report.json")
     assert first.success_with_closure and first.asked_deg == pytest.approx(20.0)
-    again = command("--plan", folder / "manipulation.json", "--json")
-    assert again.exit_code == 0, again.output
-    told = json.loads(again.stdout)
-    assert told["format"] == "opposable-manipulation-report"
-    assert told["numbers"]["turned_deg"] == pytest.approx(first.numbers["turned_deg"], abs=0.1)
+    assert math.degrees(read_manipulation(folder / "manipulation.json").angle) == pytest.approx(
+        20.0
+    )
+
+
+def test_the_command_executes_the_plan_of_a_file(
+    turn: ManipulationPlan, executed: list[ManipulationPlan], tmp_path: Path
+) -> None:
+    write_manipulation(turn, tmp_path / "manipulation.json")
+    done = command("--plan", tmp_path / "manipulation.json", "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["format"] == "opposable-manipulation-report"
+    assert str(executed[0]) == str(turn)
 
 
 def test_the_command_executes_motions_and_gaits_too(
-    turn: ManipulationPlan, strokes: ManipulationPlan, tmp_path: Path
+    turn: ManipulationPlan,
+    strokes: ManipulationPlan,
+    executed: list[ManipulationPlan],
+    tmp_path: Path,
 ) -> None:
     write_motion(turn.motion, tmp_path / "motion.json")
     done = command("--plan", tmp_path / "motion.json", "--place", "0.05,0")
     assert "turned" in done.output and "complete;" in done.output, done.output
     write_gait(without_ending(strokes), tmp_path / "gait.json")
-    done = command("--plan", tmp_path / "gait.json")
-    assert "regrasp finger1" in done.output and "complete;" in done.output, done.output
+    assert command("--plan", tmp_path / "gait.json").exit_code == 0
+    moved, regrasped = executed
+    assert moved.cycles == 1 and moved.angle == pytest.approx(turn.motion.path.angle)
+    assert moved.ending.T_world_target.translation[:2] == pytest.approx([0.05, 0.0])
+    assert regrasped.order == strokes.order
+    assert regrasped.angle == pytest.approx(strokes.planned_angle)
 
 
 @pytest.mark.parametrize(

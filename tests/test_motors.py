@@ -20,6 +20,7 @@ from planner.spatial import FloatArray
 from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.controllers import ObjectImpedance
+from sim.scene.carrier import Timeline
 from sim.trial import simulate
 
 HANDS = models_dir() / "hands"
@@ -197,7 +198,8 @@ def test_it_grasps_and_holds() -> None:
     # the thumb's middle joint is against its stop here
     task = GraspTask.create("shadow_hand_torque", "cylinder:0.03x0.08")
     plan = plan_grasp(task, seed=0)
-    report = simulate(plan, controller=ObjectImpedance(plan))
+    brief = Timeline.quick(approach=0.2, lift=0.3, hold=0.3)
+    report = simulate(plan, controller=ObjectImpedance(plan), timeline=brief)
     assert report.success, report.reason
     assert not [e for e in report.events if e.kind in ("infeasible", "gave up")]
 

@@ -25,6 +25,7 @@ from sim.creep import contact_drag, impedance, least_creep, predicted_creep, rem
 from sim.protocols.creep import measure_creep, sized_remedies
 from sim.protocols.run import physics_of
 from sim.scene.build import OBJECT, build_scene
+from sim.scene.carrier import Timeline
 from sim.scene.physics import CONES, INTEGRATORS, PRESETS, PhysicsOptions, named_physics
 from sim.trial import simulate
 
@@ -368,7 +369,7 @@ def test_under_the_defaults_a_grasp_is_lost_and_every_remedy_holds_it(grasped: G
     scene = scene_of(grasped, SOFT)
     names = grasped.task.finger_names
     for change in remedies(SOFT, lambda p: least_creep(scene, names, p), 1e-4):
-        held = simulate(grasped, physics=change.physics)
+        held = simulate(grasped, physics=change.physics, timeline=Timeline.quick())
         assert held.success, change.what
         assert held.largest_slip[0] < 2.0
         assert held.remedies == ()
@@ -434,6 +435,7 @@ def test_creep_of_a_plan_is_measured_and_a_lost_object_told(grasped: GraspPlan) 
     assert slippery.lost
 
 
+@pytest.mark.slow
 def test_changes_are_made_large_enough_for_what_is_measured(grasped: GraspPlan) -> None:
     """Fingers that press on each other add to the formula; the budget is between the two speeds."""
     scene = PRESETS["menagerie"]

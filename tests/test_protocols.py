@@ -210,6 +210,7 @@ def test_the_bound_is_what_the_strongest_press_would_bear(pinched: GraspPlan) ->
     assert across.upper == pytest.approx(STRONGEST, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_simulation_never_bears_more_than_is_proven(grasped: GraspPlan) -> None:
     coarse = Settings(growth=1.5)
     for name in ("force +z", "torque -x", "wrench 7"):
@@ -323,6 +324,7 @@ def test_a_shaker_is_at_rest_at_both_ends_and_reaches_its_amplitude(pinched: Gra
     assert np.abs(speed).max() == pytest.approx(2 * np.pi * 5.0 * 0.01, rel=0.01)
 
 
+@pytest.mark.slow
 def test_shaking_reaches_what_was_asked_and_breaks_what_it_must(pinched: GraspPlan) -> None:
     gentle = Settings(shake_mm=5.0, shake_s=1.0)
     outcome = ShakeCase(index=1, settings=gentle).run(pinched, under())
@@ -370,6 +372,7 @@ def test_the_grid_is_the_whole_grid() -> None:
     assert {(c.shift_mm, c.turn_deg) for c in cases} == {(0.0, 0.0), (2.5, 2.5), (5.0, 5.0)}
 
 
+@pytest.mark.slow
 def test_the_controller_does_not_know_what_differs(grasped: GraspPlan) -> None:
     known: list[GraspPlan] = []
 
@@ -644,6 +647,7 @@ def test_without_bounds_loads_are_told_without_a_share(pinched: GraspPlan) -> No
     assert "certificate" not in told
 
 
+@pytest.mark.slow
 def test_a_report_prints_as_a_screen(pinched: GraspPlan) -> None:
     """With every trial of the longest protocol on it."""
     coarse = Settings(random=0, growth=4.0, step_s=0.1, hold_s=0.1)

@@ -156,6 +156,7 @@ def test_the_gate_measures_the_closure_that_was_planned_for_the_others(
         assert abs(margin_without(move.before, plan.task, "nobody") - margin) > 0.02
 
 
+@pytest.mark.slow
 def test_lifts_are_refused_while_the_others_do_not_close(
     plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from conftest import hand_of_others
+from conftest import PlanOf, hand_of_others
 
 from planner.errors import FileFormatError, TaskError
 from planner.exchange.formats import Writing, format_named
@@ -35,9 +35,8 @@ SCENES = (("allegro_hand", "ellipsoid"), ("shadow_hand", "box"), ("allegro_hand"
 
 
 @pytest.fixture(scope="module", params=SCENES, ids="-".join)
-def plan(request: pytest.FixtureRequest) -> GraspPlan:
-    hand, item = request.param
-    return plan_grasp(GraspTask.create(hand, item))
+def plan(request: pytest.FixtureRequest, plan_of: PlanOf) -> GraspPlan:
+    return plan_of(*request.param)
 
 
 @pytest.fixture(scope="module")
@@ -72,9 +71,9 @@ def run_check(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder.parent)
 
 
-def test_the_check_of_a_folder_without_a_scene_is_one_line(folder: Path, tmp_path: Path) -> None:
+def test_the_check_of_a_folder_without_a_scene_is_one_line(tmp_path: Path) -> None:
     for words in ([str(tmp_path)], ["a", "b"]):
-        command = [sys.executable, "-I", str(folder / "check.py"), *words]
+        command = [sys.executable, "-I", check.__file__, *words]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 2
         assert done.stderr.startswith("usage: python check.py [FOLDER]")
@@ -244,9 +243,9 @@ def test_without_the_squeeze_the_object_is_lost(folder: Path, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["gymnasium-robotics:shadow", "example-robot-data:allegro_right"])
-def test_hands_of_others_hold_their_object(name: str, tmp_path: Path) -> None:
-    """Links of the second overlap its palm: a base that stands fixed must not push them away."""
+def test_a_hand_of_others_holds_its_object(tmp_path: Path) -> None:
+    """Links of it overlap its palm: a base that stands fixed must not push them away."""
+    name = "example-robot-data:allegro_right"
     hand_of_others(name)
     export_scene(plan_grasp(GraspTask.create(name, "sphere")), tmp_path / "scene")
     done = run_check(tmp_path / "scene")
@@ -316,8 +315,10 @@ def test_the_urdf_moves_and_weighs_like_the_model(plan: GraspPlan, folder: Path)
     assert mass is not None and float(mass.attrib["value"]) == plan.task.object.mass
 
 
-def test_an_ellipsoid_becomes_a_mesh_of_its_size_in_the_urdf(tmp_path: Path) -> None:
-    plan = plan_grasp(GraspTask.create("allegro_hand", "ellipsoid"))
+def test_an_ellipsoid_becomes_a_mesh_of_its_size_in_the_urdf(
+    plan_of: PlanOf, tmp_path: Path
+) -> None:
+    plan = plan_of("allegro_hand", "ellipsoid")
     export_scene(plan, tmp_path / "scene")
     link = ET.parse(tmp_path / "scene" / "object.urdf").getroot().find("link/collision/geometry/*")
     assert link is not None and link.tag == "mesh"
@@ -328,15 +329,17 @@ def test_an_ellipsoid_becomes_a_mesh_of_its_size_in_the_urdf(tmp_path: Path) -> 
 # --- what is refused ------------------------------------------------------------------------------
 
 
-def test_a_hand_of_motors_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
-    plan = plan_grasp(GraspTask.create("shadow_hand_torque", "sphere"))
+def test_a_hand_of_motors_is_refused_and_nothing_is_written(
+    plan_of: PlanOf, tmp_path: Path
+) -> None:
+    plan = plan_of("shadow_hand_torque", "sphere")
     with pytest.raises(TaskError, match="are no position servos; an exported scene is held by"):
         export_scene(plan, tmp_path / "scene")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_of_something_else_is_kept(tmp_path: Path) -> None:
-    plan = plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+def test_a_folder_of_something_else_is_kept(plan_of: PlanOf, tmp_path: Path) -> None:
+    plan = plan_of("allegro_hand", "sphere")
     taken = tmp_path / "taken"
     taken.mkdir()
     (taken / "letter.txt").write_text("dear")
@@ -357,9 +360,11 @@ def test_a_folder_of_something_else_is_kept(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "taken"]
 
 
-def test_the_format_is_registered_and_writes_a_folder_for_each_plan(tmp_path: Path) -> None:
+def test_the_format_is_registered_and_writes_a_folder_for_each_plan(
+    plan_of: PlanOf, tmp_path: Path
+) -> None:
     assert format_named("mjcf-scene") is MJCF_SCENE
-    plan = plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+    plan = plan_of("allegro_hand", "sphere")
     assert MJCF_SCENE.write is not None
     files = MJCF_SCENE.write([plan], tmp_path / "one", Writing())
     assert tmp_path / "one" / "scene.xml" in files
@@ -367,7 +372,7 @@ def test_the_format_is_registered_and_writes_a_folder_for_each_plan(tmp_path: Pa
     assert {path.parts[len(tmp_path.parts) + 1] for path in files} == {"000", "001"}
     with pytest.raises(FileFormatError, match="exists already"):
         MJCF_SCENE.write([plan, plan], tmp_path / "two", Writing())
-    weak = plan_grasp(GraspTask.create("shadow_hand_torque", "sphere"))
+    weak = plan_of("shadow_hand_torque", "sphere")
     with pytest.raises(TaskError):
         MJCF_SCENE.write([plan, weak], tmp_path / "three", Writing())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]  # whole or not at all

@@ -320,6 +320,7 @@ def test_it_is_run_by_its_name_alone() -> None:
     assert "are no position servos; use the protocol forces" in unsuitable("drake", of_motors)
 
 
+@pytest.mark.slow
 def test_the_benchmark_counts_both_engines() -> None:
     need_drake()
     from benching import run_bench

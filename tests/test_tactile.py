@@ -431,7 +431,7 @@ def run(simulation: Simulation, **seconds: float) -> None:
 def held(plan: GraspPlan, touch: str, seconds: float = 0.3) -> tuple[Observation, Observation]:
     """What a sense says while the object is held, and the truth, at the end."""
     simulation = Simulation(plan, reality=Reality(name="touch", touch=touch, seed=3))
-    run(simulation, approach=0.8, close=1.0, squeeze=0.4, settle=seconds)
+    run(simulation, approach=0.3, close=0.6, squeeze=0.4, settle=seconds)
     truth = simulation.observe("settle", 1.0)
     return simulation.sensed(truth), truth
 
@@ -491,7 +491,7 @@ def touches_in_the_air(plan: GraspPlan, reality: Reality, told: bool = True) -> 
         )
         real._touch = make_sense("effort", context)
     count = 0
-    for phase, seconds in (("approach", 0.8), ("close", 0.4)):
+    for phase, seconds in (("approach", 0.4), ("close", 0.4)):
         for _ in simulation.run(phase, seconds):  # type: ignore[arg-type]
             truth = simulation.observe(phase, 0.0)  # type: ignore[arg-type]
             if not truth.normal_forces.any():
@@ -510,7 +510,7 @@ def test_the_friction_of_joints_is_no_touch_for_effort(plan: GraspPlan) -> None:
 def test_the_exact_sense_changes_nothing(plan: GraspPlan) -> None:
     assert Reality(name="t", touch="exact").ideal
     ideal, same = (
-        simulate(plan, reality=reality, timeline=Timeline.quick())
+        simulate(plan, reality=reality, timeline=Timeline.quick(lift=0.2, hold=0.2))
         for reality in (None, Reality(name="t", touch="exact"))
     )
     assert (ideal.samples.normal_force == same.samples.normal_force).all()
@@ -537,7 +537,7 @@ def test_an_unknown_sense_is_refused_with_those_there_are() -> None:
 def test_a_reading_of_four_pads_calls_few_functions(plan: GraspPlan) -> None:
     """``python -m benchmarks touch`` times it, in microseconds per step of the simulation."""
     simulation = Simulation(plan, reality=Reality(name="t", touch="taxels"))
-    run(simulation, approach=0.8, close=1.0, squeeze=0.2)
+    run(simulation, approach=0.3, close=0.6, squeeze=0.2)
     assert simulation.reality is not None
     sense, truth = simulation.reality.touch, simulation.observe("squeeze", 1.0)
     assert sense is not None
