@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -65,13 +66,42 @@ def with_plots(plan: GraspPlan) -> Page:
     )
 
 
+@pytest.fixture(scope="module")
+def untouched(
+    chromium: Any, with_plots: Page, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[OpenPage, Opening]]:
+    """The page, and what it was when it opened; tests ask for ``opened``."""
+    path = tmp_path_factory.mktemp("pages") / "page.html"
+    write_page(with_plots, path)
+    with open_page(chromium, path) as page:
+        yield page, Opening(page.time(), page.page.evaluate("window.opposable.layers"))
+
+
 @pytest.fixture
-def opened(chromium: Any, with_plots: Page, tmp_path: Path) -> Iterator[OpenPage]:
-    write_page(with_plots, tmp_path / "page.html")
-    with open_page(chromium, tmp_path / "page.html") as page:
-        yield page
-        assert page.all_errors() == []
-        assert page.requests == []
+def opened(untouched: tuple[OpenPage, Opening]) -> Iterator[OpenPage]:
+    """The page as it was when it opened: opened once, for no GPU starts it."""
+    page, opening = untouched
+    page.page.evaluate("window.scrollTo(0, 0)")
+    page.page.mouse.move(0, 0)
+    page.page.locator("#speed").select_option("1")
+    page.seek(opening.time)
+    for layer, on in opening.layers.items():
+        page.set(layer, on)
+    page.page.evaluate("Opposable.stage.camera.look(Opposable.stage.opening)")
+    yield page
+    errors = page.all_errors()
+    page.errors.clear()
+    page.page.evaluate("window.opposable.errors.length = 0")  # of this test alone
+    assert errors == []
+    assert page.requests == []
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A page when it has opened: its time (s), and its layers."""
+
+    time: float
+    layers: dict[str, bool]
 
 
 def planned_pose(plan: GraspPlan, time: float, joint: str | None) -> FloatArray:
@@ -87,9 +117,11 @@ def planned_pose(plan: GraspPlan, time: float, joint: str | None) -> FloatArray:
     return pose_row(base * data.oMi[model.getJointId(joint)])
 
 
-def test_a_plan_opens_without_errors_and_is_not_blank(opened: OpenPage) -> None:
+def test_a_plan_opens_without_errors_and_is_not_blank(
+    opened: OpenPage, untouched: tuple[OpenPage, Opening]
+) -> None:
     assert opened.colours() >= LEAST_COLOURS
-    assert opened.time() == pytest.approx(2.5)
+    assert untouched[1].time == pytest.approx(2.5)
 
 
 @pytest.mark.parametrize("hand", ["allegro_hand", "shadow_hand", "allegro_on_arm7"])
@@ -162,6 +194,7 @@ def test_a_layer_is_switched_on_and_off(opened: OpenPage, layer: str) -> None:
         return np.asarray(opened.picture("#canvas")).astype(int)
 
     box = opened.page.locator(f'[data-layer="{layer}"]')
+    box.scroll_into_view_if_needed()  # words over the scene move by part of a pixel with it
     first = shot()
     box.click()
     second = shot()
