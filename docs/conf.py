@@ -11,7 +11,13 @@ sys.path.insert(0, str(HERE))
 # a dozen plans for examples of formats: compiling loops for them would take longer than they do
 os.environ.setdefault("OPPOSABLE_COMPILE", "0")
 
+from functools import cache  # noqa: E402
+
+from sphinx.search.en import SearchEnglish  # noqa: E402
+
 from planner.version import __version__  # noqa: E402
+
+SearchEnglish.stem = cache(SearchEnglish.stem)  # each word once, not once a page
 
 project = "Opposable"
 author = "The Opposable developers"
