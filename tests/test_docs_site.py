@@ -163,6 +163,7 @@ def navigation(folder: Path, extensions: list[str]) -> dict[str, list[tuple[str,
     return found
 
 
+@pytest.mark.slow
 def test_the_navigation_of_a_folder_marks_each_page_as_the_theme_does(tmp_path: Path) -> None:
     ours = navigation(tmp_path / "ours", ["machinery.navigation"])
     assert ours == navigation(tmp_path / "theirs", [])

@@ -25,6 +25,9 @@ from planner.spatial import FloatArray
 NEAR = 1e-3
 """How far (m) what is drawn may be from what was planned."""
 
+ARM = "allegro_on_arm7"
+SLOW = pytest.mark.slow
+
 LEAST_COLOURS = 8
 """Colours of a scene that is not blank."""
 
@@ -124,7 +127,9 @@ def test_a_plan_opens_without_errors_and_is_not_blank(
     assert untouched[1].time == pytest.approx(2.5)
 
 
-@pytest.mark.parametrize("hand", ["allegro_hand", "shadow_hand", "allegro_on_arm7"])
+@pytest.mark.parametrize(
+    "hand", ["allegro_hand", *(pytest.param(h, marks=SLOW) for h in ("shadow_hand", ARM))]
+)
 def test_poses_in_the_page_are_those_of_pinocchio(chromium: Any, hand: str, tmp_path: Path) -> None:
     plan = plan_grasp(GraspTask.create(hand, "box"), seed=0)
     plan.save_html(tmp_path / "plan.html")
@@ -236,6 +241,7 @@ def test_a_drag_turns_the_camera(opened: OpenPage) -> None:
     assert (np.abs(first - back).max(axis=2) > 8).mean() < 1e-3
 
 
+@SLOW
 def test_a_dark_page_and_a_narrow_one_are_drawn(
     chromium: Any, with_plots: Page, tmp_path: Path
 ) -> None:
@@ -249,6 +255,7 @@ def test_a_dark_page_and_a_narrow_one_are_drawn(
         assert page.all_errors() == []
 
 
+@SLOW
 def test_without_webgl_one_line_says_so(chromium: Any, plan: GraspPlan, tmp_path: Path) -> None:
     plan.save_html(tmp_path / "plan.html")
     blind = "HTMLCanvasElement.prototype.getContext = () => null"
