@@ -75,13 +75,11 @@ def brief_script(path: str, *smaller: str) -> None:
             node.value = ast.parse(values.pop(name), mode="eval").body
     if values:
         raise LookupError(f"{path} has no constants {', '.join(values)}")
-    run = Path(path)
-    if smaller:
-        folder = Path(tempfile.mkdtemp())
-        run = folder / Path(path).name
-        run.write_text(ast.unparse(tree), encoding="utf-8")
     sys.path.insert(0, str(Path(path).parent))
-    with brief_trials():
+    with brief_trials(), tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / Path(path).name if smaller else Path(path)
+        if smaller:
+            run.write_text(ast.unparse(tree), encoding="utf-8")
         script(str(run))
 
 
