@@ -36,7 +36,7 @@ pa = pytest.importorskip("pyarrow")
 N = 8
 """Grasps of the batch that all of these tests plan."""
 
-SOME, MANY = 40, 600
+SOME, MANY = 12, 600
 """Grasps of a batch that loses a worker, and of one that is interrupted: of that only as many are
 planned as the tests look at."""
 
@@ -219,6 +219,8 @@ def test_a_request_that_kills_its_worker_is_found_out(
     monkeypatch: pytest.MonkeyPatch, backend: str
 ) -> None:
     make_ready(backend)
+    if backend == "loky":  # to start fewer processes
+        monkeypatch.setattr(pool, "DEATHS_ALONE", 1)
 
     def deadly(job: Job) -> dict[str, Any]:
         if job.index == 4:
@@ -228,8 +230,9 @@ def test_a_request_that_kills_its_worker_is_found_out(
     monkeypatch.setattr(pool, "plan_row", deadly)
     rows = sorted(planned_rows(fake_jobs(12), 2, backend), key=lambda row: int(row["index"]))
     assert [row["index"] for row in rows] == list(range(12))
+    times = 1 + pool.DEATHS_ALONE
     assert {row["index"]: row["reason"] for row in rows if row["reason"] != "harmless"} == {
-        4: "its process died 3 times, killed or by a fault in a library"
+        4: f"its process died {times} times, killed or by a fault in a library"
     }
 
 
