@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import shutil
 import time
@@ -83,6 +84,12 @@ class OpenPage:
         """What an element looks like."""
         self.page.evaluate("window.opposable.draw && window.opposable.draw()")
         return Image.open(io.BytesIO(self.page.locator(selector).screenshot())).convert("RGB")
+
+    def drawn(self) -> Image.Image:
+        """What is drawn of the scene alone, without the words and buttons over it."""
+        draw = "Opposable.stage.draw(), document.getElementById('canvas').toDataURL()"
+        _, _, content = self.page.evaluate(draw).partition(",")
+        return Image.open(io.BytesIO(base64.b64decode(content))).convert("RGBA")
 
     def colours(self) -> int:
         """How many colours (of 16 steps per channel) fill more than 0.1 % of the scene."""

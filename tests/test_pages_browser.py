@@ -196,10 +196,9 @@ def test_the_moment_of_the_verdict_is_one_click_away(opened: OpenPage) -> None:
 @pytest.mark.parametrize("layer", ["hand", "object", "table", "cones", "forces", "collision"])
 def test_a_layer_is_switched_on_and_off(opened: OpenPage, layer: str) -> None:
     def shot() -> Any:
-        return np.asarray(opened.picture("#canvas")).astype(int)
+        return np.asarray(opened.drawn()).astype(int)
 
     box = opened.page.locator(f'[data-layer="{layer}"]')
-    box.scroll_into_view_if_needed()  # words over the scene move by part of a pixel with it
     first = shot()
     box.click()
     second = shot()
