@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bs4 import BeautifulSoup, Tag
+from bs4.element import AttributeValueList
 from sphinx.application import Sphinx
 
 BEFORE_FURO, AFTER_FURO = 400, 600
@@ -47,7 +48,8 @@ class Navigation:
         items = [item for item in self.soup.select("li") if isinstance(item, Tag)]
         numbers = {id(item): number for number, item in enumerate(items)}
         for number, item in enumerate(items):
-            item["class"] = [*item.get_attribute_list("class"), f"{MARK}{number}-"]
+            classes = item.get_attribute_list("class")
+            item["class"] = AttributeValueList([*classes, f"{MARK}{number}-"])
             for box in item.select(":scope > input"):
                 box[f"{MARK}{number}"] = ""
         for link in self.soup.select("li > a[href]"):
