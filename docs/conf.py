@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
+from functools import cache
 from pathlib import Path
+
+from sphinx.search.en import SearchEnglish
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
@@ -12,6 +16,9 @@ sys.path.insert(0, str(HERE))
 os.environ.setdefault("OPPOSABLE_COMPILE", "0")
 
 from planner.version import __version__  # noqa: E402
+
+SearchEnglish.stem = cache(SearchEnglish.stem)  # type: ignore[method-assign]  # each word once
+gc.set_threshold(200_000, 50, 1000)  # trees of pages are many objects that stay: 10 % of the time
 
 project = "Opposable"
 author = "The Opposable developers"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import shutil
 import time
@@ -84,10 +85,16 @@ class OpenPage:
         self.page.evaluate("window.opposable.draw && window.opposable.draw()")
         return Image.open(io.BytesIO(self.page.locator(selector).screenshot())).convert("RGB")
 
+    def drawn(self) -> Image.Image:
+        """What is drawn of the scene alone, without the words and buttons over it."""
+        draw = "Opposable.stage.draw(), document.getElementById('canvas').toDataURL()"
+        _, _, content = self.page.evaluate(draw).partition(",")
+        return Image.open(io.BytesIO(base64.b64decode(content))).convert("RGBA")
+
     def colours(self) -> int:
         """How many colours (of 16 steps per channel) fill more than 0.1 % of the scene."""
-        pixels = np.asarray(self.picture("#canvas")).reshape(-1, 3) // 16
-        _, counts = np.unique(pixels, axis=0, return_counts=True)
+        pixels = np.asarray(self.picture("#canvas")).reshape(-1, 3).astype(int) // 16
+        counts = np.bincount(pixels @ [256, 16, 1])
         return int((counts > 1e-3 * len(pixels)).sum())
 
     def all_errors(self) -> list[str]:
@@ -114,6 +121,7 @@ def open_page(
     *,
     width: int = 1400,
     height: int = 900,
+    scale: float = 0.5,
     dark: bool = False,
     script: str = "",
 ) -> Iterator[OpenPage]:
@@ -124,11 +132,13 @@ def open_page(
         path: The file.
         width: Of the window, pixels.
         height: Of the window, pixels.
+        scale: Pixels of the screen per pixel of the window: few, for no GPU draws them.
         dark: Whether the person prefers dark pages.
         script: JavaScript that runs before the page's own.
     """
     context = chromium.new_context(
         viewport={"width": width, "height": height},
+        device_scale_factor=scale,
         offline=True,
         color_scheme="dark" if dark else "light",
     )

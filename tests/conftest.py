@@ -9,12 +9,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import brief
 import numpy as np
 import pytest
 import trimesh
@@ -151,10 +151,8 @@ def report_of(plan_of: PlanOf) -> ReportOf:
 
 @pytest.fixture(scope="module")
 def brief_trials() -> Iterator[None]:
-    """Trials of a module take the quick timeline unless they name another: those of commands."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Timeline.__init__, "__kwdefaults__", asdict(Timeline.quick()))
-        assert Timeline() == Timeline.quick()
+    """Trials of a module are brief unless they name another timeline: those of commands."""
+    with brief.brief_trials():
         yield
 
 

@@ -13,9 +13,10 @@ import shlex
 import shutil
 import subprocess
 import sys
-from contextlib import redirect_stdout
+from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -252,31 +253,26 @@ def missing(page: Path) -> list[str]:
     return [name for name in dict.fromkeys(names) if find_spec(name) is None]
 
 
-def brief_trials() -> None:
-    """Trials of this process and of its forks take the quick timeline unless they name another.
-
-    They hold for one second instead of two; what the whole timeline does is tested by trials.
-    """
-    from dataclasses import asdict
-
-    from sim.scene.carrier import Timeline
-
-    Timeline.__init__.__kwdefaults__ = asdict(Timeline.quick())
-    assert Timeline() == Timeline.quick()
+def is_compared(block: Block, following: Block | None) -> bool:
+    """Whether a page says what a block prints: in it, or below a script."""
+    below = following is not None and block.language == "python" and following.note("prints")
+    return bool(block.note("prints") or below)
 
 
 def run_page(page: Path) -> None:
     """Do all that a page shows, in the folder where the process stands.
 
-    What a page says is printed comes from a whole trial; on other pages trials are brief.
+    What a page says is printed comes from a whole trial; the others are brief.
     """
+    from brief import brief_trials
+
     sys.path.insert(0, "")  # what a page writes can be imported by it
     run = Run(page)
-    if not any(block.note("prints") for block in blocks(page)):
-        brief_trials()
-    for block in blocks(page):
+    shown = blocks(page)
+    for block, following in zip_longest(shown, shown[1:]):
         begun = sum(os.times()[:4])
-        run.block(block)
+        with nullcontext() if is_compared(block, following) else brief_trials():
+            run.block(block)
         seconds = sum(os.times()[:4]) - begun  # of the processor, its programs' too
         if seconds > 0.1:
             print(f"{run.where(block.line)}: {block.language}, {seconds:.1f} s", file=sys.stderr)

@@ -7,6 +7,7 @@ memory, folder and environment.
 
 from __future__ import annotations
 
+import ast
 import atexit
 import multiprocessing
 import os
@@ -55,6 +56,31 @@ def script(path: str) -> None:
     sys.argv = [path]
     sys.path.insert(0, str(Path(path).parent))
     runpy.run_path(path, run_name="__main__")
+
+
+def brief_script(path: str, *smaller: str) -> None:
+    """Run a file as ``script`` does, with brief trials, and with some of its constants smaller.
+
+    Args:
+        path: The file.
+        smaller: Constants of the file with what they are set to, as ``NAME=VALUE``.
+    """
+    from brief import brief_trials
+
+    source = Path(path).read_text(encoding="utf-8")
+    tree = ast.parse(source, path)
+    values = dict(words.split("=", 1) for words in smaller)
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and (name := ast.unparse(node.targets[0])) in values:
+            node.value = ast.parse(values.pop(name), mode="eval").body
+    if values:
+        raise LookupError(f"{path} has no constants {', '.join(values)}")
+    sys.path.insert(0, str(Path(path).parent))
+    with brief_trials(), tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / Path(path).name if smaller else Path(path)
+        if smaller:
+            run.write_text(ast.unparse(tree), encoding="utf-8")
+        script(str(run))
 
 
 def run(

@@ -36,7 +36,7 @@ pa = pytest.importorskip("pyarrow")
 N = 8
 """Grasps of the batch that all of these tests plan."""
 
-SOME, MANY = 40, 600
+SOME, MANY = 12, 600
 """Grasps of a batch that loses a worker, and of one that is interrupted: of that only as many are
 planned as the tests look at."""
 
@@ -159,7 +159,8 @@ def test_thinned_rows_are_some_of_those_found(reference: GraspSet) -> None:
     assert len(kept) == reference.diversity("sphere:0.035").n_distinct
 
 
-@pytest.mark.parametrize(("workers", "backend"), [(2, "loky"), (2, "threading"), (2, "fork")])
+# in an order in which loky's workers, who import everything, do more than one test
+@pytest.mark.parametrize(("workers", "backend"), [(2, "fork"), (2, "threading"), (2, "loky")])
 def test_workers_make_no_difference(reference: GraspSet, workers: int, backend: str) -> None:
     make_ready(backend)
     assert rows_of(batch(workers=workers, backend=backend)) == rows_of(reference)
@@ -214,11 +215,13 @@ def test_a_killed_worker_costs_nothing_but_time(reference: GraspSet, backend: st
     assert killed
 
 
-@pytest.mark.parametrize("backend", ["loky", "fork"])
+@pytest.mark.parametrize("backend", ["fork", "loky"])
 def test_a_request_that_kills_its_worker_is_found_out(
     monkeypatch: pytest.MonkeyPatch, backend: str
 ) -> None:
     make_ready(backend)
+    if backend == "loky":  # to start fewer processes
+        monkeypatch.setattr(pool, "DEATHS_ALONE", 1)
 
     def deadly(job: Job) -> dict[str, Any]:
         if job.index == 4:
@@ -228,8 +231,9 @@ def test_a_request_that_kills_its_worker_is_found_out(
     monkeypatch.setattr(pool, "plan_row", deadly)
     rows = sorted(planned_rows(fake_jobs(12), 2, backend), key=lambda row: int(row["index"]))
     assert [row["index"] for row in rows] == list(range(12))
+    times = 1 + pool.DEATHS_ALONE
     assert {row["index"]: row["reason"] for row in rows if row["reason"] != "harmless"} == {
-        4: "its process died 3 times, killed or by a fault in a library"
+        4: f"its process died {times} times, killed or by a fault in a library"
     }
 
 

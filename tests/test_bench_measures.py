@@ -36,6 +36,7 @@ SLOW: list[tuple[str, Row]] = [
 ]
 
 
+@pytest.mark.usefixtures("brief_trials")
 @pytest.mark.parametrize(
     ("name", "asked"),
     [*QUICK, *(pytest.param(*one, marks=pytest.mark.slow) for one in SLOW)],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -89,32 +88,3 @@ def test_planning_reckons_with_the_encoders_of_the_reality_unless_it_is_told() -
     assert ExecutionOptions(reality="rough").reckoned(told).joint_error == 0.0
     assert ExecutionOptions().reckoned(PlanOptions()).joint_error == 0.0
     assert PlanOptions().task("allegro_hand", "sphere").joint_error == 0.0
-
-
-LARGEST = 375
-"""Most modules of ours (files and folders) that ``run`` may load; 366 when this was written."""
-
-NOT_FOR_RUN = (
-    "sim.learning",
-    "sim.sensing.touch",
-    "sim.sensing.estimation",
-    "sim.manipulation",
-    "planner.motion",
-)
-"""Rooms of which a grasp needs nothing."""
-
-
-def test_a_command_loads_what_it_needs_alone(tmp_path: Path) -> None:
-    code = (
-        "import sys\nfrom sim.cli import main\n"
-        "try:\n    main(['run', 'allegro_hand', 'sphere', '--out', 'out', '--json'])\n"
-        "finally:\n    print('|'.join(sys.modules), file=sys.stderr)"
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
-    )
-    ours = {m for m in run.stderr.split("|") if m.split(".")[0] in ("planner", "sim")}
-    assert len(ours) <= LARGEST
-    assert not {m for m in ours if m.startswith(NOT_FOR_RUN)}
-    commands = {m.split(".")[2] for m in ours if m.startswith("sim.cli.")}
-    assert commands == {"common", "execution", "grasp", "listing", "options", "search", "tasks"}

@@ -43,6 +43,7 @@ def api_text() -> str:
     return "\n".join(api.page(title, rooms) for title, rooms in public.groups().items())
 
 
+@pytest.mark.slow
 def test_every_public_name_is_documented_once(api_text: str) -> None:
     documented = Counter(DIRECTIVE.findall(api_text))
     documented.update(f"{module}.{name}" for name, module in DATA.findall(api_text))
@@ -69,6 +70,7 @@ def test_every_room_is_on_one_page() -> None:
     assert named <= set(public.rooms()), "a room that is gone stands in a group"
 
 
+@pytest.mark.slow
 def test_every_public_name_says_what_it_is() -> None:
     assert [n.full_name for n in public.public_names() if not api.summary(n)] == []
 
@@ -184,6 +186,7 @@ COMPOSED = {
 """Rooms that raise a message made of others, which are listed themselves."""
 
 
+@pytest.mark.slow
 def test_no_place_that_raises_an_error_is_left_out() -> None:
     listed = {(m.error, m.text) for m in messages.all_messages()}
     for path in messages.modules():

@@ -38,11 +38,19 @@ def rooms_imported(module: ast.Module) -> set[tuple[str, str]]:
     return {(parts[0], parts[1]) for parts in (name.split(".") for name in names) if parts[1:]}
 
 
-@pytest.mark.parametrize("package", ROOMS)
-def test_every_room_is_imported_by_a_file_with_fast_tests(package: str) -> None:
-    covered: set[tuple[str, str]] = set()
+@pytest.fixture(scope="module")
+def covered() -> set[tuple[str, str]]:
+    """(package, room) of all that files with fast tests import."""
+    found: set[tuple[str, str]] = set()
     for path in TESTS.glob("test_*.py"):
         module = ast.parse(path.read_text(encoding="utf-8"))
         if path.name != Path(__file__).name and has_fast_tests(module):
-            covered |= rooms_imported(module)
+            found |= rooms_imported(module)
+    return found
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_every_room_is_imported_by_a_file_with_fast_tests(
+    package: str, covered: set[tuple[str, str]]
+) -> None:
     assert not [room for room in ROOMS[package] if (package, room) not in covered]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import PlanOf, ReportOf
+from manipulations import QUICK
 from PIL import Image, ImageDraw
 
 from planner.batch import GraspSet, plan_grasps
@@ -124,7 +125,7 @@ def report(report_of: ReportOf) -> TrialReport:
 @pytest.fixture(scope="module")
 def turned() -> Iterator[ManipulationReport]:
     task = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.45)
-    yield manipulate(plan_manipulation(task, angle=0.3))
+    yield manipulate(plan_manipulation(task, angle=0.3), timeline=QUICK)
 
 
 def test_a_plan_shows_its_contacts_and_forces(plan: GraspPlan) -> None:

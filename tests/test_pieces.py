@@ -18,9 +18,10 @@ from planner.shapes.decomposition.pieces import (
     Pieces,
     convex_pieces,
     deviation,
+    pieces_fit,
 )
 from planner.shapes.hulls import clip, crossing_points, hull_of
-from planner.shapes.made import LBracket, Torus
+from planner.shapes.made import LBracket, Mug, Torus
 from planner.shapes.meshes.triangles import cover
 from planner.shapes.solid import solid_deviation, solid_geoms
 from planner.spatial import FloatArray
@@ -52,9 +53,12 @@ def inside_of_some(pieces: Pieces, points: FloatArray, slack: float) -> np.ndarr
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mesh", MADE, ids=lambda m: m.kind)
+@pytest.mark.parametrize("mesh", [*MADE, Mug()], ids=lambda m: m.kind)
 def test_pieces_cover_the_solid_and_stay_near_it(mesh: Mesh) -> None:
     pieces = convex_pieces(mesh)
+    parts = list(zip(pieces.vertices, pieces.faces, strict=True))
+    # so what is kept is used again; the floor of the mug is cut along its own faces
+    assert pieces_fit(mesh, mesh.vertices, parts, pieces.deviation)
     surface, _ = mesh.surface_samples(2000, np.random.default_rng(1))
     assert inside_of_some(pieces, surface, 1e-6).all()
     rng = np.random.default_rng(2)

@@ -412,6 +412,7 @@ def assert_near(shown: FloatArray, true: FloatArray) -> None:
     assert abs(abs(shown[3:] @ true[3:]) - 1.0) < 1e-5
 
 
+@pytest.mark.slow
 def test_a_failed_trial_opens_at_its_failure(
     chromium: Any, dropped: TrialReport, plan: GraspPlan, tmp_path: Path
 ) -> None:
@@ -430,6 +431,7 @@ def test_a_failed_trial_opens_at_its_failure(
         assert page.all_errors() == [] and page.requests == []
 
 
+@pytest.mark.slow
 def test_a_cursor_moved_in_a_plot_moves_the_scene_and_back(
     chromium: Any, held: TrialReport, tmp_path: Path
 ) -> None:
@@ -454,6 +456,7 @@ def test_a_cursor_moved_in_a_plot_moves_the_scene_and_back(
         assert page.all_errors() == [] and page.requests == []
 
 
+@pytest.mark.slow
 def test_a_manipulation_in_the_browser(
     chromium: Any, turned: ManipulationReport, turn: ManipulationPlan, tmp_path: Path
 ) -> None:
@@ -465,6 +468,7 @@ def test_a_manipulation_in_the_browser(
         assert page.all_errors() == [] and page.requests == []
 
 
+@pytest.mark.slow
 def test_a_wrong_state_is_noticed(
     chromium: Any, held: TrialReport, plan: GraspPlan, tmp_path: Path
 ) -> None:

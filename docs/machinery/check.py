@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import sys
 from dataclasses import dataclass, field
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -108,9 +109,24 @@ def read(path: Path) -> Page:
     return page
 
 
+@cache
+def led_to(folder: Path, address: str) -> Path:
+    """The file that an address leads to, seen from a folder; pages of a folder share most."""
+    target = (folder / address).resolve()
+    return target / "index.html" if target.is_dir() else target
+
+
+@cache
+def exists(site: Path, target: Path) -> bool:
+    """Whether a file is there, and within the site."""
+    return target.is_file() and site in target.parents
+
+
 def check(site: Path) -> Found:
     """Follow every link of every page of a built site."""
     site = site.resolve()
+    led_to.cache_clear()
+    exists.cache_clear()
     pages = {path: read(path) for path in sorted(site.rglob("*.html"))}
     found = Found()
     for path, page in pages.items():
@@ -129,9 +145,8 @@ def check(site: Path) -> Found:
                     found.malformed.append((name, address))
                 continue
             found.links += 1
-            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
-            target = target / "index.html" if target.is_dir() else target
-            there = target.is_file() and site in target.parents
+            target = led_to(path.parent, unquote(parts.path)) if parts.path else path
+            there = path == target or exists(site, target)
             anchor = unquote(parts.fragment)
             if not there or (anchor and target in pages and anchor not in pages[target].anchors):
                 found.dead.append((name, address))

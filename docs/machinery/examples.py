@@ -19,7 +19,7 @@ from planner import (
 from planner.exchange.table import table_of
 from planner.files import plan_to_dict
 from planner.files.movements import movement_to_dict
-from sim import ManipulationTimeline, TrialReport, manipulate, simulate
+from sim import ManipulationTimeline, Timeline, TrialReport, manipulate, simulate
 
 MOST_ITEMS = 2
 """Items of a list that are shown."""
@@ -88,7 +88,7 @@ def _grasp() -> GraspPlan:
 @cache
 def _manipulation() -> ManipulationPlan:
     task = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.45)
-    return plan_manipulation(task, angle=math.radians(45))
+    return plan_manipulation(task, angle=math.radians(20))
 
 
 def plan() -> str:
@@ -104,7 +104,7 @@ def grasp_table() -> str:
 @cache
 def trial() -> TrialReport:
     """A trial of that grasp."""
-    return simulate(_grasp())
+    return simulate(_grasp(), timeline=Timeline.quick())
 
 
 def report() -> str:

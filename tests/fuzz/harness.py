@@ -24,9 +24,14 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any
 
+from typer.main import get_command
+
+import planner
+import sim
+import sim.cli
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.system.disk_cache import CACHE_VARIABLE
-from sim.cli import main
+from sim.cli import app, main
 
 from . import classes
 from .samples import Samples
@@ -123,6 +128,7 @@ class Harness:
                 self.samples.make()
         if os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) != 0:
             raise RuntimeError("the samples could not be made: the traceback is above")
+        _load()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -202,6 +208,18 @@ def table(outcomes: Sequence[Outcome]) -> str:
             + f"{sum(o.cpu_s for o in mine):7.0f}{most:5}"
         )
     return "\n".join(lines)
+
+
+def _load() -> None:
+    """Import what commands import when they run, once for all cases."""
+    for package in (planner, sim):
+        for name in package.__all__:
+            getattr(package, name)
+    for module in iter_modules(sim.cli.__path__, "sim.cli."):
+        import_module(module.name)
+    for name in names():
+        import_module(f"{classes.__name__}.{name}")
+    get_command(app)
 
 
 def _run_here(name: str, seed: int, number: int, folder: Path, samples: Samples) -> None:

@@ -66,8 +66,8 @@ ON_PLANE = 1e-6
 """Distance (m) up to which a point counts as on a plane: rounding."""
 
 ON_SURFACE = 1e-9
-"""Depth (m) up to which a corner of a cell is on the surface, not in the solid: rounding. Else a
-cell beside the solid, whose corners its face touches, has a hull without any surface."""
+"""Depth or height (m) up to which a corner of a cell is on the surface: rounding. Such corners span
+the solid where a face of it is cut along, and alone they are a cell beside the solid."""
 
 
 class Guards:
@@ -178,7 +178,10 @@ def half_of(
     if walls is None:
         return None
     # the solid in a cell is spanned by the surface in it and by the cell's corners in the solid
-    corners = walls.points[mesh.signed_distance(walls.points) < -ON_SURFACE]
+    height = mesh.signed_distance(walls.points)
+    if len(surface) == 0 and not (height < -ON_SURFACE).any():
+        return None
+    corners = walls.points[height <= ON_SURFACE]
     hull = hull_of(np.concatenate([surface.reshape(-1, 3), corners]))
     if hull is None:
         return None

@@ -31,7 +31,7 @@ TOLERANCE = 0.001
 """How far (m) a piece may reach out of the solid, about; ``Pieces.deviation`` is measured. A
 smaller tolerance makes more pieces."""
 
-PIECES_VERSION = "v3"
+PIECES_VERSION = "v4"
 """Part of the key in the cache; changes whenever the result does."""
 
 MEASURED = 0.001

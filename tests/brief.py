@@ -1,0 +1,44 @@
+"""Trials as brief as they can be: those of commands, pages and scripts that say no times.
+
+They take every step of a trial, and draw what it draws; what the whole timeline does is tested by
+trials, and what a picture of full size shows by tests of pictures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import fields, replace
+from typing import Any
+from unittest.mock import patch
+
+from sim.manipulation.timeline import ManipulationTimeline
+from sim.protocols import Settings
+from sim.scene.carrier import Timeline
+from sim.show import picture
+
+BRIEF = Timeline.quick(lift=0.3, hold=0.3, lift_height=0.05)
+"""A trial of 1.8 s instead of 5.3 s; quicker, and sensor errors let the hand touch the table."""
+
+BRIEF_TURN = ManipulationTimeline(approach=0.4, lift=0.4, carry=0.2, retreat=0.2, height=0.03)
+"""A manipulation of 2.6 s, the turn apart, instead of 4.7 s."""
+
+BRIEF_PROTOCOL = Settings(growth=1.5, hold_s=0.5)
+"""Loads of a protocol grow in steps of a half instead of a tenth."""
+
+SMALL_PICTURE = replace(picture.PICTURE, size=(320, 240), larger=1.0, shadows=512)
+"""A picture that takes a tenth of the time where no GPU draws it."""
+
+
+@contextmanager
+def brief_trials() -> Iterator[None]:
+    """Trials and manipulations of this process, and of its forks, are brief by default."""
+    with ExitStack() as patches:
+        given: tuple[Any, ...] = (BRIEF, BRIEF_TURN, BRIEF_PROTOCOL)
+        for brief in given:
+            values = {field.name: getattr(brief, field.name) for field in fields(brief)}
+            kind = type(brief)
+            patches.enter_context(patch.object(kind.__init__, "__kwdefaults__", values))
+            assert kind() == brief
+        patches.enter_context(patch.object(picture, "PICTURE", SMALL_PICTURE))
+        yield
