@@ -6,11 +6,12 @@ execution cannot disagree about the world.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -316,7 +317,32 @@ class GraspTask:
     @cached_property
     def fingers(self) -> tuple[Finger, ...]:
         """The fingers that take part."""
-        return tuple(self.hand.fingers[name] for name in self.finger_names)
+        return tuple(self.hand.contact_parts[name] for name in self.finger_names)
+
+    @property
+    def is_of_fingertips(self) -> bool:
+        """Whether fingertips alone touch, and neither palm nor inner links."""
+        return all(name in self.hand.fingers for name in self.finger_names)
+
+    @cached_property
+    def part_of_body(self) -> Mapping[str, str]:
+        """Body of the hand -> name of the finger or link whose contacts count as the body's.
+
+        Other links of a finger, and fingers that take no part, have the finger's name; the palm has
+        a name only where it takes part.
+        """
+        links = (f for f in self.fingers if f.name not in self.hand.fingers)
+        own = {body: link.name for link in links for body in link.bodies}
+        return MappingProxyType({**self.hand.finger_of_body, **own})
+
+    @cached_property
+    def carried_pads(self) -> frozenset[str]:
+        """Geometries that touch the object and that no finger moves: those of a palm that takes part.
+
+        They are at the object before the fingers close.
+        """
+        joints = {f.pad.joint_id for f in self.fingers if not f.joints}
+        return frozenset(g.name for g in self.hand.geometries if g.joint_id in joints)
 
     def lowest_point(self, T_world_object: SE3) -> float:
         """Height z (m, world) of the object's lowest point at a pose."""

@@ -25,6 +25,7 @@ from planner.approach.pregrasp_ik import PregraspIk, undetermined_joints
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.hands.hand import Hand
+from planner.joints.description import OPEN
 from planner.kinematics.arm_ik import palm_pose
 from planner.spatial import SE3, FloatArray
 from planner.tolerances import JOINT_TOL
@@ -54,6 +55,13 @@ STANDOFF = 0.12
 
 APPROACH_CLEARANCE = 0.001
 """Smallest distance (m) to object, table and obstacles on the way in."""
+
+OPENING_SHARES = (0.25, 0.4, 0.55, 0.7, 0.85, 1.0)
+"""Shares (-) of the way from a grasp around the object to the open posture, tried in this order."""
+
+PALM_BACK = 0.002
+"""How far (m) from the end of its way in a palm that is to touch has still the clearance of the
+way: twice ``APPROACH_CLEARANCE``, so that nothing lies in between."""
 
 CLOSING_SHARES = np.linspace(1.0, 0.0, 12, endpoint=False)[:, None]
 """Shares (-) of the way from grasp to pre-grasp at which closing is checked: pads move about 2 mm
@@ -118,6 +126,8 @@ def find_approach(
     lift = find_lift(world, T_world_base, q) if on_arm else None
     if isinstance(lift, Failure):
         return lift
+    if not world.task.is_of_fingertips:
+        return _find_around(world, T_world_base, q, lift)
     solvers = [PregraspIk(world, T_world_base, q, normals)]
     loose = undetermined_joints(world.task.hand)
     if len(loose) > 0:
@@ -137,6 +147,38 @@ def find_approach(
     return failure or Failure(
         kind="arm_unreachable", text="the arm cannot come in straight within its limits"
     )
+
+
+def _find_around(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, lift: FloatArray | None
+) -> Approach | Failure:
+    """A pre-grasp and a way in of a hand that closes around the object: fingers opened as a whole.
+
+    Joints go from the grasp towards the open posture, by as little as lets the hand in.
+    """
+    hand, failure = world.task.hand, None
+    open_ = hand.posture(OPEN)
+    for held in (hand.wrist_index, hand.arm_index):
+        open_[held] = q[held]
+    begin = pads_at(hand, world, q)
+    for share in OPENING_SHARES:
+        opened = q + share * (open_ - q)
+        failure = _verify_opened(world, T_world_base, opened)
+        failure = failure or _verify_closing(world, T_world_base, q, opened)
+        if failure is not None:
+            continue
+        distance = float(np.linalg.norm(pads_at(hand, world, opened) - begin, axis=1).max())
+        for approach in _ways_in(world, T_world_base, opened, distance, lift):
+            failure = _verify_way_in(world, T_world_base, q, approach)
+            if failure is None:
+                return approach
+    assert failure is not None
+    return failure
+
+
+def pads_at(hand: Hand, world: CollisionWorld, q: FloatArray) -> FloatArray:
+    """Centres (n, 3) of the task's pads in the base at q (nq,), m."""
+    return world.moving.move(q).pads(world.task.fingers)[1]
 
 
 def verify_approach(
@@ -189,7 +231,7 @@ def _verify_closing(
     """What touches while the fingers close, None if nothing does."""
     path = q + CLOSING_SHARES * (opened - q)
     for i in world.maybe_touching(T_world_base, path):
-        touching = world.nearest_below(T_world_base, path[i])
+        touching = world.nearest_below(T_world_base, path[i], may_touch=world.task.carried_pads)
         if touching is not None and touching.distance <= 0.0:
             return Failure(
                 kind="closing_collision",
@@ -202,7 +244,11 @@ def _verify_closing(
 def _verify_opened(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> Failure | None:
     """What the opened hand is too near to at the end of any way in, None if nothing."""
     near = world.nearest_below(
-        T_world_base, opened, clearance=APPROACH_CLEARANCE, surroundings_only=True
+        T_world_base,
+        opened,
+        clearance=APPROACH_CLEARANCE,
+        surroundings_only=True,
+        may_touch=world.task.carried_pads,
     )
     return None if near is None else _collision(near)
 
@@ -237,6 +283,10 @@ def _verify_straight(
         return _invalid("the hand turns on its way in")
     # from the grasp outwards: what touches mostly touches there
     back = begin.translation - end.translation
+    if world.task.carried_pads and (length := float(np.linalg.norm(back))) > PALM_BACK:
+        # a palm that is to touch comes near only at the end
+        end = SE3(end.rotation, end.translation + PALM_BACK / length * back)
+        back = begin.translation - end.translation
     near = world.swept_clearance_violation(end, approach.q, back, APPROACH_CLEARANCE)
     return None if near is None else _collision(near)
 

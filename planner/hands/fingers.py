@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -46,6 +46,9 @@ class Pad:
         rolling_axis: (3,), unit: middle of the cone within which contacts may roll.
         rolling_half_angle: rad; of that cone. Without a description, both equal ``axis`` and
             ``half_angle``.
+        reach: (k, 3), m, orthogonal, in the joint's frame: the sphere stands for all that have
+            their centre at most these away from ``center``, along a link or in a face; none
+            (0, 3) at a fingertip.
     """
 
     geom: str
@@ -56,6 +59,7 @@ class Pad:
     half_angle: float
     rolling_axis: FloatArray
     rolling_half_angle: float
+    reach: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def rolling(self) -> Pad:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
 from planner.failure import Failure
+from planner.joints.description import OPEN, PINCH
 from planner.kinematics.arm_ik import reach
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
@@ -25,9 +26,6 @@ from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds.opposition import Opposition, frame_of, opposition
 from planner.task import GraspTask
-
-PINCH, OPEN = "pinch", "open"
-"""Postures that every description gives: pads opposed, and wide open."""
 
 POSITION_NOISE = 0.01
 """Standard deviation (m) of the hand's position in a start."""
@@ -138,11 +136,15 @@ class Seeder:
             points=np.array(
                 [np.clip(p, c.lower, c.upper) for p, c in zip(points, patches, strict=True)]
             ),
-            forces=opposed_forces(normals, self.pinch.opposer),
+            forces=self._forces(normals),
             patches=patches,
             frozen=self.frozen,
             base_fixed=task.T_world_base is not None,
         )
+
+    def _forces(self, normals: FloatArray) -> FloatArray:
+        """Forces (n, 3) of a start against outward normals (n, 3), in units of their mean."""
+        return opposed_forces(normals, self.pinch.opposer)
 
     def _patch(
         self, finger: str, point: FloatArray, normal: FloatArray, rng: np.random.Generator

@@ -1,0 +1,117 @@
+"""Where a hand can touch beside its fingertips: inner links of its fingers, and the palm.
+
+Called by ``Hand.link_contacts``. A link that touches is a finger that ends early: the joints up to
+that link, and a pad on it. The palm is a finger without joints. Pads are proposed from the
+geometry: a capsule or cylinder touches along its line, a box or a hull with the face that looks to
+the palm's side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from planner.bridge import LinkGeometry
+from planner.hands.fingers import Finger, Pad
+from planner.spatial import FloatArray
+
+if TYPE_CHECKING:
+    from planner.hands.hand import Hand
+
+ROUND_HALF_ANGLE = float(np.deg2rad(70.0))
+"""Contacts of a round link lie within this cone (rad) about the direction to the palm's side: its
+flanks touch as well, its back does not."""
+
+FLAT_HALF_ANGLE = float(np.deg2rad(8.0))
+"""The same for the face of a box or a hull, whose one normal is the pad's axis."""
+
+SHORT = 1e-3
+"""A link along whose line pads could move by less than this (m) is taken as a ball."""
+
+
+def link_contacts(hand: Hand) -> Mapping[str, Finger]:
+    """Inner links of the fingers and the palm as fingers that end early, by the name of the body.
+
+    Of a body with several geometries the largest touches. A body whose name is a finger's is left
+    out.
+    """
+    data = hand.pin_model.createData()
+    pin.framesForwardKinematics(hand.pin_model, data, hand.neutral)
+    out = {}
+    for finger in hand.fingers.values():
+        facing = data.oMi[finger.pad.joint_id].rotation @ finger.pad.axis
+        inner = [
+            (body, largest)
+            for body in sorted(finger.bodies, key=hand.pin_model.getBodyId)
+            if (largest := _largest(hand, body)) is not None
+            and largest.joint_id != finger.pad.joint_id
+        ]
+        for body, geometry in inner:
+            pad = _pad(geometry, data.oMi[geometry.joint_id].rotation.T @ facing)
+            k = hand.moved_by[geometry.joint_id, finger.q_index]
+            out[body] = _ended(hand, body, pad, finger.q_index[k])
+    palm = hand.description.palm_body
+    if (geometry := _largest(hand, palm)) is not None:
+        turn = hand.pin_model.frames[hand.palm_frame_id].placement.rotation
+        out[palm] = _ended(hand, palm, _pad(geometry, turn @ hand.palm_normal), np.zeros(0, int))
+    return {name: part for name, part in out.items() if name not in hand.fingers}
+
+
+def _ended(hand: Hand, body: str, pad: Pad, q_index: FloatArray) -> Finger:
+    """A finger that ends with a body."""
+    return Finger(
+        name=body,
+        joints=tuple(hand.joint_names[int(i)] for i in q_index),
+        q_index=np.array(q_index, dtype=int),
+        tip_frame=body,
+        tip_frame_id=int(hand.pin_model.getBodyId(body)),
+        pad=pad,
+        bodies=frozenset({body}),
+    )
+
+
+def _largest(hand: Hand, body: str) -> LinkGeometry | None:
+    mine = [g for g in hand.geometries if g.body == body]
+    return max(mine, key=lambda g: float(np.prod(_extent(g)[1])), default=None)
+
+
+def _extent(geometry: LinkGeometry) -> tuple[FloatArray, FloatArray]:
+    """Middle and half extents (3,), m, of a geometry's box in its own frame."""
+    coal_geometry = geometry.geometry
+    coal_geometry.computeLocalAABB()
+    box = coal_geometry.aabb_local
+    return (np.array(box.max_) + box.min_) / 2, (np.array(box.max_) - box.min_) / 2
+
+
+def _pad(geometry: LinkGeometry, facing: FloatArray) -> Pad:
+    """The pad of a link; ``facing`` (3,) is the direction to the palm's side, in the joint's frame."""
+    placed = geometry.T_joint_geometry
+    local = placed.rotation.T @ facing
+    middle, half = _extent(geometry)
+    if geometry.kind in ("sphere", "capsule", "cylinder"):
+        along = float(half[2] - half[0]) if geometry.kind == "capsule" else float(half[2])
+        round_ = geometry.kind == "sphere" or along < SHORT
+        local[2] = 0.0
+        radius, angle = float(half[0]), ROUND_HALF_ANGLE
+        reach = np.zeros((0, 3)) if round_ else np.array([[0.0, 0.0, along]])
+    else:
+        k = int(np.argmax(np.abs(local)))
+        local = np.sign(local[k]) * np.eye(3)[k]
+        radius, angle = float(half[k]), FLAT_HALF_ANGLE
+        reach = np.diag(half)[[i for i in range(3) if i != k]]
+    axis = placed.rotation @ (local / max(float(np.linalg.norm(local)), 1e-9))
+    return Pad(
+        geom=geometry.name,
+        joint_id=geometry.joint_id,
+        center=np.array(placed.act(middle)),
+        axis=axis,
+        radius=radius,
+        half_angle=angle,
+        rolling_axis=axis,
+        rolling_half_angle=angle,
+        reach=reach @ placed.rotation.T,
+    )
