@@ -319,10 +319,18 @@ class GraspTask:
         """The fingers that take part."""
         return tuple(self.hand.contact_parts[name] for name in self.finger_names)
 
+    @cached_property
+    def least_normals(self) -> FloatArray:
+        """Smallest normal force (n,), N, of each contact: the grip of a fingertip.
+
+        A link or the palm may touch without pressing, as what others press on it decides.
+        """
+        return fixed_array([0.0 if f.is_link else self.grip_force for f in self.fingers])
+
     @property
     def is_of_fingertips(self) -> bool:
         """Whether fingertips alone touch, and neither palm nor inner links."""
-        return all(name in self.hand.fingers for name in self.finger_names)
+        return not any(finger.is_link for finger in self.fingers)
 
     @cached_property
     def part_of_body(self) -> Mapping[str, str]:
@@ -331,7 +339,7 @@ class GraspTask:
         Other links of a finger, and fingers that take no part, have the finger's name; the palm has
         a name only where it takes part.
         """
-        links = (f for f in self.fingers if f.name not in self.hand.fingers)
+        links = (f for f in self.fingers if f.is_link)
         own = {body: link.name for link in links for body in link.bodies}
         return MappingProxyType({**self.hand.finger_of_body, **own})
 

@@ -56,7 +56,7 @@ STANDOFF = 0.12
 APPROACH_CLEARANCE = 0.001
 """Smallest distance (m) to object, table and obstacles on the way in."""
 
-OPENING_SHARES = (0.25, 0.4, 0.55, 0.7, 0.85, 1.0)
+OPENING_SHARES = (0.25, 0.5, 0.75, 1.0, 1.3, 1.6)
 """Shares (-) of the way from a grasp around the object to the open posture, tried in this order."""
 
 PALM_BACK = 0.002
@@ -162,7 +162,7 @@ def _find_around(
         open_[held] = q[held]
     begin = pads_at(hand, world, q)
     for share in OPENING_SHARES:
-        opened = q + share * (open_ - q)
+        opened = np.clip(q + share * (open_ - q), hand.q_lower, hand.q_upper)
         failure = _verify_opened(world, T_world_base, opened)
         failure = failure or _verify_closing(world, T_world_base, q, opened)
         if failure is not None:
@@ -327,9 +327,13 @@ def _ways_back(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> 
     palm = T_world_base * world.moving.move(opened).T_base_palm
     back = -(palm.rotation @ world.moving.hand.palm_normal)
     up = np.array([0.0, 0.0, 1.0])
-    ways = (up, back + up, back)
+    ways = [up, back + up, back]
     if world.task.table_height is None:
         ways = ways[::-1]
+    if not world.task.is_of_fingertips:
+        aside = np.cross(back, np.roll(back, 1))
+        aside /= np.linalg.norm(aside)
+        ways += [back + sign * a for a in (aside, np.cross(back, aside)) for sign in (1.0, -1.0)]
     lengths = [(d, float(np.linalg.norm(d))) for d in ways]
     return [STANDOFF * d / length for d, length in lengths if length > SHORTEST]
 

@@ -79,6 +79,8 @@ class Finger:
         tip_frame_id: Its number in ``pin_model.frames``.
         pad: Where it touches.
         bodies: Names of the bodies that belong to the finger.
+        is_link: Whether it is no finger but a link that can touch, or the palm: a finger that ends
+            early (``planner.hands.link_pads``).
     """
 
     name: str
@@ -88,6 +90,7 @@ class Finger:
     tip_frame_id: int
     pad: Pad
     bodies: frozenset[str]
+    is_link: bool = False
 
 
 class Resolver:

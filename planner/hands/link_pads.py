@@ -8,8 +8,8 @@ the palm's side.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from itertools import product
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,10 +48,11 @@ def link_contacts(hand: Hand) -> Mapping[str, Finger]:
             (body, largest)
             for body in sorted(finger.bodies, key=hand.pin_model.getBodyId)
             if (largest := _largest(hand, body)) is not None
-            and largest.joint_id != finger.pad.joint_id
         ]
         for body, geometry in inner:
             pad = _pad(geometry, data.oMi[geometry.joint_id].rotation.T @ facing)
+            if geometry.joint_id == finger.pad.joint_id and not _reaches(hand, finger):
+                pad = replace(finger.pad.rolling, half_angle=max(ROUND_HALF_ANGLE, finger.pad.rolling_half_angle), axis=pad.axis)
             k = hand.moved_by[geometry.joint_id, finger.q_index]
             out[body] = _ended(hand, body, pad, finger.q_index[k])
     palm = hand.description.palm_body
@@ -59,6 +60,11 @@ def link_contacts(hand: Hand) -> Mapping[str, Finger]:
         turn = hand.pin_model.frames[hand.palm_frame_id].placement.rotation
         out[palm] = _ended(hand, palm, _pad(geometry, turn @ hand.palm_normal), np.zeros(0, int))
     return {name: part for name, part in out.items() if name not in hand.fingers}
+
+
+def _reaches(hand: Hand, finger: Finger) -> bool:
+    """Whether a fingertip's geometry is a link that can touch along its line."""
+    return next(g.kind for g in hand.geometries if g.name == finger.pad.geom) == "capsule"
 
 
 def _ended(hand: Hand, body: str, pad: Pad, q_index: FloatArray) -> Finger:
@@ -71,6 +77,7 @@ def _ended(hand: Hand, body: str, pad: Pad, q_index: FloatArray) -> Finger:
         tip_frame_id=int(hand.pin_model.getBodyId(body)),
         pad=pad,
         bodies=frozenset({body}),
+        is_link=True,
     )
 
 

@@ -71,7 +71,7 @@ def margin_of(sphere: LinkSphere, touching: Sequence[Finger]) -> str | None:
     Links of a finger that touches with one of them are as near as a fingertip.
     """
     touches = sphere.finger in {finger.name for finger in touching}
-    links = [finger.pad for finger in touching if len(finger.pad.reach)]
+    links = [finger.pad for finger in touching if finger.is_link]
     if any(pad.geom == sphere.geometry for pad in links):
         return None
     if any(pad.joint_id == sphere.joint_id for pad in links):

@@ -16,8 +16,11 @@ from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.seeds.draw import Seeder
 from planner.task import GraspTask
 
-FLEXION_STEP = 0.06
-"""Largest step (rad) of a joint that flexes: links move some 2 mm."""
+FLEXION_STEPS = 30
+"""Steps from the open to the flexed posture: 3 degrees each."""
+
+SLOWEST = 0.5
+"""Least share (-) of its range that a joint flexes in the time in which others flex fully."""
 
 FLEXING = 0.4
 """Cosine between the motion of a tip and the palm's normal from which on a joint flexes (-)."""
@@ -28,8 +31,18 @@ PALM_GAP = (0.002, 0.02)
 LOWEST_SIDE = -0.2
 """Least height (-) of the direction from which the palm comes, over a table."""
 
-UP_WEIGHT = 0.6
-"""Standard deviation (-) that the direction is drawn with across a table, 1 along its normal."""
+FAR = 2.0
+"""Distance (-) from which the nearest point of the object is where the palm comes to, in radii."""
+
+OFF_CENTER = 0.1
+"""Standard deviation (-) of the palm's place from the middle of a flat face, in radii."""
+
+PLACES = 4
+"""Places of the palm of which the best is taken."""
+
+TOWARD, ASIDE = (0.0, 1.0), 0.3
+"""Where on the palm the object lies (-), in shares of the palm's reach towards the fingers, and how
+far aside of that."""
 
 
 class EnvelopingSeeder(Seeder):
@@ -40,11 +53,28 @@ class EnvelopingSeeder(Seeder):
         hand = self.task.hand
         self._spheres = link_spheres(hand)
         self._joints = np.array([b.joint_id for b in self._spheres])
+        self._moving, self._frame = np.unique(self._joints, return_inverse=True)
         self._centers = np.array([b.center for b in self._spheres])
         self._radii = np.array([b.radius for b in self._spheres])
         self._palm = hand.contact_parts[hand.description.palm_body].pad
         self._touches_palm = hand.description.palm_body in self.task.finger_names
         self._flexed = self._flexed_posture()
+        self._fingers_way = self._way_of_fingers()
+
+    def _way_of_fingers(self) -> FloatArray:
+        """Unit direction (3,) in which most fingers lie across the palm, in its joint's frame."""
+        hand = self.task.hand
+        state = moving_hand(hand).move(self.open)
+        inverse = state.joint_pose(self._palm.joint_id).inverse()
+        ways = []
+        for finger in hand.fingers.values():
+            root = state.joint_pose(hand.pin_model.getJointId(finger.joints[0])).translation
+            way = inverse.rotation @ (state.pad_center(finger) - root)
+            way -= self._palm.axis * (self._palm.axis @ way)
+            ways.append(way / max(float(np.linalg.norm(way)), 1e-9))
+        # the way that agrees with most: a thumb points elsewhere
+        best = ways[int(np.argmax(np.sum(np.array(ways) @ np.array(ways).T, axis=1)))]
+        return np.asarray(best)
 
     def _flexed_posture(self) -> FloatArray:
         """Joints (nq,) with every finger flexed as far as it goes; others as in the open posture."""
@@ -79,45 +109,68 @@ class EnvelopingSeeder(Seeder):
         return T_world_base, self._closed(T_object_base, q, rng)
 
     def _palm_pose(self, rng: np.random.Generator) -> SE3:
-        """Pose of the palm's joint in the object's frame, its face on the object or near it."""
-        task, pad = self.task, self._palm
-        side = rng.normal(size=3)
-        if task.table_height is not None:
-            while side[2] < LOWEST_SIDE * np.linalg.norm(side):
-                side = rng.normal(size=3) * [UP_WEIGHT, UP_WEIGHT, 1.0]
-        side = task.T_world_object.rotation.T @ (side / np.linalg.norm(side))
-        far = 2.0 * task.object.shape.bounding_radius * side
-        point, outward = (v[0] for v in task.object.shape.closest_point(far[None]))
+        """Pose of the palm's joint in the object's frame, its face on the object or near it.
+
+        Of some places drawn it is the one where the object is smallest across the fingers.
+        """
+        drawn = [self._drawn_palm_pose(rng) for _ in range(PLACES)]
+        return min(drawn, key=lambda place: place[0])[1]
+
+    def _drawn_palm_pose(self, rng: np.random.Generator) -> tuple[float, SE3]:
+        """Size (m) of the object across fingers and palm, and a pose."""
+        task, pad, shape = self.task, self._palm, self.task.object.shape
+        point, outward = self._drawn_side(rng)
         gap = 0.0 if self._touches_palm else rng.uniform(*PALM_GAP)
-        turn = _turn_onto(pad.axis, -outward)
-        turn = pin.exp3(outward * rng.uniform(-np.pi, np.pi)) @ turn
+        turn = pin.exp3(outward * rng.uniform(-np.pi, np.pi)) @ _turn_onto(pad.axis, -outward)
         touching = pad.center + pad.radius * pad.axis
         if len(pad.reach):
-            touching = touching + rng.uniform(-0.5, 0.5, len(pad.reach)) @ pad.reach
-        return SE3(turn, point + gap * outward - turn @ touching)
+            touching = touching + self._shares(rng) @ pad.reach
+        along = turn @ self._fingers_way
+        size = shape.support(along) + shape.support(-along)
+        size += shape.support(outward) + shape.support(-outward)
+        return float(size), SE3(turn, point + gap * outward - turn @ touching)
+
+    def _drawn_side(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """A point (3,) of the surface where the palm may lie, and the outward normal (3,) there."""
+        task, shape = self.task, self.task.object.shape
+        turn = task.T_world_object.rotation
+        sides = None if shape.flat_sides is None else np.array(list(shape.flat_sides))
+        while True:
+            side = rng.normal(size=3) if sides is None else sides[rng.integers(len(sides))]
+            side = side / np.linalg.norm(side)
+            if task.table_height is None or (turn @ side)[2] >= LOWEST_SIDE:
+                break
+        far = FAR * shape.bounding_radius * side
+        if sides is not None:
+            far = far + rng.normal(0.0, OFF_CENTER * shape.bounding_radius, 3)
+        points, outward = shape.closest_point(far[None])
+        return points[0], outward[0] if sides is None else side
+
+    def _shares(self, rng: np.random.Generator) -> FloatArray:
+        """Where on the palm the object lies, in shares of its reach: more often near the fingers."""
+        toward = self._palm.reach @ self._fingers_way
+        toward /= max(float(np.linalg.norm(toward)), 1e-9)
+        shares = rng.uniform(-1.0, 1.0, len(toward)) * ASIDE + toward * rng.uniform(*TOWARD)
+        return np.asarray(np.clip(shares, -1.0, 1.0))
 
     def _closed(self, T_object_base: SE3, q: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Joints (nq,) with all fingers flexed from q until their links touch or the limits end it."""
-        task, hand = self.task, self.task.hand
+        hand, surface = self.task.hand, self.task.object.shape
+        way = (self._flexed - q) * rng.uniform(SLOWEST, 1.0, hand.nq)
+        free = np.ones(hand.nq, dtype=bool)
         state, q = moving_hand(hand), q.copy()
-        way = self._flexed - q
-        speed = np.clip(way, -1.0, 1.0) * rng.uniform(0.5, 1.0, hand.nq)
-        speed *= FLEXION_STEP / max(float(np.abs(speed).max()), 1e-9)
-        free = speed != 0.0
-        held = np.abs(hand.coupling_matrix[0]).sum(axis=0) > 0
-        while free.any():
-            step = np.where(free, speed, 0.0)
-            ahead = np.clip(q + step, hand.q_lower, hand.q_upper)
-            free &= np.abs(ahead - q) > 1e-9
+        for _ in range(FLEXION_STEPS):
+            ahead = q + np.where(free, way, 0.0) / FLEXION_STEPS
             poses = state.move(ahead).pin_data.oMi
-            at = np.array([poses[b.joint_id].act(b.center) for b in self._spheres])
+            frames = np.array([poses[j].homogeneous for j in self._moving.tolist()])[self._frame]
+            at = (frames[:, :3, :3] @ self._centers[:, :, None])[:, :, 0] + frames[:, :3, 3]
             at = at @ T_object_base.rotation.T + T_object_base.translation
-            points, outward = task.object.shape.closest_point(at)
+            points, outward = surface.closest_point(at)
             gaps = ((at - points) * outward).sum(axis=1) - self._radii
-            stopped = hand.moved_by[self._joints[gaps < 0.0]].any(axis=0)
-            free &= ~stopped
+            free &= ~hand.moved_by[self._joints[gaps < 0.0]].any(axis=0)
             q = np.where(free, ahead, q)
-        del held
+            if not free.any():
+                break
         return self._with_wrist(q)
 
     def _forces(self, normals: FloatArray) -> FloatArray:
