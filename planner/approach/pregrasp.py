@@ -7,7 +7,7 @@ geometry.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -25,9 +25,9 @@ from planner.approach.pregrasp_ik import PregraspIk, undetermined_joints
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.hands.hand import Hand
-from planner.joints.description import OPEN
 from planner.kinematics.arm_ik import palm_pose
 from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
 from planner.tolerances import JOINT_TOL
 
 __all__ = ["APPROACH_KINDS", "Approach", "find_approach", "verify_approach", "way_back"]
@@ -56,8 +56,13 @@ STANDOFF = 0.12
 APPROACH_CLEARANCE = 0.001
 """Smallest distance (m) to object, table and obstacles on the way in."""
 
-OPENING_SHARES = (0.25, 0.5, 0.75, 1.0, 1.3, 1.6)
-"""Shares (-) of the way from a grasp around the object to the open posture, tried in this order."""
+AROUND_DISTANCES = (0.015, 0.03, 0.045, 0.06)
+"""Distances (m) by which the outermost contacts of a hand around an object are opened across its way
+in, tried in this order."""
+
+LEAST_ACROSS = 0.3
+"""Length (-) of a unit normal across the way below which a contact is opened by less: it is before
+the object or behind it, and has no direction to make way in."""
 
 PALM_BACK = 0.002
 """How far (m) from the end of its way in a palm that is to touch has still the clearance of the
@@ -127,7 +132,7 @@ def find_approach(
     if isinstance(lift, Failure):
         return lift
     if not world.task.is_of_fingertips:
-        return _find_around(world, T_world_base, q, lift)
+        return _find_around(world, T_world_base, q, normals, lift)
     solvers = [PregraspIk(world, T_world_base, q, normals)]
     loose = undetermined_joints(world.task.hand)
     if len(loose) > 0:
@@ -150,35 +155,50 @@ def find_approach(
 
 
 def _find_around(
-    world: CollisionWorld, T_world_base: SE3, q: FloatArray, lift: FloatArray | None
+    world: CollisionWorld,
+    T_world_base: SE3,
+    q: FloatArray,
+    normals: FloatArray,
+    lift: FloatArray | None,
 ) -> Approach | Failure:
-    """A pre-grasp and a way in of a hand that closes around the object: fingers opened as a whole.
+    """A pre-grasp and a way in of a hand that closes around the object.
 
-    Joints go from the grasp towards the open posture, by as little as lets the hand in.
+    Links that are behind the object, seen from where the hand comes, have to make way for it: the
+    outermost contact of every finger opens across the way, in the direction that its normal has
+    there.
     """
-    hand, failure = world.task.hand, None
-    open_ = hand.posture(OPEN)
-    for held in (hand.wrist_index, hand.arm_index):
-        open_[held] = q[held]
-    begin = pads_at(hand, world, q)
-    for share in OPENING_SHARES:
-        opened = np.clip(q + share * (open_ - q), hand.q_lower, hand.q_upper)
-        failure = _verify_opened(world, T_world_base, opened)
-        failure = failure or _verify_closing(world, T_world_base, q, opened)
-        if failure is not None:
-            continue
-        distance = float(np.linalg.norm(pads_at(hand, world, opened) - begin, axis=1).max())
-        for approach in _ways_in(world, T_world_base, opened, distance, lift):
-            failure = _verify_way_in(world, T_world_base, q, approach)
-            if failure is None:
-                return approach
-    assert failure is not None
+    task = world.task
+    outer = _outermost(task)
+    fingers = [task.fingers[i] for i in outer]
+    failure = Failure(kind="pregrasp_unreachable", text="the fingers cannot open around the object")
+    for way in _ways_back(world, T_world_base, q):
+        along = way / np.linalg.norm(way)
+        inward = normals[outer] - (normals[outer] @ along)[:, None] * along
+        inward /= np.maximum(np.linalg.norm(inward, axis=1), LEAST_ACROSS)[:, None]
+        solver = PregraspIk(world, T_world_base, q, inward, fingers=fingers)
+        for distance in AROUND_DISTANCES:
+            opened = solver.solve(distance)
+            if opened is None:
+                break
+            found = _verify_opened(world, T_world_base, opened)
+            found = found or _verify_closing(world, T_world_base, q, opened)
+            for approach in _ways_in(world, T_world_base, opened, distance, lift, [way]):
+                found = found or _verify_way_in(world, T_world_base, q, approach)
+                if found is None:
+                    return approach
+            failure = found or failure
     return failure
 
 
-def pads_at(hand: Hand, world: CollisionWorld, q: FloatArray) -> FloatArray:
-    """Centres (n, 3) of the task's pads in the base at q (nq,), m."""
-    return world.moving.move(q).pads(world.task.fingers)[1]
+def _outermost(task: GraspTask) -> list[int]:
+    """Numbers of the contacts that no other of their finger is beyond, without those of the palm."""
+    ends: dict[int, int] = {}
+    for i, finger in enumerate(task.fingers):
+        if finger.joints:
+            root = int(finger.q_index[0])
+            if root not in ends or len(finger.joints) > len(task.fingers[ends[root]].joints):
+                ends[root] = i
+    return sorted(ends.values())
 
 
 def verify_approach(
@@ -301,19 +321,20 @@ def _ways_in(
     opened: FloatArray,
     distance: float,
     lift: FloatArray | None,
+    ways: Sequence[FloatArray] | None = None,
 ) -> Iterator[Approach]:
     """Approaches to be looked at; a base that is fixed without an arm stays where it is."""
     hand = world.task.hand
+    ways = _ways_back(world, T_world_base, opened) if ways is None else ways
     if hand.arm is not None and lift is not None:
-        for path in retreats(hand, T_world_base, opened, _ways_back(world, T_world_base, opened)):
+        for path in retreats(hand, T_world_base, opened, ways):
             arm = ArmPath(approach=path, lift=lift)
             yield Approach(
                 q=opened, pregrasp_distance=distance, T_world_base_start=T_world_base, arm=arm
             )
         return
-    ways = [np.zeros(3)]
-    if world.task.T_world_base is None:
-        ways = _ways_back(world, T_world_base, opened)
+    if world.task.T_world_base is not None:
+        ways = [np.zeros(3)]
     for way in ways:
         start = SE3(T_world_base.rotation, T_world_base.translation + way)
         yield Approach(q=opened, pregrasp_distance=distance, T_world_base_start=start)
