@@ -21,6 +21,7 @@ from planner.errors import TaskError, shown
 from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
 from planner.hand_loading import load_hand
 from planner.hands.fingers import Finger
+from planner.hands.grasp_types import FINGERTIP, contact_sets
 from planner.hands.hand import Hand
 from planner.immutable import fixed_pose, is_pose
 from planner.objects import GraspObject, parse_object
@@ -97,7 +98,10 @@ class GraspTask:
         finger_names: Fingers that take part.
         may_spare_fingers: Whether the search may go on with fewer fingers where all of these find
             nothing.
-        grip_force: Smallest normal force per finger in the planned grasp, N.
+        alternatives: Other sets of contacts that the search may use, in turns with
+            ``finger_names``.
+        grip_force: Smallest normal force per finger in the planned grasp, N; a link or a palm that
+            touches need not press.
         expected_load: What ``grip_force`` was sized for beside the weight. Fewer fingers then grip
             harder. A plan file keeps the grip alone.
         joint_error: Standard deviation of the constant error of each joint's encoder, rad: the
@@ -120,6 +124,7 @@ class GraspTask:
     contact_model: ContactModel = "point"
     finger_names: tuple[str, ...]
     may_spare_fingers: bool = False
+    alternatives: tuple[tuple[str, ...], ...] = ()
     grip_force: float
     expected_load: ExpectedLoad = field(default_factory=ExpectedLoad)
     joint_error: float = 0.0
@@ -141,6 +146,7 @@ class GraspTask:
         mu_torsion: float = 0.0,
         contact_model: ContactModel = "point",
         fingers: Sequence[str] | None = None,
+        grasp_type: str | None = None,
         grip_force: float | None = None,
         expected_load: ExpectedLoad | None = None,
         joint_error: float = 0.0,
@@ -161,7 +167,10 @@ class GraspTask:
             mu_torsion: Torsional friction (m).
             contact_model: Friction law of the planned contacts.
             fingers: Finger names; if None the hand's default set, of which the search may spare
-                some where all of them find nothing.
+                some where all of them find nothing. Inner links and the palm may be among them, by
+                the names of their bodies.
+            grasp_type: What touches, instead of ``fingers``: a name of
+                ``planner.hands.grasp_types``. The search tries its sets of contacts in turns.
             grip_force: N per finger; from weight, friction (``GRIP_SAFETY``) and ``expected_load``
                 if None.
             expected_load: The largest disturbance that the object is to bear in the hand; none if
@@ -189,7 +198,12 @@ class GraspTask:
             spot = np.array(T_world_object.translation)
             spot[2] = 0.0 if table_height is None else table_height
             T_world_base = SE3(np.eye(3), spot) * hand.arm.T_spot_base
-        chosen = hand.choose_fingers(fingers)
+        if grasp_type is not None and fingers is not None:
+            raise TaskError(
+                f"grasp_type is {shown(grasp_type)}, and fingers are named too; give one of them"
+            )
+        sets = contact_sets(hand, grasp_type) if grasp_type not in (None, FINGERTIP) else ()
+        chosen = hand.choose_fingers(sets[0] if sets else fingers)
         pull = _numbers("gravity", gravity, "three finite numbers in m/s2")
         load = expected_load or ExpectedLoad()
         if grip_force is None:
@@ -210,7 +224,8 @@ class GraspTask:
             mu_torsion=mu_torsion,
             contact_model=contact_model,
             finger_names=tuple(f.name for f in chosen),
-            may_spare_fingers=fingers is None,
+            may_spare_fingers=fingers is None and not sets,
+            alternatives=tuple(sets[1:]),
             grip_force=grip_force,
             expected_load=load,
             joint_error=joint_error,
@@ -220,6 +235,11 @@ class GraspTask:
                 "wrist_q", np.zeros(n_wrist) if wrist_q is None else wrist_q, JOINTS_WANTED
             ),
         )
+
+    @cached_property
+    def choices(self) -> tuple[GraspTask, ...]:
+        """The task itself, and the same with each of its alternatives."""
+        return (self, *(self.with_fingers(names) for names in self.alternatives))
 
     def with_fingers(self, names: Sequence[str]) -> GraspTask:
         """The same task for these fingers and no others, each gripping no less than before.
@@ -232,6 +252,7 @@ class GraspTask:
             self,
             finger_names=tuple(names),
             may_spare_fingers=False,
+            alternatives=(),
             grip_force=max(self.grip_force, least),
         )
 

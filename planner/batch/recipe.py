@@ -41,6 +41,7 @@ class Recipe(StrictData):
     Attributes:
         task: As in plan files.
         may_spare_fingers: Whether the search may go on with fewer fingers.
+        alternatives: Other sets of contacts that the search may use.
         expected_load: Force (N) and torque (N m) that fewer fingers are to bear too.
         joint_error: Standard deviation of each joint's encoder error, rad.
         rotations: Rotation matrices, row by row, of poses that quaternions give to rounding alone.
@@ -48,6 +49,7 @@ class Recipe(StrictData):
 
     task: TaskData
     may_spare_fingers: bool = False
+    alternatives: tuple[tuple[str, ...], ...] = ()
     expected_load: tuple[Finite, Finite] = (0.0, 0.0)
     joint_error: Finite = 0.0
     rotations: dict[str, list[Finite]] = Field(default_factory=dict)
@@ -62,6 +64,7 @@ class Recipe(StrictData):
         return cls(
             task=task_data(task),
             may_spare_fingers=task.may_spare_fingers,
+            alternatives=task.alternatives,
             expected_load=(task.expected_load.force, task.expected_load.torque),
             joint_error=task.joint_error,
             rotations={
@@ -89,6 +92,7 @@ class Recipe(StrictData):
             task,
             obstacles=obstacles,
             may_spare_fingers=self.may_spare_fingers,
+            alternatives=self.alternatives,
             expected_load=ExpectedLoad(force=force, torque=torque),
             joint_error=self.joint_error,
             **exact,
