@@ -118,14 +118,7 @@ class Seeder:
         if self.skin > 0.0:
             points = points + self.skin * normals
         if task.object.shape.flat_sides is not None:
-            # the nearest faces are often neighbours; those that the pads face are opposed
-            facing = [state.pad_axis(f) for f in task.fingers]
-            if self.aside.any():
-                along = _along(opposition(task, q), len(facing))
-                facing = [
-                    a if far else f for f, a, far in zip(facing, along, self.aside, strict=True)
-                ]
-            normals = -np.array([T_object_base.rotation @ f for f in facing])
+            normals = self._face_normals(q, T_object_base.rotation, normals)
         patches = tuple(
             self._patch(finger, p, n, rng)
             for finger, p, n in zip(task.finger_names, points, normals, strict=True)
@@ -141,6 +134,23 @@ class Seeder:
             frozen=self.frozen,
             base_fixed=task.T_world_base is not None,
         )
+
+    def _face_normals(self, q: FloatArray, turn: FloatArray, nearest: FloatArray) -> FloatArray:
+        """Outward normals (n, 3) of the faces that the pads are to touch.
+
+        The nearest faces are often neighbours; those that the pads face are opposed.
+
+        Args:
+            q: Joints (nq,).
+            turn: Rotation (3, 3) of the base in the object's frame.
+            nearest: Normals (n, 3) of the points nearest to the pads.
+        """
+        state = moving_hand(self.task.hand).move(q)
+        facing = [state.pad_axis(f) for f in self.task.fingers]
+        if self.aside.any():
+            along = _along(opposition(self.task, q), len(facing))
+            facing = [a if far else f for f, a, far in zip(facing, along, self.aside, strict=True)]
+        return -np.array([turn @ f for f in facing])
 
     def _forces(self, normals: FloatArray) -> FloatArray:
         """Forces (n, 3) of a start against outward normals (n, 3), in units of their mean."""

@@ -34,6 +34,9 @@ LOWEST_SIDE = -0.2
 FAR = 2.0
 """Distance (-) from which the nearest point of the object is where the palm comes to, in radii."""
 
+FACE_AWAY = 0.02
+"""Distance (m) that a face at right angles to a pad counts as farther away than one that it faces."""
+
 OFF_CENTER = 0.1
 """Standard deviation (-) of the palm's place from the middle of a flat face, in radii."""
 
@@ -106,6 +109,7 @@ class EnvelopingSeeder(Seeder):
             T_object_palm = self._palm_pose(rng)
             T_world_base = T_world_object * T_object_palm * T_base_palm.inverse()
         T_object_base = T_world_object.inverse() * T_world_base
+        self._shift = T_object_base.translation
         return T_world_base, self._closed(T_object_base, q, rng)
 
     def _palm_pose(self, rng: np.random.Generator) -> SE3:
@@ -172,6 +176,26 @@ class EnvelopingSeeder(Seeder):
             if not free.any():
                 break
         return self._with_wrist(q)
+
+    def _face_normals(self, q: FloatArray, turn: FloatArray, nearest: FloatArray) -> FloatArray:
+        """Of the faces that are near to the pads as they lie, and that the pads face."""
+        task, out = self.task, nearest.copy()
+        state = moving_hand(task.hand).move(q)
+        sides = np.array(task.object.shape.flat_sides)
+        for i, finger in enumerate(task.fingers):
+            pad, pose = finger.pad, state.joint_pose(finger.pad.joint_id)
+            cost = FACE_AWAY * (1.0 + sides @ (turn @ state.pad_axis(finger)))
+            for k, side in enumerate(sides):
+                patch = self.surface.patch_at(task.object.shape, nearest[i], side)
+                at = turn @ pose.act(pad.center) + self._shift
+                nearest_point = np.clip(at, patch.lower, patch.upper) + pad.radius * side
+                off = at - nearest_point
+                for way in pad.reach:
+                    along = turn @ pose.rotation @ way
+                    off = off - np.clip(off @ along / (along @ along), -1.0, 1.0) * along
+                cost[k] += np.linalg.norm(off)
+            out[i] = sides[int(np.argmin(cost))]
+        return out
 
     def _forces(self, normals: FloatArray) -> FloatArray:
         return np.asarray(-normals)
