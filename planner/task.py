@@ -342,11 +342,24 @@ class GraspTask:
 
     @cached_property
     def least_normals(self) -> FloatArray:
-        """Smallest normal force (n,), N, of each contact: the grip of a fingertip.
+        """Smallest normal force (n,), N, of each contact: the grip of the outermost on a finger.
 
-        A link or the palm may touch without pressing, as what others press on it decides.
+        Inner links and the palm may touch without pressing: others press the object onto them.
         """
-        return fixed_array([0.0 if f.is_link else self.grip_force for f in self.fingers])
+        return fixed_array(
+            [self.grip_force if i in self.outermost else 0.0 for i in range(len(self.fingers))]
+        )
+
+    @cached_property
+    def outermost(self) -> tuple[int, ...]:
+        """Numbers of the contacts beyond which no other is on their finger; the palm's is none."""
+        ends: dict[int, int] = {}
+        for i, finger in enumerate(self.fingers):
+            if finger.joints:
+                root = int(finger.q_index[0])
+                if root not in ends or len(finger.joints) > len(self.fingers[ends[root]].joints):
+                    ends[root] = i
+        return tuple(sorted(ends.values()))
 
     @property
     def is_of_fingertips(self) -> bool:

@@ -27,7 +27,6 @@ from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.kinematics.arm_ik import palm_pose
 from planner.spatial import SE3, FloatArray
-from planner.task import GraspTask
 from planner.tolerances import JOINT_TOL
 
 __all__ = ["APPROACH_KINDS", "Approach", "find_approach", "verify_approach", "way_back"]
@@ -168,7 +167,7 @@ def _find_around(
     there.
     """
     task = world.task
-    outer = _outermost(task)
+    outer = list(task.outermost)
     fingers = [task.fingers[i] for i in outer]
     failure = Failure(kind="pregrasp_unreachable", text="the fingers cannot open around the object")
     for way in _ways_back(world, T_world_base, q):
@@ -188,17 +187,6 @@ def _find_around(
                     return approach
             failure = found or failure
     return failure
-
-
-def _outermost(task: GraspTask) -> list[int]:
-    """Numbers of the contacts that no other of their finger is beyond, without those of the palm."""
-    ends: dict[int, int] = {}
-    for i, finger in enumerate(task.fingers):
-        if finger.joints:
-            root = int(finger.q_index[0])
-            if root not in ends or len(finger.joints) > len(task.fingers[ends[root]].joints):
-                ends[root] = i
-    return sorted(ends.values())
 
 
 def verify_approach(
