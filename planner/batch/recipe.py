@@ -113,8 +113,9 @@ def recipe_of(task: GraspTask) -> str:
     Raises:
         TaskError: The hand was made in Python, so that no text can name it.
     """
-    # without an error the text is that of batches made before there was one
-    left_out = None if task.joint_error else {"joint_error"}
+    # without them the text is that of batches made before there were such things
+    values = {"joint_error": task.joint_error, "alternatives": task.alternatives}
+    left_out = {name for name, value in values.items() if not value}
     return Recipe.of(task).model_dump_json(exclude=left_out)
 
 

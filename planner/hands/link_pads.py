@@ -29,6 +29,9 @@ flanks touch as well, its back does not."""
 FLAT_HALF_ANGLE = float(np.deg2rad(8.0))
 """The same for the face of a box or a hull, whose one normal is the pad's axis."""
 
+TINY = 1e-12
+"""A squared length (m2) below which there is no direction."""
+
 SHORT = 1e-3
 """A link along whose line pads could move by less than this (m) is taken as a ball."""
 
@@ -43,14 +46,18 @@ def link_contacts(hand: Hand) -> Mapping[str, Finger]:
     pin.framesForwardKinematics(hand.pin_model, data, hand.neutral)
     out = {}
     for finger in hand.fingers.values():
-        facing = data.oMi[finger.pad.joint_id].rotation @ finger.pad.axis
+        tip = data.oMi[finger.pad.joint_id]
         inner = [
             (body, largest)
             for body in sorted(finger.bodies, key=hand.pin_model.getBodyId)
             if (largest := _largest(hand, body)) is not None
         ]
         for body, geometry in inner:
-            pad = _pad(geometry, data.oMi[geometry.joint_id].rotation.T @ facing)
+            pose = data.oMi[geometry.joint_id]
+            outward = tip.act(finger.pad.center) - pose.translation
+            facing = tip.rotation @ finger.pad.axis
+            facing = facing - outward * (outward @ facing) / max(float(outward @ outward), TINY)
+            pad = _pad(geometry, pose.rotation.T @ facing)
             if geometry.joint_id == finger.pad.joint_id and not _reaches(hand, finger):
                 pad = replace(finger.pad.rolling, half_angle=max(ROUND_HALF_ANGLE, finger.pad.rolling_half_angle), axis=pad.axis)
             k = hand.moved_by[geometry.joint_id, finger.q_index]
