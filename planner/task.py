@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
@@ -237,6 +238,11 @@ class GraspTask:
         )
 
     @cached_property
+    def every_name(self) -> tuple[str, ...]:
+        """Names of all fingers and links that a grasp of the task may have."""
+        return tuple(dict.fromkeys(chain(self.finger_names, *self.alternatives)))
+
+    @cached_property
     def choices(self) -> tuple[GraspTask, ...]:
         """The task itself, and the same with each of its alternatives."""
         return (self, *(self.with_fingers(names) for names in self.alternatives))
@@ -379,7 +385,7 @@ class GraspTask:
 
     @cached_property
     def carried_pads(self) -> frozenset[str]:
-        """Geometries that touch the object and that no finger moves: those of a palm that takes part.
+        """Geometries that touch the object and that no finger moves: a palm's that takes part.
 
         They are at the object before the fingers close.
         """

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -35,7 +37,7 @@ def plan(hand: Hand) -> GraspPlan:
 
 
 def distance_of(plan: GraspPlan, geom: str, radius: float = RADIUS) -> float:
-    """Distance (m) of a capsule's or box's surface from the sphere's, by MuJoCo's kinematics alone."""
+    """Distance (m) of a capsule's or box's surface from the sphere's, by MuJoCo's kinematics."""
     model = plan.task.hand.mj_model
     data = mujoco.MjData(model)
     data.qpos[:] = plan.q
@@ -46,11 +48,11 @@ def distance_of(plan: GraspPlan, geom: str, radius: float = RADIUS) -> float:
     size = model.geom_size[k]
     if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_CAPSULE:
         local[2] -= np.clip(local[2], -size[1], size[1])
-        return float(np.linalg.norm(local)) - size[0] - radius
+        return float(np.linalg.norm(local) - size[0] - radius)
     if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_BOX:
-        return float(np.linalg.norm(local - np.clip(local, -size, size))) - radius
+        return float(np.linalg.norm(local - np.clip(local, -size, size)) - radius)
     assert model.geom_type[k] == mujoco.mjtGeom.mjGEOM_SPHERE
-    return float(np.linalg.norm(local)) - size[0] - radius
+    return float(np.linalg.norm(local) - size[0] - radius)
 
 
 @pytest.mark.parametrize("name", ["allegro_hand", "shadow_hand"])
@@ -101,7 +103,8 @@ def test_the_way_in_is_free_and_so_is_closing(plan: GraspPlan) -> None:
     task = plan.task
     scene = build_scene(task, T_world_base=plan.T_world_base, q=plan.q)
     start, end = plan.T_world_base_start.translation, plan.T_world_base.translation
-    along = [SE3(plan.T_world_base.rotation, start + s * (end - start)) for s in np.linspace(0, 0.95, 15)]
+    way = start + np.linspace(0.0, 0.95, 15)[:, None] * (end - start)
+    along = [SE3(plan.T_world_base.rotation, at) for at in way]
     moments = [(plan.q_pregrasp, base) for base in along]
     moments += [
         (plan.q_pregrasp + s * (plan.q - plan.q_pregrasp), plan.T_world_base)
@@ -152,8 +155,8 @@ def test_the_palms_force_loads_no_joint_of_a_finger(plan: GraspPlan) -> None:
         assert not rows[:, outside].any()
 
 
-def test_a_plan_comes_back_from_its_file(plan: GraspPlan, tmp_path_factory: pytest.TempPathFactory) -> None:
-    path = tmp_path_factory.mktemp("plans") / "power.json"
+def test_a_plan_comes_back_from_its_file(plan: GraspPlan, tmp_path: Path) -> None:
+    path = tmp_path / "power.json"
     plan.save(path)
     again = read_plan(path)
     assert again.task.finger_names == plan.task.finger_names
@@ -200,4 +203,3 @@ def test_links_by_name_are_a_grasp_too(hand: Hand) -> None:
         pytest.fail(str(error))
     assert plan.task.finger_names == tuple(names)
     assert abs(distance_of(plan, "palm", 0.035)) <= TOUCH_TOL
-

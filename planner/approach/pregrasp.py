@@ -7,7 +7,7 @@ geometry.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -56,8 +56,8 @@ APPROACH_CLEARANCE = 0.001
 """Smallest distance (m) to object, table and obstacles on the way in."""
 
 AROUND_DISTANCES = (0.015, 0.03, 0.045, 0.06)
-"""Distances (m) by which the outermost contacts of a hand around an object are opened across its way
-in, tried in this order."""
+"""Distances (m) by which the outermost contacts of a hand around an object are opened across its
+way in, tried in this order."""
 
 LEAST_ACROSS = 0.3
 """Length (-) of a unit normal across the way below which a contact is opened by less: it is before
@@ -309,7 +309,7 @@ def _ways_in(
     opened: FloatArray,
     distance: float,
     lift: FloatArray | None,
-    ways: Sequence[FloatArray] | None = None,
+    ways: list[FloatArray] | None = None,
 ) -> Iterator[Approach]:
     """Approaches to be looked at; a base that is fixed without an arm stays where it is."""
     hand = world.task.hand

@@ -126,8 +126,8 @@ class Resolver:
                 f"joints {endless} of {description.model} have no range; give them one in the "
                 "model (range in MJCF, a <limit> and type revolute in URDF)"
             )
-        for field in ("base_body", "palm_body"):
-            self._need("body", getattr(description, field), self.bodies)
+        for name in ("base_body", "palm_body"):
+            self._need("body", getattr(description, name), self.bodies)
         for joint in description.wrist_joints:
             self._need("joint", joint, self.joints)
         for pair in description.allowed_contacts:

@@ -10,12 +10,12 @@ from collections.abc import Callable, Mapping
 from itertools import chain
 
 import numpy as np
+import pinocchio as pin
 
 from planner.errors import NotFoundError, TaskError
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.joints.description import PINCH
-from planner.kinematics.state import HandState
 
 __all__ = ["FINGERTIP", "GRASP_TYPES", "contact_sets"]
 
@@ -45,9 +45,10 @@ def contact_sets(hand: Hand, grasp_type: str) -> ContactSets:
 def _by_nearness(hand: Hand) -> list[Finger]:
     """The fingers of a grasp: the one that opposes the others, then those, the nearest first."""
     fingers = hand.choose_fingers()
-    state = HandState(hand, hand.posture(PINCH))
-    axes = np.array([state.pad_axis(f) for f in fingers])
-    centers = np.array([state.pad_center(f) for f in fingers])
+    data = hand.pin_model.createData()
+    pin.forwardKinematics(hand.pin_model, data, hand.posture(PINCH))
+    axes = np.array([data.oMi[f.pad.joint_id].rotation @ f.pad.axis for f in fingers])
+    centers = np.array([data.oMi[f.pad.joint_id].act(f.pad.center) for f in fingers])
     opposer = int((axes @ axes.sum(axis=0)).argmin())
     order = np.argsort(np.linalg.norm(centers - centers[opposer], axis=1), kind="stable")
     return [fingers[i] for i in order]
@@ -104,4 +105,3 @@ GRASP_TYPES: Mapping[str, Callable[[Hand], ContactSets]] = {
     ANY: _any,
 }
 """Sets of contacts of a hand, by the name of the type."""
-

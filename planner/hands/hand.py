@@ -145,11 +145,19 @@ class Hand:
 
     @cached_property
     def contact_parts(self) -> Mapping[str, Finger]:
-        """What can touch an object, by name: the fingers with their tips, then inner links and palm.
+        """What can touch an object, by name: fingers with their tips, then their links, the palm.
 
         A link is a finger that ends with it (``planner.hands.link_pads``).
         """
-        return MappingProxyType({**self.fingers, **link_contacts(self)})
+        links = link_contacts(
+            self.pin_model,
+            self.geometries,
+            tuple(self.fingers.values()),
+            self.description.palm_body,
+            self.palm_normal,
+            self.neutral,
+        )
+        return MappingProxyType({**self.fingers, **links})
 
     @cached_property
     def arm_index(self) -> IntArray:

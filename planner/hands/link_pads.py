@@ -8,9 +8,9 @@ the palm's side.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -18,9 +18,6 @@ import pinocchio as pin
 from planner.bridge import LinkGeometry
 from planner.hands.fingers import Finger, Pad
 from planner.spatial import FloatArray
-
-if TYPE_CHECKING:
-    from planner.hands.hand import Hand
 
 ROUND_HALF_ANGLE = float(np.deg2rad(70.0))
 """Contacts of a round link lie within this cone (rad) about the direction to the palm's side: its
@@ -36,60 +33,70 @@ SHORT = 1e-3
 """A link along whose line pads could move by less than this (m) is taken as a ball."""
 
 
-def link_contacts(hand: Hand) -> Mapping[str, Finger]:
+def link_contacts(
+    model: Any,
+    geometries: Sequence[LinkGeometry],
+    fingers: Sequence[Finger],
+    palm: str,
+    palm_normal: FloatArray,
+    neutral: FloatArray,
+) -> Mapping[str, Finger]:
     """Inner links of the fingers and the palm as fingers that end early, by the name of the body.
 
-    Of a body with several geometries the largest touches. A body whose name is a finger's is left
-    out.
+    Of a body with several geometries the largest touches; of the last one of a finger that of the
+    tip, if it is a ball. A body whose name is a finger's is left out.
+
+    Args:
+        model: ``pinocchio.Model`` of the hand.
+        geometries: Its colliding geometries.
+        fingers: Its fingers.
+        palm: Name of the palm's body.
+        palm_normal: Where the palm faces (3,), unit, in that body's frame.
+        neutral: Joints (nq,) with straight fingers.
     """
-    data = hand.pin_model.createData()
-    pin.framesForwardKinematics(hand.pin_model, data, hand.neutral)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, neutral)
     out = {}
-    for finger in hand.fingers.values():
+    for finger in fingers:
         tip = data.oMi[finger.pad.joint_id]
-        inner = [
-            (body, largest)
-            for body in sorted(finger.bodies, key=hand.pin_model.getBodyId)
-            if (largest := _largest(hand, body)) is not None
-        ]
-        for body, geometry in inner:
+        ball = next(g.kind for g in geometries if g.name == finger.pad.geom) == "sphere"
+        for body in sorted(finger.bodies, key=model.getBodyId):
+            geometry = _largest(geometries, body)
+            if geometry is None:
+                continue
             pose = data.oMi[geometry.joint_id]
             outward = tip.act(finger.pad.center) - pose.translation
             facing = tip.rotation @ finger.pad.axis
             facing = facing - outward * (outward @ facing) / max(float(outward @ outward), TINY)
             pad = _pad(geometry, pose.rotation.T @ facing)
-            if geometry.joint_id == finger.pad.joint_id and not _reaches(hand, finger):
-                pad = replace(finger.pad.rolling, half_angle=max(ROUND_HALF_ANGLE, finger.pad.rolling_half_angle), axis=pad.axis)
-            k = hand.moved_by[geometry.joint_id, finger.q_index]
-            out[body] = _ended(hand, body, pad, finger.q_index[k])
-    palm = hand.description.palm_body
-    if (geometry := _largest(hand, palm)) is not None:
-        turn = hand.pin_model.frames[hand.palm_frame_id].placement.rotation
-        out[palm] = _ended(hand, palm, _pad(geometry, turn @ hand.palm_normal), np.zeros(0, int))
-    return {name: part for name, part in out.items() if name not in hand.fingers}
+            if ball and geometry.joint_id == finger.pad.joint_id:
+                wide = max(ROUND_HALF_ANGLE, finger.pad.rolling_half_angle)
+                pad = replace(finger.pad, axis=pad.axis, half_angle=wide)
+            moving = [int(j) - 1 for j in model.supports[geometry.joint_id]]
+            out[body] = _ended(model, body, pad, [j for j in finger.q_index if j in moving])
+    if (face := _largest(geometries, palm)) is not None:
+        turn = model.frames[model.getBodyId(palm)].placement.rotation
+        out[palm] = _ended(model, palm, _pad(face, turn @ palm_normal), [])
+    names = {finger.name for finger in fingers}
+    return {name: part for name, part in out.items() if name not in names}
 
 
-def _reaches(hand: Hand, finger: Finger) -> bool:
-    """Whether a fingertip's geometry is a link that can touch along its line."""
-    return next(g.kind for g in hand.geometries if g.name == finger.pad.geom) == "capsule"
-
-
-def _ended(hand: Hand, body: str, pad: Pad, q_index: FloatArray) -> Finger:
-    """A finger that ends with a body."""
+def _ended(model: Any, body: str, pad: Pad, joints: Sequence[int]) -> Finger:
+    """A finger that ends with a body; where its joints stand in q."""
     return Finger(
         name=body,
-        joints=tuple(hand.joint_names[int(i)] for i in q_index),
-        q_index=np.array(q_index, dtype=int),
+        joints=tuple(model.names[int(j) + 1] for j in joints),
+        q_index=np.array(joints, dtype=int),
         tip_frame=body,
-        tip_frame_id=int(hand.pin_model.getBodyId(body)),
+        tip_frame_id=int(model.getBodyId(body)),
         pad=pad,
         bodies=frozenset({body}),
         is_link=True,
     )
 
 
-def _largest(hand: Hand, body: str) -> LinkGeometry | None:
-    mine = [g for g in hand.geometries if g.body == body]
+def _largest(geometries: Sequence[LinkGeometry], body: str) -> LinkGeometry | None:
+    mine = [g for g in geometries if g.body == body]
     return max(mine, key=lambda g: float(np.prod(_extent(g)[1])), default=None)
 
 
@@ -102,7 +109,7 @@ def _extent(geometry: LinkGeometry) -> tuple[FloatArray, FloatArray]:
 
 
 def _pad(geometry: LinkGeometry, facing: FloatArray) -> Pad:
-    """The pad of a link; ``facing`` (3,) is the direction to the palm's side, in the joint's frame."""
+    """The pad of a link; ``facing`` (3,) is the way to the palm's side, in the joint's frame."""
     placed = geometry.T_joint_geometry
     local = placed.rotation.T @ facing
     middle, half = _extent(geometry)

@@ -63,7 +63,7 @@ def contact_torque(
 
 
 def _center(g: GraspSymbols, finger: Finger, point: Any, normal: Any) -> Any:
-    """Centre (3,) of a pad; of one that reaches along a link or in a face, the nearest to contact."""
+    """Centre (3,) of a pad; of one that reaches along a link or in a face, where it touches."""
     pad, center = finger.pad, g.symbolic.point(finger.pad.joint_id, finger.pad.center)
     wanted = g.rotation.T @ (point + pad.radius * normal - g.shift) - center
     for share, way in zip(g.shares(finger, wanted), g.reach(finger), strict=True):
@@ -178,9 +178,8 @@ class GraspSymbols:
     @cached_property
     def centers(self) -> list[Any]:
         """Centres (3,) of the pads, in the frame of the base or of the arm's last link, m."""
-        return [
-            _center(self, *each) for each in zip(self.fingers, self.points, self.outward, strict=True)
-        ]
+        contacts = zip(self.fingers, self.points, self.outward, strict=True)
+        return [_center(self, *contact) for contact in contacts]
 
     def reach(self, finger: Finger) -> list[Any]:
         """How far (3,) the centre of a finger's pad may be from its middle, as ``centers``."""
@@ -188,7 +187,11 @@ class GraspSymbols:
         return [self.symbolic.direction(pad.joint_id, way) for way in pad.reach]
 
     def shares(self, finger: Finger, wanted: Any) -> list[Any]:
-        """Where along each of its ways, in [-1, 1], a pad's centre is nearest to its middle + wanted.
+        """Where along each of its ways, in [-1, 1], a pad's centre is nearest to a wanted one.
+
+        Args:
+            finger: Whose pad.
+            wanted: From the middle of the pad (3,), m, in the frame of ``centers``.
         """
         lengths = (finger.pad.reach**2).sum(axis=1)
         return [

@@ -180,7 +180,7 @@ class Scene:
     @property
     def subject(self) -> Subject:
         """What pictures of it are about: object, palm and fingers."""
-        hand, body_of = self.task.hand.description, self.model.geom_bodyid
+        body_of = self.model.geom_bodyid
         pads = [f.pad.geom for f in self.task.fingers]
         links = {int(body_of[g]) for g, finger in self.finger_of_geom.items() if finger}
         return Subject(

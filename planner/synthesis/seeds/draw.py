@@ -118,7 +118,7 @@ class Seeder:
         if self.skin > 0.0:
             points = points + self.skin * normals
         if task.object.shape.flat_sides is not None:
-            normals = self._face_normals(q, T_object_base.rotation, normals)
+            normals = self._face_normals(q, T_object_base, normals)
         patches = tuple(
             self._patch(finger, p, n, rng)
             for finger, p, n in zip(task.finger_names, points, normals, strict=True)
@@ -135,14 +135,14 @@ class Seeder:
             base_fixed=task.T_world_base is not None,
         )
 
-    def _face_normals(self, q: FloatArray, turn: FloatArray, nearest: FloatArray) -> FloatArray:
+    def _face_normals(self, q: FloatArray, T_object_base: SE3, nearest: FloatArray) -> FloatArray:
         """Outward normals (n, 3) of the faces that the pads are to touch.
 
         The nearest faces are often neighbours; those that the pads face are opposed.
 
         Args:
             q: Joints (nq,).
-            turn: Rotation (3, 3) of the base in the object's frame.
+            T_object_base: Pose of the base in the object's frame.
             nearest: Normals (n, 3) of the points nearest to the pads.
         """
         state = moving_hand(self.task.hand).move(q)
@@ -150,7 +150,7 @@ class Seeder:
         if self.aside.any():
             along = _along(opposition(self.task, q), len(facing))
             facing = [a if far else f for f, a, far in zip(facing, along, self.aside, strict=True)]
-        return -np.array([turn @ f for f in facing])
+        return -np.array([T_object_base.rotation @ f for f in facing])
 
     def _forces(self, normals: FloatArray) -> FloatArray:
         """Forces (n, 3) of a start against outward normals (n, 3), in units of their mean."""

@@ -14,7 +14,6 @@ from planner.collision.moving_hand import moving_hand
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.seeds.draw import Seeder
-from planner.task import GraspTask
 
 FLEXION_STEPS = 30
 """Steps from the open to the flexed posture: 3 degrees each."""
@@ -35,7 +34,7 @@ FAR = 2.0
 """Distance (-) from which the nearest point of the object is where the palm comes to, in radii."""
 
 FACE_AWAY = 0.02
-"""Distance (m) that a face at right angles to a pad counts as farther away than one that it faces."""
+"""Distance (m) that a face counts as farther away that is at right angles to a pad."""
 
 OFF_CENTER = 0.1
 """Standard deviation (-) of the palm's place from the middle of a flat face, in radii."""
@@ -80,7 +79,7 @@ class EnvelopingSeeder(Seeder):
         return np.asarray(best)
 
     def _flexed_posture(self) -> FloatArray:
-        """Joints (nq,) with every finger flexed as far as it goes; others as in the open posture."""
+        """Joints (nq,) with every finger flexed as far as it goes, others as in the open one."""
         hand, q = self.task.hand, self.open.copy()
         state = moving_hand(hand).move(self.open)
         normal = state.T_base_palm.rotation @ hand.palm_normal
@@ -109,7 +108,6 @@ class EnvelopingSeeder(Seeder):
             T_object_palm = self._palm_pose(rng)
             T_world_base = T_world_object * T_object_palm * T_base_palm.inverse()
         T_object_base = T_world_object.inverse() * T_world_base
-        self._shift = T_object_base.translation
         return T_world_base, self._closed(T_object_base, q, rng)
 
     def _palm_pose(self, rng: np.random.Generator) -> SE3:
@@ -122,7 +120,7 @@ class EnvelopingSeeder(Seeder):
 
     def _drawn_palm_pose(self, rng: np.random.Generator) -> tuple[float, SE3]:
         """Size (m) of the object across fingers and palm, and a pose."""
-        task, pad, shape = self.task, self._palm, self.task.object.shape
+        pad, shape = self._palm, self.task.object.shape
         point, outward = self._drawn_side(rng)
         gap = 0.0 if self._touches_palm else rng.uniform(*PALM_GAP)
         turn = pin.exp3(outward * rng.uniform(-np.pi, np.pi)) @ _turn_onto(pad.axis, -outward)
@@ -151,14 +149,14 @@ class EnvelopingSeeder(Seeder):
         return points[0], outward[0] if sides is None else side
 
     def _shares(self, rng: np.random.Generator) -> FloatArray:
-        """Where on the palm the object lies, in shares of its reach: more often near the fingers."""
+        """Where on the palm the object lies, in shares of its reach: rather near the fingers."""
         toward = self._palm.reach @ self._fingers_way
         toward /= max(float(np.linalg.norm(toward)), 1e-9)
         shares = rng.uniform(-1.0, 1.0, len(toward)) * ASIDE + toward * rng.uniform(*TOWARD)
         return np.asarray(np.clip(shares, -1.0, 1.0))
 
     def _closed(self, T_object_base: SE3, q: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Joints (nq,) with all fingers flexed from q until their links touch or the limits end it."""
+        """Joints (nq,) with all fingers flexed from q until links touch, or to their limits."""
         hand, surface = self.task.hand, self.task.object.shape
         way = (self._flexed - q) * rng.uniform(SLOWEST, 1.0, hand.nq)
         free = np.ones(hand.nq, dtype=bool)
@@ -177,21 +175,19 @@ class EnvelopingSeeder(Seeder):
                 break
         return self._with_wrist(q)
 
-    def _face_normals(self, q: FloatArray, turn: FloatArray, nearest: FloatArray) -> FloatArray:
+    def _face_normals(self, q: FloatArray, T_object_base: SE3, nearest: FloatArray) -> FloatArray:
         """Of the faces that are near to the pads as they lie, and that the pads face."""
         task, out = self.task, nearest.copy()
         state = moving_hand(task.hand).move(q)
         sides = np.array(task.object.shape.flat_sides)
         for i, finger in enumerate(task.fingers):
-            pad, pose = finger.pad, state.joint_pose(finger.pad.joint_id)
-            cost = FACE_AWAY * (1.0 + sides @ (turn @ state.pad_axis(finger)))
+            pad, pose = finger.pad, T_object_base * state.joint_pose(finger.pad.joint_id)
+            cost = FACE_AWAY * (1.0 + sides @ (pose.rotation @ pad.axis))
             for k, side in enumerate(sides):
                 patch = self.surface.patch_at(task.object.shape, nearest[i], side)
-                at = turn @ pose.act(pad.center) + self._shift
-                nearest_point = np.clip(at, patch.lower, patch.upper) + pad.radius * side
-                off = at - nearest_point
-                for way in pad.reach:
-                    along = turn @ pose.rotation @ way
+                at = pose.act(pad.center)
+                off = at - np.clip(at, patch.lower, patch.upper) - pad.radius * side
+                for along in pad.reach @ pose.rotation.T:
                     off = off - np.clip(off @ along / (along @ along), -1.0, 1.0) * along
                 cost[k] += np.linalg.norm(off)
             out[i] = sides[int(np.argmin(cost))]
