@@ -10,6 +10,7 @@ import pytest
 
 from planner import GraspTask, plan_grasp
 from planner.batch.recipe import recipe_of, task_of
+from planner.certify import bound_nearby
 from planner.errors import NoGraspFoundError, NotFoundError, TaskError
 from planner.files import read_plan
 from planner.hand_loading import load_hand
@@ -203,3 +204,10 @@ def test_links_by_name_are_a_grasp_too(hand: Hand) -> None:
         pytest.fail(str(error))
     assert plan.task.finger_names == tuple(names)
     assert abs(distance_of(plan, "palm", 0.035)) <= TOUCH_TOL
+
+
+def test_what_is_known_of_fingertips_alone_is_not_claimed_of_links(plan: GraspPlan) -> None:
+    bound = bound_nearby(plan, np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
+    assert bound.factor == np.inf and "links" in bound.reason
+    with pytest.raises(TaskError, match="sensor errors are those of fingertips"):
+        simulate(plan, reality="lab")
