@@ -6,11 +6,13 @@ execution cannot disagree about the world.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from numbers import Real
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from planner.errors import TaskError, shown
 from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
 from planner.hand_loading import load_hand
 from planner.hands.fingers import Finger
+from planner.hands.grasp_types import FINGERTIP, contact_sets
 from planner.hands.hand import Hand
 from planner.immutable import fixed_pose, is_pose
 from planner.objects import GraspObject, parse_object
@@ -96,7 +99,10 @@ class GraspTask:
         finger_names: Fingers that take part.
         may_spare_fingers: Whether the search may go on with fewer fingers where all of these find
             nothing.
-        grip_force: Smallest normal force per finger in the planned grasp, N.
+        alternatives: Other sets of contacts that the search may use, in turns with
+            ``finger_names``.
+        grip_force: Smallest normal force per finger in the planned grasp, N; a link or a palm that
+            touches need not press.
         expected_load: What ``grip_force`` was sized for beside the weight. Fewer fingers then grip
             harder. A plan file keeps the grip alone.
         joint_error: Standard deviation of the constant error of each joint's encoder, rad: the
@@ -119,6 +125,7 @@ class GraspTask:
     contact_model: ContactModel = "point"
     finger_names: tuple[str, ...]
     may_spare_fingers: bool = False
+    alternatives: tuple[tuple[str, ...], ...] = ()
     grip_force: float
     expected_load: ExpectedLoad = field(default_factory=ExpectedLoad)
     joint_error: float = 0.0
@@ -140,6 +147,7 @@ class GraspTask:
         mu_torsion: float = 0.0,
         contact_model: ContactModel = "point",
         fingers: Sequence[str] | None = None,
+        grasp_type: str | None = None,
         grip_force: float | None = None,
         expected_load: ExpectedLoad | None = None,
         joint_error: float = 0.0,
@@ -160,7 +168,10 @@ class GraspTask:
             mu_torsion: Torsional friction (m).
             contact_model: Friction law of the planned contacts.
             fingers: Finger names; if None the hand's default set, of which the search may spare
-                some where all of them find nothing.
+                some where all of them find nothing. Inner links and the palm may be among them, by
+                the names of their bodies.
+            grasp_type: What touches, instead of ``fingers``: a name of
+                ``planner.hands.grasp_types``. The search tries its sets of contacts in turns.
             grip_force: N per finger; from weight, friction (``GRIP_SAFETY``) and ``expected_load``
                 if None.
             expected_load: The largest disturbance that the object is to bear in the hand; none if
@@ -188,7 +199,12 @@ class GraspTask:
             spot = np.array(T_world_object.translation)
             spot[2] = 0.0 if table_height is None else table_height
             T_world_base = SE3(np.eye(3), spot) * hand.arm.T_spot_base
-        chosen = hand.choose_fingers(fingers)
+        if grasp_type is not None and fingers is not None:
+            raise TaskError(
+                f"grasp_type is {shown(grasp_type)}, and fingers are named too; give one of them"
+            )
+        sets = contact_sets(hand, grasp_type) if grasp_type not in (None, FINGERTIP) else ()
+        chosen = hand.choose_fingers(sets[0] if sets else fingers)
         pull = _numbers("gravity", gravity, "three finite numbers in m/s2")
         load = expected_load or ExpectedLoad()
         if grip_force is None:
@@ -209,7 +225,8 @@ class GraspTask:
             mu_torsion=mu_torsion,
             contact_model=contact_model,
             finger_names=tuple(f.name for f in chosen),
-            may_spare_fingers=fingers is None,
+            may_spare_fingers=fingers is None and not sets,
+            alternatives=tuple(sets[1:]),
             grip_force=grip_force,
             expected_load=load,
             joint_error=joint_error,
@@ -219,6 +236,16 @@ class GraspTask:
                 "wrist_q", np.zeros(n_wrist) if wrist_q is None else wrist_q, JOINTS_WANTED
             ),
         )
+
+    @cached_property
+    def every_name(self) -> tuple[str, ...]:
+        """Names of all fingers and links that a grasp of the task may have."""
+        return tuple(dict.fromkeys(chain(self.finger_names, *self.alternatives)))
+
+    @cached_property
+    def choices(self) -> tuple[GraspTask, ...]:
+        """The task itself, and the same with each of its alternatives."""
+        return (self, *(self.with_fingers(names) for names in self.alternatives))
 
     def with_fingers(self, names: Sequence[str]) -> GraspTask:
         """The same task for these fingers and no others, each gripping no less than before.
@@ -231,6 +258,7 @@ class GraspTask:
             self,
             finger_names=tuple(names),
             may_spare_fingers=False,
+            alternatives=(),
             grip_force=max(self.grip_force, least),
         )
 
@@ -316,7 +344,53 @@ class GraspTask:
     @cached_property
     def fingers(self) -> tuple[Finger, ...]:
         """The fingers that take part."""
-        return tuple(self.hand.fingers[name] for name in self.finger_names)
+        return tuple(self.hand.contact_parts[name] for name in self.finger_names)
+
+    @cached_property
+    def least_normals(self) -> FloatArray:
+        """Smallest normal force (n,), N, of each contact: the grip of the outermost on a finger.
+
+        Inner links and the palm may touch without pressing: others press the object onto them.
+        """
+        return fixed_array(
+            [self.grip_force if i in self.outermost else 0.0 for i in range(len(self.fingers))]
+        )
+
+    @cached_property
+    def outermost(self) -> tuple[int, ...]:
+        """Numbers of the contacts beyond which no other is on their finger; the palm's is none."""
+        ends: dict[int, int] = {}
+        for i, finger in enumerate(self.fingers):
+            if finger.joints:
+                root = int(finger.q_index[0])
+                if root not in ends or len(finger.joints) > len(self.fingers[ends[root]].joints):
+                    ends[root] = i
+        return tuple(sorted(ends.values()))
+
+    @property
+    def is_of_fingertips(self) -> bool:
+        """Whether fingertips alone touch, and neither palm nor inner links."""
+        return not any(finger.is_link for finger in self.fingers)
+
+    @cached_property
+    def part_of_body(self) -> Mapping[str, str]:
+        """Body of the hand -> name of the finger or link whose contacts count as the body's.
+
+        Other links of a finger, and fingers that take no part, have the finger's name; the palm has
+        a name only where it takes part.
+        """
+        links = (f for f in self.fingers if f.is_link)
+        own = {body: link.name for link in links for body in link.bodies}
+        return MappingProxyType({**self.hand.finger_of_body, **own})
+
+    @cached_property
+    def carried_pads(self) -> frozenset[str]:
+        """Geometries that touch the object and that no finger moves: a palm's that takes part.
+
+        They are at the object before the fingers close.
+        """
+        joints = {f.pad.joint_id for f in self.fingers if not f.joints}
+        return frozenset(g.name for g in self.hand.geometries if g.joint_id in joints)
 
     def lowest_point(self, T_world_object: SE3) -> float:
         """Height z (m, world) of the object's lowest point at a pose."""

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from planner.kinematics.state import HandState
 from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, pose_change, pose_to_wxyz
 from planner.system.process import interrupts_wait
@@ -235,7 +236,7 @@ class Recorder(SampleRecorder):
                     finger=finger,
                     planned_position=planned.positions[i],
                     measured_position=mean,
-                    position_error_mm=1e3 * float(np.linalg.norm(mean - planned.positions[i])),
+                    position_error_mm=1e3 * float(np.linalg.norm(self._off(i, mean))),
                     planned_normal_force=wanted,
                     measured_normal_force=float(force[:, i].mean()),
                     force_error_N=error,
@@ -243,6 +244,20 @@ class Recorder(SampleRecorder):
                 )
             )
         return tuple(out)
+
+    def _off(self, i: int, measured: FloatArray) -> FloatArray:
+        """How far (3,), m, contact i is from its place in the plan; object frame.
+
+        A link that lies on the object may touch anywhere along its line: that is no difference.
+        """
+        plan = self._simulation.plan
+        off, pad = measured - plan.contacts_in_object.positions[i], plan.task.fingers[i].pad
+        if len(pad.reach):
+            turn = plan.task.T_world_object.rotation.T @ plan.T_world_base.rotation
+            turn = turn @ HandState(plan.task.hand, plan.q).joint_pose(pad.joint_id).rotation
+            for along in pad.reach @ turn.T:
+                off = off - np.clip(off @ along / (along @ along), -2.0, 2.0) * along
+        return np.asarray(off)
 
     def slip(self) -> tuple[float, float]:
         """Movement (mm) and rotation (degrees) in the palm since the reference; NaN before."""

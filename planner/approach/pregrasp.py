@@ -55,6 +55,18 @@ STANDOFF = 0.12
 APPROACH_CLEARANCE = 0.001
 """Smallest distance (m) to object, table and obstacles on the way in."""
 
+AROUND_DISTANCES = (0.015, 0.03, 0.045, 0.06)
+"""Distances (m) by which the outermost contacts of a hand around an object are opened across its
+way in, tried in this order."""
+
+LEAST_ACROSS = 0.3
+"""Length (-) of a unit normal across the way below which a contact is opened by less: it is before
+the object or behind it, and has no direction to make way in."""
+
+PALM_BACK = 0.002
+"""How far (m) from the end of its way in a palm that is to touch has still the clearance of the
+way: twice ``APPROACH_CLEARANCE``, so that nothing lies in between."""
+
 CLOSING_SHARES = np.linspace(1.0, 0.0, 12, endpoint=False)[:, None]
 """Shares (-) of the way from grasp to pre-grasp at which closing is checked: pads move about 2 mm
 between two of them."""
@@ -118,6 +130,8 @@ def find_approach(
     lift = find_lift(world, T_world_base, q) if on_arm else None
     if isinstance(lift, Failure):
         return lift
+    if not world.task.is_of_fingertips:
+        return _find_around(world, T_world_base, q, normals, lift)
     solvers = [PregraspIk(world, T_world_base, q, normals)]
     loose = undetermined_joints(world.task.hand)
     if len(loose) > 0:
@@ -137,6 +151,42 @@ def find_approach(
     return failure or Failure(
         kind="arm_unreachable", text="the arm cannot come in straight within its limits"
     )
+
+
+def _find_around(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    q: FloatArray,
+    normals: FloatArray,
+    lift: FloatArray | None,
+) -> Approach | Failure:
+    """A pre-grasp and a way in of a hand that closes around the object.
+
+    Links that are behind the object, seen from where the hand comes, have to make way for it: the
+    outermost contact of every finger opens across the way, in the direction that its normal has
+    there.
+    """
+    task = world.task
+    outer = list(task.outermost)
+    fingers = [task.fingers[i] for i in outer]
+    failure = Failure(kind="pregrasp_unreachable", text="the fingers cannot open around the object")
+    for way in _ways_back(world, T_world_base, q):
+        along = way / np.linalg.norm(way)
+        inward = normals[outer] - (normals[outer] @ along)[:, None] * along
+        inward /= np.maximum(np.linalg.norm(inward, axis=1), LEAST_ACROSS)[:, None]
+        solver = PregraspIk(world, T_world_base, q, inward, fingers=fingers)
+        for distance in AROUND_DISTANCES:
+            opened = solver.solve(distance)
+            if opened is None:
+                break
+            found = _verify_opened(world, T_world_base, opened)
+            found = found or _verify_closing(world, T_world_base, q, opened)
+            for approach in _ways_in(world, T_world_base, opened, distance, lift, [way]):
+                found = found or _verify_way_in(world, T_world_base, q, approach)
+                if found is None:
+                    return approach
+            failure = found or failure
+    return failure
 
 
 def verify_approach(
@@ -189,7 +239,7 @@ def _verify_closing(
     """What touches while the fingers close, None if nothing does."""
     path = q + CLOSING_SHARES * (opened - q)
     for i in world.maybe_touching(T_world_base, path):
-        touching = world.nearest_below(T_world_base, path[i])
+        touching = world.nearest_below(T_world_base, path[i], may_touch=world.task.carried_pads)
         if touching is not None and touching.distance <= 0.0:
             return Failure(
                 kind="closing_collision",
@@ -202,7 +252,11 @@ def _verify_closing(
 def _verify_opened(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> Failure | None:
     """What the opened hand is too near to at the end of any way in, None if nothing."""
     near = world.nearest_below(
-        T_world_base, opened, clearance=APPROACH_CLEARANCE, surroundings_only=True
+        T_world_base,
+        opened,
+        clearance=APPROACH_CLEARANCE,
+        surroundings_only=True,
+        may_touch=world.task.carried_pads,
     )
     return None if near is None else _collision(near)
 
@@ -237,6 +291,10 @@ def _verify_straight(
         return _invalid("the hand turns on its way in")
     # from the grasp outwards: what touches mostly touches there
     back = begin.translation - end.translation
+    if world.task.carried_pads and (length := float(np.linalg.norm(back))) > PALM_BACK:
+        # a palm that is to touch comes near only at the end
+        end = SE3(end.rotation, end.translation + PALM_BACK / length * back)
+        back = begin.translation - end.translation
     near = world.swept_clearance_violation(end, approach.q, back, APPROACH_CLEARANCE)
     return None if near is None else _collision(near)
 
@@ -251,19 +309,20 @@ def _ways_in(
     opened: FloatArray,
     distance: float,
     lift: FloatArray | None,
+    ways: list[FloatArray] | None = None,
 ) -> Iterator[Approach]:
     """Approaches to be looked at; a base that is fixed without an arm stays where it is."""
     hand = world.task.hand
+    ways = _ways_back(world, T_world_base, opened) if ways is None else ways
     if hand.arm is not None and lift is not None:
-        for path in retreats(hand, T_world_base, opened, _ways_back(world, T_world_base, opened)):
+        for path in retreats(hand, T_world_base, opened, ways):
             arm = ArmPath(approach=path, lift=lift)
             yield Approach(
                 q=opened, pregrasp_distance=distance, T_world_base_start=T_world_base, arm=arm
             )
         return
-    ways = [np.zeros(3)]
-    if world.task.T_world_base is None:
-        ways = _ways_back(world, T_world_base, opened)
+    if world.task.T_world_base is not None:
+        ways = [np.zeros(3)]
     for way in ways:
         start = SE3(T_world_base.rotation, T_world_base.translation + way)
         yield Approach(q=opened, pregrasp_distance=distance, T_world_base_start=start)
@@ -277,9 +336,13 @@ def _ways_back(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> 
     palm = T_world_base * world.moving.move(opened).T_base_palm
     back = -(palm.rotation @ world.moving.hand.palm_normal)
     up = np.array([0.0, 0.0, 1.0])
-    ways = (up, back + up, back)
+    ways = [up, back + up, back]
     if world.task.table_height is None:
         ways = ways[::-1]
+    if not world.task.is_of_fingertips:
+        aside = np.cross(back, np.roll(back, 1))
+        aside /= np.linalg.norm(aside)
+        ways += [back + sign * a for a in (aside, np.cross(back, aside)) for sign in (1.0, -1.0)]
     lengths = [(d, float(np.linalg.norm(d))) for d in ways]
     return [STANDOFF * d / length for d, length in lengths if length > SHORTEST]
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision.world import CollisionWorld, NearPairs
+from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.point_motion import point_jacobians
 from planner.numerics.ik_step import Barrier, Task, constrained_ik_step
@@ -112,6 +113,7 @@ class PregraspIk:
         q: FloatArray,
         normals: FloatArray,
         still: Sequence[int] | IntArray = (),
+        fingers: Sequence[Finger] | None = None,
     ) -> None:
         """Compute what does not depend on the distance.
 
@@ -119,10 +121,11 @@ class PregraspIk:
             world: True geometry of the task.
             T_world_base: Base pose of the grasp.
             q: Joints of the grasp (nq,).
-            normals: Contact normals into the object (n, 3), world.
+            normals: Contact normals into the object (n, 3), world, or others to open against.
             still: Joints that stay where the grasp has them.
+            fingers: The n fingers or links that are opened; those of the task if None.
         """
-        hand, self._fingers = world.task.hand, world.task.fingers
+        hand, self._fingers = world.task.hand, fingers or world.task.fingers
         self._world, self._T_world_base, self._grasp = world, T_world_base, q
         self._state = world.moving.move(q)
         self._pad_joints, self._begin = self._state.pads(self._fingers)

@@ -215,7 +215,7 @@ class GraspSet:
     def _compared(self, label: str, rows: list[dict[str, Any]]) -> GraspFeatures:
         task = self.task(label)
         for row in rows:
-            check_fingers(row, task.finger_names, source=self.folder / GRASPS)
+            check_fingers(row, task, source=self.folder / GRASPS)
         return GraspFeatures.of_rows(task, rows)
 
     @property

@@ -93,10 +93,11 @@ class GraspFeatures:
     def of_rows(cls, task: GraspTask, rows: Sequence[Mapping[str, Any]]) -> GraspFeatures:
         """Of rows of a dataset, all found, all of the task's object."""
         index, n = _finger_joints(task), len(rows)
-        contacts = np.full((n, len(task.fingers), 3), np.nan)
+        every = list(task.every_name)
+        contacts = np.full((n, len(every), 3), np.nan)
         for places, row in zip(contacts, rows, strict=True):
             names = row.get("fingers") or task.finger_names
-            places[[task.finger_names.index(f) for f in names]] = row["contact_positions_object_m"]
+            places[[every.index(f) for f in names]] = row["contact_positions_object_m"]
         rotations = [
             pose_from_wxyz(np.zeros(3), np.array(row["base_quaternion_object_wxyz"])).rotation
             for row in rows

@@ -41,6 +41,7 @@ class Recipe(StrictData):
     Attributes:
         task: As in plan files.
         may_spare_fingers: Whether the search may go on with fewer fingers.
+        alternatives: Other sets of contacts that the search may use.
         expected_load: Force (N) and torque (N m) that fewer fingers are to bear too.
         joint_error: Standard deviation of each joint's encoder error, rad.
         rotations: Rotation matrices, row by row, of poses that quaternions give to rounding alone.
@@ -48,6 +49,7 @@ class Recipe(StrictData):
 
     task: TaskData
     may_spare_fingers: bool = False
+    alternatives: tuple[tuple[str, ...], ...] = ()
     expected_load: tuple[Finite, Finite] = (0.0, 0.0)
     joint_error: Finite = 0.0
     rotations: dict[str, list[Finite]] = Field(default_factory=dict)
@@ -62,6 +64,7 @@ class Recipe(StrictData):
         return cls(
             task=task_data(task),
             may_spare_fingers=task.may_spare_fingers,
+            alternatives=task.alternatives,
             expected_load=(task.expected_load.force, task.expected_load.torque),
             joint_error=task.joint_error,
             rotations={
@@ -89,6 +92,7 @@ class Recipe(StrictData):
             task,
             obstacles=obstacles,
             may_spare_fingers=self.may_spare_fingers,
+            alternatives=self.alternatives,
             expected_load=ExpectedLoad(force=force, torque=torque),
             joint_error=self.joint_error,
             **exact,
@@ -109,8 +113,9 @@ def recipe_of(task: GraspTask) -> str:
     Raises:
         TaskError: The hand was made in Python, so that no text can name it.
     """
-    # without an error the text is that of batches made before there was one
-    left_out = None if task.joint_error else {"joint_error"}
+    # without them the text is that of batches made before there were such things
+    values = {"joint_error": task.joint_error, "alternatives": task.alternatives}
+    left_out = {name for name, value in values.items() if not value}
     return Recipe.of(task).model_dump_json(exclude=left_out)
 
 

@@ -29,6 +29,7 @@ from planner.plan import GraspPlan
 from planner.quality import epsilon_l1, min_weight
 from planner.search.grasp import Attempt
 from planner.spatial import pose_to_wxyz
+from planner.task import GraspTask
 
 EDGES = 8
 """Edges per friction cone of ``min_weight`` and ``epsilon`` (-)."""
@@ -235,14 +236,16 @@ def checked_row(
     return row
 
 
-def check_fingers(row: dict[str, Any], names: Sequence[str], *, source: Path | str) -> None:
+def check_fingers(row: dict[str, Any], task: GraspTask, *, source: Path | str) -> None:
     """Refuse a row without one contact for each finger of its task, or of those that it names.
 
     Raises:
         FileFormatError: Contacts and fingers do not match.
     """
+    names = task.finger_names
     fingers = row.get("fingers") or names
-    if len(row["contact_positions_object_m"]) != len(fingers) or not set(fingers) <= set(names):
+    known = set(task.every_name)
+    if len(row["contact_positions_object_m"]) != len(fingers) or not set(fingers) <= known:
         raise FileFormatError(
             f"{source} is damaged: a row's contacts are not those of {', '.join(names)}{REMEDY}"
         )

@@ -306,6 +306,10 @@ class NearBound:
     reason: str = ""
 
 
+LINKS_MOVE = "links and palm touch, whose contacts move along them by more than a pad rolls"
+"""Why nothing is bounded near a grasp of the whole hand."""
+
+
 def bound_nearby(
     plan: GraspPlan,
     direction: ArrayLike,
@@ -329,6 +333,8 @@ def bound_nearby(
         raise ContactError(
             f"direction is {shown(direction)}; give six finite numbers, not all zero"
         )
+    if not plan.task.is_of_fingertips:
+        return NearBound(factor=np.inf, near=near, reason=LINKS_MOVE)
     changes = Changes.of(plan, near)
     if changes.reason and (near.shift or near.turn or near.tips):
         return NearBound(factor=np.inf, near=near, reason=changes.reason)

@@ -88,7 +88,10 @@ class PadContactQueries:
         self._radii = np.array([f.pad.radius for f in task.fingers])
         nowhere = np.zeros(0)
         self._at = (nowhere, nowhere, nowhere), np.zeros((4, 4))  # the last answer, and its pose
-        self.round = [pad_geometry(hand, f.pad.geom).kind in ROUND for f in task.fingers]
+        self.round = [
+            pad_geometry(hand, f.pad.geom).kind in ROUND and not len(f.pad.reach)
+            for f in task.fingers
+        ]
         """Whether each pad's sphere is its geometry's surface."""
         self._pairs = [
             [

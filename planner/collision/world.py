@@ -120,6 +120,7 @@ class CollisionWorld:
         *,
         clearance: float = LEAST_LIMIT,
         surroundings_only: bool = False,
+        may_touch: Collection[str] = (),
     ) -> Clearance | None:
         """The pair of smallest signed distance where that is below a clearance (m).
 
@@ -130,11 +131,15 @@ class CollisionWorld:
             q: Joints (nq,).
             clearance: m.
             surroundings_only: Whether only pairs of hand and surroundings matter.
+            may_touch: Geometries of the hand whose distance from the object is left out.
         """
         self._pairs.place(T_world_base, q)
         which = self._table.hand_environment_pairs if surroundings_only else self._all
+        if may_touch:
+            which = which & ~self._contact_pairs(frozenset(may_touch))
         if self._bounds.pays:
             asked = self._around if surroundings_only else self._numbers
+            asked = asked[which[asked]]
             near = asked[self._pairs.lower_bounds(asked, clearance) < clearance]
             if len(near) == 0:
                 return None

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -46,6 +46,9 @@ class Pad:
         rolling_axis: (3,), unit: middle of the cone within which contacts may roll.
         rolling_half_angle: rad; of that cone. Without a description, both equal ``axis`` and
             ``half_angle``.
+        reach: (k, 3), m, orthogonal, in the joint's frame: the sphere stands for all that have
+            their centre at most these away from ``center``, along a link or in a face; none
+            (0, 3) at a fingertip.
     """
 
     geom: str
@@ -56,6 +59,7 @@ class Pad:
     half_angle: float
     rolling_axis: FloatArray
     rolling_half_angle: float
+    reach: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def rolling(self) -> Pad:
@@ -75,6 +79,8 @@ class Finger:
         tip_frame_id: Its number in ``pin_model.frames``.
         pad: Where it touches.
         bodies: Names of the bodies that belong to the finger.
+        is_link: Whether it is no finger but a link that can touch, or the palm: a finger that ends
+            early (``planner.hands.link_pads``).
     """
 
     name: str
@@ -84,6 +90,7 @@ class Finger:
     tip_frame_id: int
     pad: Pad
     bodies: frozenset[str]
+    is_link: bool = False
 
 
 class Resolver:
@@ -119,8 +126,8 @@ class Resolver:
                 f"joints {endless} of {description.model} have no range; give them one in the "
                 "model (range in MJCF, a <limit> and type revolute in URDF)"
             )
-        for field in ("base_body", "palm_body"):
-            self._need("body", getattr(description, field), self.bodies)
+        for name in ("base_body", "palm_body"):
+            self._need("body", getattr(description, name), self.bodies)
         for joint in description.wrist_joints:
             self._need("joint", joint, self.joints)
         for pair in description.allowed_contacts:

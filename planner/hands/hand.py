@@ -25,6 +25,7 @@ from planner.bridge import LinkGeometry
 from planner.errors import HandError, NotFoundError, TaskError, shown
 from planner.hands.arm import Arm
 from planner.hands.fingers import Finger
+from planner.hands.link_pads import link_contacts
 from planner.joints.actuation import Actuation
 from planner.joints.couplings import Coupling, nearest_on_couplings
 from planner.joints.description import HandDescription
@@ -141,6 +142,22 @@ class Hand:
         return MappingProxyType(
             {body: finger.name for finger in self.fingers.values() for body in finger.bodies}
         )
+
+    @cached_property
+    def contact_parts(self) -> Mapping[str, Finger]:
+        """What can touch an object, by name: fingers with their tips, then their links, the palm.
+
+        A link is a finger that ends with it (``planner.hands.link_pads``).
+        """
+        links = link_contacts(
+            self.pin_model,
+            self.geometries,
+            tuple(self.fingers.values()),
+            self.description.palm_body,
+            self.palm_normal,
+            self.neutral,
+        )
+        return MappingProxyType({**self.fingers, **links})
 
     @cached_property
     def arm_index(self) -> IntArray:
@@ -275,11 +292,11 @@ class Hand:
         if not chosen:
             raise TaskError(f"no finger is named; name some of {list(self.fingers)}")
         for name in chosen:
-            if name not in self.fingers:
-                raise NotFoundError(f"finger of {self.name}", name, self.fingers)
+            if name not in self.contact_parts:
+                raise NotFoundError(f"finger or link of {self.name}", name, self.contact_parts)
         if len(set(chosen)) != len(chosen):
             raise TaskError(f"a finger is named twice in {list(chosen)}; name each once")
-        return tuple(self.fingers[name] for name in chosen)
+        return tuple(self.contact_parts[name] for name in chosen)
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: a table and a picture, made once."""

@@ -48,6 +48,9 @@ drowns the others in rounding."""
 MOST_REACH = 2.0944
 """How far (rad) an array reaches from its middle to the middle of a side: 120 degrees."""
 
+PINCH, OPEN = "pinch", "open"
+"""Postures that every description gives: pads opposed, and wide open."""
+
 _TO_THE_BIT = object()
 """Validation context of a description that was checked before: nothing is changed."""
 

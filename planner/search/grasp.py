@@ -74,9 +74,10 @@ def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool
     Raises:
         TaskError: The object cannot be grasped by this hand, found out before solving.
     """
-    _problem(task, options.form)
+    choices = _possible(task, options.form)
 
     def context(index: int, is_found: bool) -> _GraspContext:
+        task = choices[index % len(choices)]
         past = index - SPARE_AFTER
         spares = task.may_spare_fingers and past >= 0 and past % 2 == 0 and not is_found
         problem = (_spared_problem if spares else _problem)(task, options.form)
@@ -84,6 +85,25 @@ def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool
         return _GraspContext(problem, options)
 
     return context
+
+
+def _possible(task: GraspTask, form: ProblemForm) -> tuple[GraspTask, ...]:
+    """The choices of contacts with which the object can be grasped, as far as is known before.
+
+    Raises:
+        TaskError: There is none; it is what was wrong with the first.
+    """
+    possible, refused = [], []
+    for choice in task.choices:
+        try:
+            _problem(choice, form)
+        except TaskError as error:
+            refused.append(error)
+        else:
+            possible.append(choice)
+    if not possible:
+        raise refused[0]
+    return tuple(possible)
 
 
 def plan_grasp(
@@ -344,7 +364,7 @@ class _GraspContext:
         return finished(self.grasp_problem, self.task, candidate, self.options)
 
 
-@made_once(8)
+@made_once(16)
 def _problem(task: GraspTask, form: ProblemForm) -> _Problem:
     """Seeder and problems of a task, made once for all who ask with the same one."""
     seeder = seeder_for(task)

@@ -18,6 +18,7 @@ import numpy as np
 
 from planner.bridge import LinkGeometry
 from planner.collision.pad_contact import ROUND, pad_geometry
+from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
@@ -64,9 +65,17 @@ class LinkSphere:
     on_tip: bool
 
 
-def margin_of(sphere: LinkSphere, touching: Sequence[str]) -> str | None:
-    """The margin of a sphere from the object, by name; None for the pads of touching fingers."""
-    touches = sphere.finger in touching
+def margin_of(sphere: LinkSphere, touching: Sequence[Finger]) -> str | None:
+    """The margin of a sphere from the object, by name; None for the pads of touching fingers.
+
+    Links of a finger that touches with one of them are as near as a fingertip.
+    """
+    touches = sphere.finger in {finger.name for finger in touching}
+    links = [finger.pad for finger in touching if finger.is_link]
+    if any(pad.geom == sphere.geometry for pad in links):
+        return None
+    if any(pad.joint_id == sphere.joint_id for pad in links):
+        return "clear_tip"
     if sphere.is_pad and touches:
         return None
     return "clear_tip" if sphere.on_tip and touches else "clear_object"

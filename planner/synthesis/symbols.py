@@ -62,6 +62,15 @@ def contact_torque(
     return out
 
 
+def _center(g: GraspSymbols, finger: Finger, point: Any, normal: Any) -> Any:
+    """Centre (3,) of a pad; of one that reaches along a link or in a face, where it touches."""
+    pad, center = finger.pad, g.symbolic.point(finger.pad.joint_id, finger.pad.center)
+    wanted = g.rotation.T @ (point + pad.radius * normal - g.shift) - center
+    for share, way in zip(g.shares(finger, wanted), g.reach(finger), strict=True):
+        center = center + share * way
+    return center
+
+
 class GraspSymbols:
     """The unknowns and parameters of a grasp, and expressions that terms share: CasADi SX.
 
@@ -169,7 +178,26 @@ class GraspSymbols:
     @cached_property
     def centers(self) -> list[Any]:
         """Centres (3,) of the pads, in the frame of the base or of the arm's last link, m."""
-        return [self.symbolic.point(f.pad.joint_id, f.pad.center) for f in self.fingers]
+        contacts = zip(self.fingers, self.points, self.outward, strict=True)
+        return [_center(self, *contact) for contact in contacts]
+
+    def reach(self, finger: Finger) -> list[Any]:
+        """How far (3,) the centre of a finger's pad may be from its middle, as ``centers``."""
+        pad = finger.pad
+        return [self.symbolic.direction(pad.joint_id, way) for way in pad.reach]
+
+    def shares(self, finger: Finger, wanted: Any) -> list[Any]:
+        """Where along each of its ways, in [-1, 1], a pad's centre is nearest to a wanted one.
+
+        Args:
+            finger: Whose pad.
+            wanted: From the middle of the pad (3,), m, in the frame of ``centers``.
+        """
+        lengths = (finger.pad.reach**2).sum(axis=1)
+        return [
+            ca.fmax(-1.0, ca.fmin(1.0, ca.dot(wanted, way) / float(length)))
+            for way, length in zip(self.reach(finger), lengths, strict=True)
+        ]
 
     @cached_property
     def normal_forces(self) -> list[Any]:

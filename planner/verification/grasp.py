@@ -229,7 +229,7 @@ def force_arguments(
     jacobians = (rotation @ local.reshape(-1, 2, 3, task.hand.nq)).reshape(local.shape)
     return {
         "wrench": gravity_wrench(task.object.mass, task.gravity),
-        "min_normal": task.grip_force,
+        "min_normal": task.grip_force if task.is_of_fingertips else task.least_normals,
         "friction_scale": FRICTION_SHARE,
         "jacobians": jacobians,
         "actuation": task.hand.actuation,

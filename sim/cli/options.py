@@ -75,6 +75,10 @@ StandOption = Annotated[
 FingersOption = Annotated[
     str | None, option("Those that take part: thumb,index,ring", "NAMES", GRIP)
 ]
+TypeOption = Annotated[
+    str | None,
+    option("What touches: fingertip, pinch, tripod, power or any.", "TYPE", GRIP),
+]
 MuOption = Annotated[float, option("Sliding friction relied on (-).", "MU", GRIP)]
 JointErrorOption = Annotated[
     float | None,

@@ -21,6 +21,7 @@ from sim.cli.options import (
     MassOption,
     MuOption,
     StandOption,
+    TypeOption,
     flag,
     names,
     numbers,
@@ -183,6 +184,7 @@ class TaskOptions:
     ] = None
     gravity: Annotated[str, option("In m/s2.", "X,Y,Z", SCENE)] = GRAVITY
     fingers: FingersOption = None
+    type: TypeOption = None
     mu: MuOption = DEFAULT_MU
     mu_torsion: Annotated[
         float | None, option("Soft contacts with this torsional friction, m.", "M", GRIP)
@@ -227,6 +229,7 @@ class TaskOptions:
             mu_torsion=self.mu_torsion or 0.0,
             contact_model="point" if self.mu_torsion is None else "soft",
             fingers=None if self.fingers is None else names(self.fingers),
+            grasp_type=self.type,
             grip_force=self.grip_force,
             expected_load=self._load(),
             joint_error=math.radians(self.joint_error or 0.0),

@@ -264,7 +264,8 @@ class Calibration:
         centers = np.array([read.pad_center(finger) for finger in self._fingers])
         radii = np.array([finger.pad.radius for finger in self._fingers])
         away = np.linalg.norm(points - centers, axis=1) - radii
-        return np.asarray(np.abs(away) < OFF_PAD)  # NaN is not
+        balls = np.array([not len(finger.pad.reach) for finger in self._fingers])
+        return np.asarray((np.abs(away) < OFF_PAD) & balls)  # NaN is not
 
     def correct(self, observation: Observation) -> Observation:
         """What would have been read without the offsets; the same object if there are none."""

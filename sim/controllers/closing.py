@@ -122,6 +122,7 @@ class GuardedClosing:
         """Prepare search directions for a plan."""
         self._plan, self._fingers = plan, plan.task.fingers
         n = len(self._fingers)
+        self._outermost_first = sorted(range(n), key=lambda i: -len(self._fingers[i].q_index))
         self._directions = search_directions(plan)
         self._search, self._along = np.zeros((2, n, plan.task.hand.nq))
         for i, one in enumerate(self._directions):
@@ -149,8 +150,8 @@ class GuardedClosing:
         for i in np.flatnonzero(free & arrived).tolist():
             self._go_on(i, speed[i] * elapsed, observation.q)
         q = plan.q_pregrasp + goal * (plan.q - plan.q_pregrasp)
-        for i, (finger, share) in enumerate(zip(self._fingers, self._share, strict=True)):
-            k = finger.q_index
+        for i in self._outermost_first:  # links have the last word on their finger's inner joints
+            share, k = self._share[i], self._fingers[i].q_index
             if i in self._held:
                 if free[i]:
                     self._follows[i] = min(SEARCH_REACH, self._follows[i] + SEARCH_SPEED * elapsed)
@@ -247,7 +248,7 @@ def search_directions(plan: GraspPlan) -> list[SearchDirection]:
         jacobian = state.point_jacobian(finger.pad.joint_id, inverse.act(point))[:3, k]
         inwards = inverse.rotation @ normal
         along = jacobian.T @ inwards
-        free = null_space(couplings[:, k])
+        free = null_space(couplings[:, k]) if len(k) else np.zeros((0, 0))
         across = (jacobian - np.outer(inwards, along)) @ free
         cost = across.T @ across + SEARCH_DAMPING**2 * np.eye(free.shape[1])
         way = np.linalg.solve(cost, free.T @ along)

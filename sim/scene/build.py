@@ -94,7 +94,8 @@ class Scene:
         object_body: Body id of the object.
         base_body: Body id of the hand's base.
         palm_body: Body id of the hand's palm.
-        finger_of_geom: Colliding geom id of the hand -> finger name, "" for the palm.
+        finger_of_geom: Colliding geom id of the hand -> name of the finger or link, "" for a palm
+            that takes no part.
         support: Equality id that holds the object before the lift, -1 where a table does.
         deviation: How far (m) the geoms of the object reach out of its true shape at most: 0 for a
             primitive, measured for the convex pieces of a mesh.
@@ -179,8 +180,8 @@ class Scene:
     @property
     def subject(self) -> Subject:
         """What pictures of it are about: object, palm and fingers."""
-        hand, body_of = self.task.hand.description, self.model.geom_bodyid
-        pads = [f.pad.geom for f in hand.fingers if f.name in self.task.finger_names]
+        body_of = self.model.geom_bodyid
+        pads = [f.pad.geom for f in self.task.fingers]
         links = {int(body_of[g]) for g, finger in self.finger_of_geom.items() if finger}
         return Subject(
             object_body=self.object_body,
@@ -438,16 +439,16 @@ def index_scene(
         object_body=int(model.body(OBJECT).id),
         base_body=int(model.body(HAND_PREFIX + hand.description.base_body).id),
         palm_body=int(model.body(HAND_PREFIX + hand.description.palm_body).id),
-        finger_of_geom=_finger_of_geom(hand, model),
+        finger_of_geom=_finger_of_geom(task, model),
         support=int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_EQUALITY, SUPPORT)),
         deviation=solid_deviation(task.object.shape),
     )
 
 
-def _finger_of_geom(hand: Hand, model: Any) -> Mapping[int, str]:
+def _finger_of_geom(task: GraspTask, model: Any) -> Mapping[int, str]:
     return MappingProxyType(
         {
-            int(model.geom(HAND_PREFIX + g.name).id): hand.finger_of_body.get(g.body, "")
-            for g in hand.geometries
+            int(model.geom(HAND_PREFIX + g.name).id): task.part_of_body.get(g.body, "")
+            for g in task.hand.geometries
         }
     )

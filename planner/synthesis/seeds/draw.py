@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
 from planner.failure import Failure
+from planner.joints.description import OPEN, PINCH
 from planner.kinematics.arm_ik import reach
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
@@ -25,9 +26,6 @@ from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds.opposition import Opposition, frame_of, opposition
 from planner.task import GraspTask
-
-PINCH, OPEN = "pinch", "open"
-"""Postures that every description gives: pads opposed, and wide open."""
 
 POSITION_NOISE = 0.01
 """Standard deviation (m) of the hand's position in a start."""
@@ -120,14 +118,7 @@ class Seeder:
         if self.skin > 0.0:
             points = points + self.skin * normals
         if task.object.shape.flat_sides is not None:
-            # the nearest faces are often neighbours; those that the pads face are opposed
-            facing = [state.pad_axis(f) for f in task.fingers]
-            if self.aside.any():
-                along = _along(opposition(task, q), len(facing))
-                facing = [
-                    a if far else f for f, a, far in zip(facing, along, self.aside, strict=True)
-                ]
-            normals = -np.array([T_object_base.rotation @ f for f in facing])
+            normals = self._face_normals(q, T_object_base, normals)
         patches = tuple(
             self._patch(finger, p, n, rng)
             for finger, p, n in zip(task.finger_names, points, normals, strict=True)
@@ -138,11 +129,32 @@ class Seeder:
             points=np.array(
                 [np.clip(p, c.lower, c.upper) for p, c in zip(points, patches, strict=True)]
             ),
-            forces=opposed_forces(normals, self.pinch.opposer),
+            forces=self._forces(normals),
             patches=patches,
             frozen=self.frozen,
             base_fixed=task.T_world_base is not None,
         )
+
+    def _face_normals(self, q: FloatArray, T_object_base: SE3, nearest: FloatArray) -> FloatArray:
+        """Outward normals (n, 3) of the faces that the pads are to touch.
+
+        The nearest faces are often neighbours; those that the pads face are opposed.
+
+        Args:
+            q: Joints (nq,).
+            T_object_base: Pose of the base in the object's frame.
+            nearest: Normals (n, 3) of the points nearest to the pads.
+        """
+        state = moving_hand(self.task.hand).move(q)
+        facing = [state.pad_axis(f) for f in self.task.fingers]
+        if self.aside.any():
+            along = _along(opposition(self.task, q), len(facing))
+            facing = [a if far else f for f, a, far in zip(facing, along, self.aside, strict=True)]
+        return -np.array([T_object_base.rotation @ f for f in facing])
+
+    def _forces(self, normals: FloatArray) -> FloatArray:
+        """Forces (n, 3) of a start against outward normals (n, 3), in units of their mean."""
+        return opposed_forces(normals, self.pinch.opposer)
 
     def _patch(
         self, finger: str, point: FloatArray, normal: FloatArray, rng: np.random.Generator

@@ -18,6 +18,7 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.resistance import least_resisted
 from planner.synthesis.seeds.draw import STEEPEST, Seeder
+from planner.synthesis.seeds.enveloping import EnvelopingSeeder
 from planner.synthesis.seeds.opposed_pairs import opposed_pairs
 from planner.synthesis.seeds.opposition import Postures, measure_postures, opposition
 from planner.task import GraspTask
@@ -213,7 +214,9 @@ TINY = 1e-9
 
 
 def seeder_for(task: GraspTask) -> Seeder:
-    """The source of starts that suits the task's object."""
+    """The source of starts that suits the task's contacts and object."""
+    if not task.is_of_fingertips:
+        return EnvelopingSeeder(task)
     return MeshSeeder(task) if isinstance(task.object.shape, Mesh) else Seeder(task)
 
 

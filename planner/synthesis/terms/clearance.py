@@ -70,7 +70,7 @@ FASTEST = 1.1
 def _from_object(g: GraspSymbols, sphere: LinkSphere) -> tuple[Any, ...] | None:
     if g.surface.field is not None and _is_round_pad(sphere, g.fingers):
         return (sphere.radius - PRESSED,)
-    margin = margin_of(sphere, [f.name for f in g.fingers])
+    margin = margin_of(sphere, g.fingers)
     if margin is None:
         return None
     return (sphere.radius + g.option[margin] + g.surface.distance_error,)

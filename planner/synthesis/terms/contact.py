@@ -44,6 +44,20 @@ def _facing(g: GraspSymbols) -> Iterator[Rows]:
         yield Rows(expression=-ca.dot(axis, normal) - float(np.cos(rim)), about=(finger.name,))
 
 
+def _along(g: GraspSymbols) -> Iterator[Rows]:
+    """Both ends of a line that touches are outside of the plane that is tangent at its contact.
+
+    The end at share 1 is (1 - s) a . n above it where the contact is at share s of the way a.
+    """
+    for finger, center, normal in zip(g.fingers, g.centers, g.outward, strict=True):
+        middle = g.symbolic.point(finger.pad.joint_id, finger.pad.center)
+        shares = g.shares(finger, center - middle)
+        for share, way in zip(shares, g.reach(finger), strict=True):
+            slope = ca.dot(g.rotation @ way, normal)
+            rows = ca.vertcat((1 - share) * slope, -(1 + share) * slope)
+            yield Rows(expression=rows, about=(finger.name,))
+
+
 def _edge(g: GraspSymbols) -> Iterator[Rows]:
     for finger, point in zip(g.fingers, g.points, strict=True):
         flatness = g.surface.flatness(g.size, point)
@@ -98,6 +112,18 @@ FACING = Term(
         "the fingers reach the object with nail or side, not with their pads; another pose or "
         "size, or other fingers"
     ),
+)
+
+ALONG = Term(
+    name="along",
+    meaning="height of both ends of a link or face over the tangent plane at its contact",
+    role=Role.INEQUALITY,
+    unit="m",
+    weight=PER_METRE,
+    write=_along,
+    wording="{} beside its contact",
+    judged="whole link within 0.5 mm of the true surface",
+    lacking="links meet the object with an edge or an end; a rounder or smaller object",
 )
 
 EDGE = Term(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from planner.errors import NotFoundError, TaskError, shown
 from planner.synthesis.objectives.registry import OBJECTIVES
 from planner.synthesis.terms.clearance import OBJECT, OBSTACLE, TABLE
-from planner.synthesis.terms.contact import CENTER, EDGE, FACING, SURFACE, TOUCH
+from planner.synthesis.terms.contact import ALONG, CENTER, EDGE, FACING, SURFACE, TOUCH
 from planner.synthesis.terms.fingers import FINGERS
 from planner.synthesis.terms.forces import BALANCE, CONE, FORCES, LEVEL, PRESS, STOP
 from planner.synthesis.terms.joints import ARM, COUPLING, POSTURE
@@ -26,6 +26,7 @@ _STANDARD: tuple[Term, ...] = (
     COUPLING,
     ARM,
     FACING,
+    ALONG,
     CONE,
     PRESS,
     STOP,

@@ -1,0 +1,107 @@
+"""Grasp types: which fingers, links and palm of a hand may touch, by a name.
+
+Called by ``GraspTask.create``. A type gives sets of contacts (``Hand.contact_parts``) that the
+search tries in turns. To add one, write its function and enter it in ``GRASP_TYPES``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from itertools import chain
+
+import numpy as np
+import pinocchio as pin
+
+from planner.errors import NotFoundError, TaskError
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.joints.description import PINCH
+
+__all__ = ["FINGERTIP", "GRASP_TYPES", "contact_sets"]
+
+ContactSets = tuple[tuple[str, ...], ...]
+
+FINGERTIP, ANY = "fingertip", "any"
+
+LEAST_LINE = 0.008
+"""Least half length (m) of an inner link that is worth a contact: knuckles are shorter."""
+
+INNER_LINKS = 2
+"""Fingers of a power grasp that touch with an inner link too: more can seldom lie on one object."""
+
+
+def contact_sets(hand: Hand, grasp_type: str) -> ContactSets:
+    """Sets of names of fingers and links, in the order in which a search tries them.
+
+    Raises:
+        NotFoundError: No such type.
+        TaskError: The hand has not what the type needs.
+    """
+    if grasp_type not in GRASP_TYPES:
+        raise NotFoundError("grasp type", grasp_type, GRASP_TYPES)
+    return GRASP_TYPES[grasp_type](hand)
+
+
+def _by_nearness(hand: Hand) -> list[Finger]:
+    """The fingers of a grasp: the one that opposes the others, then those, the nearest first."""
+    fingers = hand.choose_fingers()
+    data = hand.pin_model.createData()
+    pin.forwardKinematics(hand.pin_model, data, hand.posture(PINCH))
+    axes = np.array([data.oMi[f.pad.joint_id].rotation @ f.pad.axis for f in fingers])
+    centers = np.array([data.oMi[f.pad.joint_id].act(f.pad.center) for f in fingers])
+    opposer = int((axes @ axes.sum(axis=0)).argmin())
+    order = np.argsort(np.linalg.norm(centers - centers[opposer], axis=1), kind="stable")
+    return [fingers[i] for i in order]
+
+
+def _links(hand: Hand, finger: Finger) -> list[Finger]:
+    """Links of a finger that may touch, from the palm outwards; the last is that of its tip."""
+    own = [p for p in hand.contact_parts.values() if p.is_link and p.bodies <= finger.bodies]
+    tip = finger.pad.joint_id
+    return [p for p in own if p.pad.joint_id == tip or _is_long(p)]
+
+
+def _is_long(part: Finger) -> bool:
+    return bool(np.linalg.norm(part.pad.reach, axis=1).max(initial=0.0) >= LEAST_LINE)
+
+
+def _few(hand: Hand, count: int, name: str) -> ContactSets:
+    fingers = _by_nearness(hand)
+    if len(fingers) < count:
+        raise TaskError(
+            f"a {name} takes {count} fingers, and {hand.name} has {len(fingers)}; use another type"
+        )
+    return (tuple(f.name for f in fingers[:count]),)
+
+
+def _power(hand: Hand) -> ContactSets:
+    """Palm, last links of all fingers, and in turns inner links of the fingers near the opposer."""
+    palm = hand.description.palm_body
+    if palm not in hand.contact_parts:
+        raise TaskError(
+            f"the palm {palm!r} of {hand.name} has no geometry that could touch; use fingertip"
+        )
+    opposer, *others = _by_nearness(hand)
+    links = {f.name: _links(hand, f) for f in (opposer, *others)}
+    last = [links[f.name][-1].name if links[f.name] else f.name for f in (opposer, *others)]
+    sets = [(*last, palm)]
+    for depth in (-3, -2):  # from the palm: links nearer to it lie on more objects
+        inner = [part[depth].name for f in others if len(part := links[f.name]) >= -depth]
+        if inner:
+            sets.append((*last, *inner[:INNER_LINKS], palm))
+    return (sets[1], sets[0], *sets[2:]) if len(sets) > 1 else tuple(sets)
+
+
+def _any(hand: Hand) -> ContactSets:
+    every = (sets(hand) for name, sets in GRASP_TYPES.items() if name in (FINGERTIP, "power"))
+    return tuple(chain.from_iterable(every))
+
+
+GRASP_TYPES: Mapping[str, Callable[[Hand], ContactSets]] = {
+    FINGERTIP: lambda hand: (tuple(f.name for f in hand.choose_fingers()),),
+    "pinch": lambda hand: _few(hand, 2, "pinch"),
+    "tripod": lambda hand: _few(hand, 3, "tripod"),
+    "power": _power,
+    ANY: _any,
+}
+"""Sets of contacts of a hand, by the name of the type."""

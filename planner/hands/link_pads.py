@@ -1,0 +1,138 @@
+"""Where a hand can touch beside its fingertips: inner links of its fingers, and the palm.
+
+Called by ``Hand.link_contacts``. A link that touches is a finger that ends early: the joints up to
+that link, and a pad on it. The palm is a finger without joints. Pads are proposed from the
+geometry: a capsule or cylinder touches along its line, a box or a hull with the face that looks to
+the palm's side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from planner.bridge import LinkGeometry
+from planner.hands.fingers import Finger, Pad
+from planner.spatial import FloatArray
+
+ROUND_HALF_ANGLE = float(np.deg2rad(70.0))
+"""Contacts of a round link lie within this cone (rad) about the direction to the palm's side: its
+flanks touch as well, its back does not."""
+
+FLAT_HALF_ANGLE = float(np.deg2rad(8.0))
+"""The same for the face of a box or a hull, whose one normal is the pad's axis."""
+
+TINY = 1e-12
+"""A squared length (m2) below which there is no direction."""
+
+SHORT = 1e-3
+"""A link along whose line pads could move by less than this (m) is taken as a ball."""
+
+
+def link_contacts(
+    model: Any,
+    geometries: Sequence[LinkGeometry],
+    fingers: Sequence[Finger],
+    palm: str,
+    palm_normal: FloatArray,
+    neutral: FloatArray,
+) -> Mapping[str, Finger]:
+    """Inner links of the fingers and the palm as fingers that end early, by the name of the body.
+
+    Of a body with several geometries the largest touches; of the last one of a finger that of the
+    tip, if it is a ball. A body whose name is a finger's is left out.
+
+    Args:
+        model: ``pinocchio.Model`` of the hand.
+        geometries: Its colliding geometries.
+        fingers: Its fingers.
+        palm: Name of the palm's body.
+        palm_normal: Where the palm faces (3,), unit, in that body's frame.
+        neutral: Joints (nq,) with straight fingers.
+    """
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, neutral)
+    out = {}
+    for finger in fingers:
+        tip = data.oMi[finger.pad.joint_id]
+        ball = next(g.kind for g in geometries if g.name == finger.pad.geom) == "sphere"
+        for body in sorted(finger.bodies, key=model.getBodyId):
+            geometry = _largest(geometries, body)
+            if geometry is None:
+                continue
+            pose = data.oMi[geometry.joint_id]
+            outward = tip.act(finger.pad.center) - pose.translation
+            facing = tip.rotation @ finger.pad.axis
+            facing = facing - outward * (outward @ facing) / max(float(outward @ outward), TINY)
+            pad = _pad(geometry, pose.rotation.T @ facing)
+            if ball and geometry.joint_id == finger.pad.joint_id:
+                wide = max(ROUND_HALF_ANGLE, finger.pad.rolling_half_angle)
+                pad = replace(finger.pad, axis=pad.axis, half_angle=wide)
+            moving = [int(j) - 1 for j in model.supports[geometry.joint_id]]
+            out[body] = _ended(model, body, pad, [j for j in finger.q_index if j in moving])
+    if (face := _largest(geometries, palm)) is not None:
+        turn = model.frames[model.getBodyId(palm)].placement.rotation
+        out[palm] = _ended(model, palm, _pad(face, turn @ palm_normal), [])
+    names = {finger.name for finger in fingers}
+    return {name: part for name, part in out.items() if name not in names}
+
+
+def _ended(model: Any, body: str, pad: Pad, joints: Sequence[int]) -> Finger:
+    """A finger that ends with a body; where its joints stand in q."""
+    return Finger(
+        name=body,
+        joints=tuple(model.names[int(j) + 1] for j in joints),
+        q_index=np.array(joints, dtype=int),
+        tip_frame=body,
+        tip_frame_id=int(model.getBodyId(body)),
+        pad=pad,
+        bodies=frozenset({body}),
+        is_link=True,
+    )
+
+
+def _largest(geometries: Sequence[LinkGeometry], body: str) -> LinkGeometry | None:
+    mine = [g for g in geometries if g.body == body]
+    return max(mine, key=lambda g: float(np.prod(_extent(g)[1])), default=None)
+
+
+def _extent(geometry: LinkGeometry) -> tuple[FloatArray, FloatArray]:
+    """Middle and half extents (3,), m, of a geometry's box in its own frame."""
+    coal_geometry = geometry.geometry
+    coal_geometry.computeLocalAABB()
+    box = coal_geometry.aabb_local
+    return (np.array(box.max_) + box.min_) / 2, (np.array(box.max_) - box.min_) / 2
+
+
+def _pad(geometry: LinkGeometry, facing: FloatArray) -> Pad:
+    """The pad of a link; ``facing`` (3,) is the way to the palm's side, in the joint's frame."""
+    placed = geometry.T_joint_geometry
+    local = placed.rotation.T @ facing
+    middle, half = _extent(geometry)
+    if geometry.kind in ("sphere", "capsule", "cylinder"):
+        along = float(half[2] - half[0]) if geometry.kind == "capsule" else float(half[2])
+        round_ = geometry.kind == "sphere" or along < SHORT
+        local[2] = 0.0
+        radius, angle = float(half[0]), ROUND_HALF_ANGLE
+        reach = np.zeros((0, 3)) if round_ else np.array([[0.0, 0.0, along]])
+    else:
+        k = int(np.argmax(np.abs(local)))
+        local = np.sign(local[k]) * np.eye(3)[k]
+        radius, angle = float(half[k]), FLAT_HALF_ANGLE
+        reach = np.diag(half)[[i for i in range(3) if i != k]]
+    axis = placed.rotation @ (local / max(float(np.linalg.norm(local)), 1e-9))
+    return Pad(
+        geom=geometry.name,
+        joint_id=geometry.joint_id,
+        center=np.array(placed.act(middle)),
+        axis=axis,
+        radius=radius,
+        half_angle=angle,
+        rolling_axis=axis,
+        rolling_half_angle=angle,
+        reach=reach @ placed.rotation.T,
+    )

@@ -1,0 +1,212 @@
+"""Starts of grasps with the whole hand: the palm near the object, the fingers closed around it.
+
+The palm is laid on the object from a random side, turned at random about its normal, and every
+finger flexes until one of its links touches; what lies behind that link stays, the rest goes on, as
+in a hand of which each joint has its own motor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from planner.collision.moving_hand import moving_hand
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.link_spheres import link_spheres
+from planner.synthesis.seeds.draw import Seeder
+
+FLEXION_STEPS = 30
+"""Steps from the open to the flexed posture: 3 degrees each."""
+
+SLOWEST = 0.5
+"""Least share (-) of its range that a joint flexes in the time in which others flex fully."""
+
+FLEXING = 0.4
+"""Cosine between the motion of a tip and the palm's normal from which on a joint flexes (-)."""
+
+PALM_GAP = (0.002, 0.02)
+"""Distances (m) of a palm that does not touch from the object."""
+
+LOWEST_SIDE = -0.2
+"""Least height (-) of the direction from which the palm comes, over a table."""
+
+FAR = 2.0
+"""Distance (-) from which the nearest point of the object is where the palm comes to, in radii."""
+
+FACE_AWAY = 0.02
+"""Distance (m) that a face counts as farther away that is at right angles to a pad."""
+
+OFF_CENTER = 0.1
+"""Standard deviation (-) of the palm's place from the middle of a flat face, in radii."""
+
+PLACES = 4
+"""Places of the palm of which the best is taken."""
+
+TOWARD, ASIDE = (0.0, 1.0), 0.3
+"""Where on the palm the object lies (-), in shares of the palm's reach towards the fingers, and how
+far aside of that."""
+
+
+class EnvelopingSeeder(Seeder):
+    """Draws starts in which the palm faces the object and the fingers are around it."""
+
+    def _prepare(self) -> None:
+        """Find how the fingers flex."""
+        hand = self.task.hand
+        self._spheres = link_spheres(hand)
+        self._joints = np.array([b.joint_id for b in self._spheres])
+        self._moving, self._frame = np.unique(self._joints, return_inverse=True)
+        self._centers = np.array([b.center for b in self._spheres])
+        self._radii = np.array([b.radius for b in self._spheres])
+        self._palm = hand.contact_parts[hand.description.palm_body].pad
+        self._touches_palm = hand.description.palm_body in self.task.finger_names
+        self._flexed = self._flexed_posture()
+        self._fingers_way = self._way_of_fingers()
+
+    def _way_of_fingers(self) -> FloatArray:
+        """Unit direction (3,) in which most fingers lie across the palm, in its joint's frame."""
+        hand = self.task.hand
+        state = moving_hand(hand).move(self.open)
+        inverse = state.joint_pose(self._palm.joint_id).inverse()
+        ways = []
+        for finger in hand.fingers.values():
+            root = state.joint_pose(hand.pin_model.getJointId(finger.joints[0])).translation
+            way = inverse.rotation @ (state.pad_center(finger) - root)
+            way -= self._palm.axis * (self._palm.axis @ way)
+            ways.append(way / max(float(np.linalg.norm(way)), 1e-9))
+        # the way that agrees with most: a thumb points elsewhere
+        best = ways[int(np.argmax(np.sum(np.array(ways) @ np.array(ways).T, axis=1)))]
+        return np.asarray(best)
+
+    def _flexed_posture(self) -> FloatArray:
+        """Joints (nq,) with every finger flexed as far as it goes, others as in the open one."""
+        hand, q = self.task.hand, self.open.copy()
+        state = moving_hand(hand).move(self.open)
+        normal = state.T_base_palm.rotation @ hand.palm_normal
+        for finger in hand.fingers.values():
+            rates = state.point_jacobian(finger.pad.joint_id, state.pad_center(finger))[:3]
+            facing = state.pad_axis(finger)
+            for j in finger.q_index:
+                speed = float(np.linalg.norm(rates[:, j]))
+                along = float(rates[:, j] @ (facing - normal)) / max(
+                    speed * float(np.linalg.norm(facing - normal)), 1e-9
+                )
+                if along > FLEXING:
+                    q[j] = hand.q_upper[j]
+                elif along < -FLEXING:
+                    q[j] = hand.q_lower[j]
+        return q
+
+    def _place(self, rng: np.random.Generator) -> tuple[SE3, FloatArray]:
+        task = self.task
+        T_world_object, state = task.T_world_object, moving_hand(task.hand)
+        q = self._with_noise(self.open, rng)
+        if task.T_world_base is not None:
+            T_world_base = task.T_world_base
+        else:
+            T_base_palm = SE3(state.move(q).joint_pose(self._palm.joint_id))
+            T_object_palm = self._palm_pose(rng)
+            T_world_base = T_world_object * T_object_palm * T_base_palm.inverse()
+        T_object_base = T_world_object.inverse() * T_world_base
+        return T_world_base, self._closed(T_object_base, q, rng)
+
+    def _palm_pose(self, rng: np.random.Generator) -> SE3:
+        """Pose of the palm's joint in the object's frame, its face on the object or near it.
+
+        Of some places drawn it is the one where the object is smallest across the fingers.
+        """
+        drawn = [self._drawn_palm_pose(rng) for _ in range(PLACES)]
+        return min(drawn, key=lambda place: place[0])[1]
+
+    def _drawn_palm_pose(self, rng: np.random.Generator) -> tuple[float, SE3]:
+        """Size (m) of the object across fingers and palm, and a pose."""
+        pad, shape = self._palm, self.task.object.shape
+        point, outward = self._drawn_side(rng)
+        gap = 0.0 if self._touches_palm else rng.uniform(*PALM_GAP)
+        turn = pin.exp3(outward * rng.uniform(-np.pi, np.pi)) @ _turn_onto(pad.axis, -outward)
+        touching = pad.center + pad.radius * pad.axis
+        if len(pad.reach):
+            touching = touching + self._shares(rng) @ pad.reach
+        along = turn @ self._fingers_way
+        size = shape.support(along) + shape.support(-along)
+        size += shape.support(outward) + shape.support(-outward)
+        return float(size), SE3(turn, point + gap * outward - turn @ touching)
+
+    def _drawn_side(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """A point (3,) of the surface where the palm may lie, and the outward normal (3,) there."""
+        task, shape = self.task, self.task.object.shape
+        turn = task.T_world_object.rotation
+        sides = None if shape.flat_sides is None else np.array(list(shape.flat_sides))
+        while True:
+            side = rng.normal(size=3) if sides is None else sides[rng.integers(len(sides))]
+            side = side / np.linalg.norm(side)
+            if task.table_height is None or (turn @ side)[2] >= LOWEST_SIDE:
+                break
+        far = FAR * shape.bounding_radius * side
+        if sides is not None:
+            far = far + rng.normal(0.0, OFF_CENTER * shape.bounding_radius, 3)
+        points, outward = shape.closest_point(far[None])
+        return points[0], outward[0] if sides is None else side
+
+    def _shares(self, rng: np.random.Generator) -> FloatArray:
+        """Where on the palm the object lies, in shares of its reach: rather near the fingers."""
+        toward = self._palm.reach @ self._fingers_way
+        toward /= max(float(np.linalg.norm(toward)), 1e-9)
+        shares = rng.uniform(-1.0, 1.0, len(toward)) * ASIDE + toward * rng.uniform(*TOWARD)
+        return np.asarray(np.clip(shares, -1.0, 1.0))
+
+    def _closed(self, T_object_base: SE3, q: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Joints (nq,) with all fingers flexed from q until links touch, or to their limits."""
+        hand, surface = self.task.hand, self.task.object.shape
+        way = (self._flexed - q) * rng.uniform(SLOWEST, 1.0, hand.nq)
+        free = np.ones(hand.nq, dtype=bool)
+        state, q = moving_hand(hand), q.copy()
+        for _ in range(FLEXION_STEPS):
+            ahead = q + np.where(free, way, 0.0) / FLEXION_STEPS
+            poses = state.move(ahead).pin_data.oMi
+            frames = np.array([poses[j].homogeneous for j in self._moving.tolist()])[self._frame]
+            at = (frames[:, :3, :3] @ self._centers[:, :, None])[:, :, 0] + frames[:, :3, 3]
+            at = at @ T_object_base.rotation.T + T_object_base.translation
+            points, outward = surface.closest_point(at)
+            gaps = ((at - points) * outward).sum(axis=1) - self._radii
+            free &= ~hand.moved_by[self._joints[gaps < 0.0]].any(axis=0)
+            q = np.where(free, ahead, q)
+            if not free.any():
+                break
+        return self._with_wrist(q)
+
+    def _face_normals(self, q: FloatArray, T_object_base: SE3, nearest: FloatArray) -> FloatArray:
+        """Of the faces that are near to the pads as they lie, and that the pads face."""
+        task, out = self.task, nearest.copy()
+        state = moving_hand(task.hand).move(q)
+        sides = np.array(task.object.shape.flat_sides)
+        for i, finger in enumerate(task.fingers):
+            pad, pose = finger.pad, T_object_base * state.joint_pose(finger.pad.joint_id)
+            cost = FACE_AWAY * (1.0 + sides @ (pose.rotation @ pad.axis))
+            for k, side in enumerate(sides):
+                patch = self.surface.patch_at(task.object.shape, nearest[i], side)
+                at = pose.act(pad.center)
+                off = at - np.clip(at, patch.lower, patch.upper) - pad.radius * side
+                for along in pad.reach @ pose.rotation.T:
+                    off = off - np.clip(off @ along / (along @ along), -1.0, 1.0) * along
+                cost[k] += np.linalg.norm(off)
+            out[i] = sides[int(np.argmin(cost))]
+        return out
+
+    def _forces(self, normals: FloatArray) -> FloatArray:
+        return np.asarray(-normals)
+
+
+def _turn_onto(a: FloatArray, b: FloatArray) -> FloatArray:
+    """A rotation (3, 3) that takes the unit vector a to b."""
+    axis = np.cross(a, b)
+    length = float(np.linalg.norm(axis))
+    if length < 1e-9:
+        return np.eye(3) if a @ b > 0 else np.array(pin.exp3(np.pi * _across(a)))
+    return np.array(pin.exp3(axis / length * np.arctan2(length, float(a @ b))))
+
+
+def _across(a: FloatArray) -> FloatArray:
+    out = np.eye(3)[int(np.argmin(np.abs(a)))]
+    out = out - a * (a @ out)
+    return np.asarray(out / np.linalg.norm(out))

@@ -1,0 +1,213 @@
+"""Grasps with inner links and the palm: where they can touch, plans, ways in, trials."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from planner import GraspTask, plan_grasp
+from planner.batch.recipe import recipe_of, task_of
+from planner.certify import bound_nearby
+from planner.errors import NoGraspFoundError, NotFoundError, TaskError
+from planner.files import read_plan
+from planner.hand_loading import load_hand
+from planner.hands.grasp_types import contact_sets
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray
+from planner.tolerances import TOUCH_TOL
+from sim import simulate
+from sim.scene.build import build_scene
+
+RADIUS = 0.04
+"""Of the sphere that is held, m."""
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("allegro_hand")
+
+
+@pytest.fixture(scope="module")
+def plan(hand: Hand) -> GraspPlan:
+    return plan_grasp(GraspTask.create(hand, f"sphere:{RADIUS}", grasp_type="power"), seed=3)
+
+
+def distance_of(plan: GraspPlan, geom: str, radius: float = RADIUS) -> float:
+    """Distance (m) of a capsule's or box's surface from the sphere's, by MuJoCo's kinematics."""
+    model = plan.task.hand.mj_model
+    data = mujoco.MjData(model)
+    data.qpos[:] = plan.q
+    mujoco.mj_kinematics(model, data)
+    k = model.geom(geom).id
+    center = plan.T_world_base.inverse().act(plan.task.T_world_object.translation)
+    local = data.geom_xmat[k].reshape(3, 3).T @ (center - data.geom_xpos[k])
+    size = model.geom_size[k]
+    if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        local[2] -= np.clip(local[2], -size[1], size[1])
+        return float(np.linalg.norm(local) - size[0] - radius)
+    if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_BOX:
+        return float(np.linalg.norm(local - np.clip(local, -size, size)) - radius)
+    assert model.geom_type[k] == mujoco.mjtGeom.mjGEOM_SPHERE
+    return float(np.linalg.norm(local) - size[0] - radius)
+
+
+@pytest.mark.parametrize("name", ["allegro_hand", "shadow_hand"])
+def test_pads_of_links_lie_on_their_links_and_face_the_palms_side(name: str) -> None:
+    hand = load_hand(name)
+    state = HandState(hand, hand.neutral)  # fingers straight
+    palm = state.T_base_palm.rotation @ hand.palm_normal
+    for part in hand.contact_parts.values():
+        if not part.is_link:
+            continue
+        pad = part.pad
+        geometry = next(g for g in hand.geometries if g.name == pad.geom)
+        local = geometry.T_joint_geometry.actInv(pad.center)
+        size = geometry.size
+        if geometry.kind == "box":  # as far from one face as its radius, and in the middle of it
+            np.testing.assert_allclose(local, 0.0, atol=1e-12)
+            assert np.isclose(size, pad.radius).any()
+            spans = np.sort(np.append(np.linalg.norm(pad.reach, axis=1), pad.radius))
+            np.testing.assert_allclose(spans, np.sort(size))
+        elif geometry.kind == "capsule" and len(pad.reach):
+            assert pad.radius == size[0]
+            np.testing.assert_allclose(np.linalg.norm(pad.reach), size[1])
+            np.testing.assert_allclose(pad.reach @ pad.axis, 0.0, atol=1e-12)
+        if part.joints and not part.name.startswith(("thumb", "little")):
+            assert state.joint_pose(pad.joint_id).rotation @ pad.axis @ palm > 0.3
+    assert hand.contact_parts[hand.description.palm_body].joints == ()
+
+
+def test_joints_of_a_link_are_those_that_move_it(hand: Hand) -> None:
+    part = hand.contact_parts["index_proximal"]
+    assert part.joints == ("index_0", "index_1")
+    assert hand.contact_parts["index_distal"].joints == hand.fingers["index"].joints
+
+
+def test_contacts_touch_by_another_engines_kinematics(plan: GraspPlan) -> None:
+    assert not plan.task.is_of_fingertips
+    for part in plan.task.fingers:
+        assert abs(distance_of(plan, part.pad.geom)) <= TOUCH_TOL
+
+
+def test_nothing_else_of_the_hand_is_in_the_object(plan: GraspPlan) -> None:
+    for geometry in plan.task.hand.geometries:
+        assert distance_of(plan, geometry.name) > -TOUCH_TOL
+
+
+def test_the_way_in_is_free_and_so_is_closing(plan: GraspPlan) -> None:
+    """Sampled in MuJoCo: nothing touches on the way but the palm, and that at its end."""
+    task = plan.task
+    scene = build_scene(task, T_world_base=plan.T_world_base, q=plan.q)
+    start, end = plan.T_world_base_start.translation, plan.T_world_base.translation
+    way = start + np.linspace(0.0, 0.95, 15)[:, None] * (end - start)
+    along = [SE3(plan.T_world_base.rotation, at) for at in way]
+    moments = [(plan.q_pregrasp, base) for base in along]
+    moments += [
+        (plan.q_pregrasp + s * (plan.q - plan.q_pregrasp), plan.T_world_base)
+        for s in np.linspace(0.0, 0.9, 10)
+    ]
+    palm = {scene.model.geom("hand/" + name).id for name in task.carried_pads}
+    for q, base in moments:
+        data = scene.start(q, base)
+        for contact in data.contact[: data.ncon]:
+            pair = set(contact.geom.tolist())
+            if pair & set(scene.finger_of_geom) and not pair & palm:
+                assert contact.dist > 0.0, [scene.model.geom(g).name for g in pair]
+
+
+def test_it_is_held_with_the_forces_that_were_planned(plan: GraspPlan) -> None:
+    report = simulate(plan)
+    assert report.success, report.reason
+    pressing = [c for c in report.comparison if c.planned_normal_force > 0.5]
+    assert len(pressing) >= 3
+    # the palm's friction shares with the fingers' as it likes: the median, not each
+    errors = [abs(c.measured_normal_force / c.planned_normal_force - 1.0) for c in pressing]
+    assert np.median(errors) < 0.15
+
+
+def test_outermost_contacts_press_and_the_palm_need_not(plan: GraspPlan) -> None:
+    task = plan.task
+    assert {task.finger_names[i] for i in task.outermost} == {
+        f"{f}_distal" for f in ("thumb", "index", "middle", "ring")
+    }
+    least = dict(zip(task.finger_names, task.least_normals, strict=True))
+    assert least["palm"] == 0.0 and least["thumb_distal"] == task.grip_force
+    assert (plan.contacts.forces[list(task.outermost), 0] >= task.grip_force - 1e-6).all()
+
+
+def test_the_palms_force_loads_no_joint_of_a_finger(plan: GraspPlan) -> None:
+    """J'f of the other contacts alone is what the actuators give."""
+    from planner.verification.grasp import force_arguments
+
+    task = plan.task
+    given = force_arguments(task, plan.contacts, plan.T_world_base, plan.q)
+    palm = task.finger_names.index("palm")
+    jacobians: FloatArray = np.asarray(given["jacobians"])
+    assert not jacobians[palm].any()
+    proximal = task.hand.contact_parts["index_proximal"]
+    if "index_proximal" in task.finger_names:
+        rows = jacobians[task.finger_names.index("index_proximal")]
+        outside = np.setdiff1d(np.arange(task.hand.nq), proximal.q_index)
+        assert not rows[:, outside].any()
+
+
+def test_a_plan_comes_back_from_its_file(plan: GraspPlan, tmp_path: Path) -> None:
+    path = tmp_path / "power.json"
+    plan.save(path)
+    again = read_plan(path)
+    assert again.task.finger_names == plan.task.finger_names
+    assert (again.q == plan.q).all()
+
+
+def test_the_text_of_a_task_keeps_its_choices_and_is_the_old_one_without(hand: Hand) -> None:
+    power = GraspTask.create("allegro_hand", "sphere", grasp_type="power")
+    assert task_of(recipe_of(power)).alternatives == power.alternatives != ()
+    assert "alternatives" not in recipe_of(GraspTask.create("allegro_hand", "sphere"))
+
+
+def test_types_name_contacts(hand: Hand) -> None:
+    fingers = ("thumb", "middle", "ring", "index")  # from the thumb on, by nearness
+    assert contact_sets(hand, "tripod") == (fingers[:3],)
+    assert contact_sets(hand, "pinch") == (fingers[:2],)
+    power = contact_sets(hand, "power")
+    assert all("palm" in names and "thumb_distal" in names for names in power)
+    assert contact_sets(hand, "any")[0] == tuple(f.name for f in hand.choose_fingers())
+
+
+@pytest.mark.parametrize("given", ["fingertip", None])
+def test_fingertips_are_the_default(given: str | None) -> None:
+    one = GraspTask.create("allegro_hand", "sphere", grasp_type=given)
+    assert one.is_of_fingertips and one.may_spare_fingers and not one.alternatives
+
+
+def test_what_a_type_cannot_be_is_said() -> None:
+    with pytest.raises(NotFoundError, match="grasp type"):
+        GraspTask.create("allegro_hand", "sphere", grasp_type="hook")
+    with pytest.raises(TaskError, match="give one of them"):
+        GraspTask.create("allegro_hand", "sphere", grasp_type="power", fingers=["thumb", "index"])
+    with pytest.raises(TaskError, match="2 finger"):
+        GraspTask.create("allegro_hand", "sphere", grasp_type="pinch")
+    with pytest.raises(NotFoundError, match="finger or link"):
+        GraspTask.create("allegro_hand", "sphere", fingers=["thumb", "index", "elbow"])
+
+
+def test_links_by_name_are_a_grasp_too(hand: Hand) -> None:
+    names = ["thumb", "index", "middle", "ring", "palm"]
+    try:
+        plan = plan_grasp(GraspTask.create(hand, "sphere:0.035", fingers=names), seed=1)
+    except NoGraspFoundError as error:
+        pytest.fail(str(error))
+    assert plan.task.finger_names == tuple(names)
+    assert abs(distance_of(plan, "palm", 0.035)) <= TOUCH_TOL
+
+
+def test_what_is_known_of_fingertips_alone_is_not_claimed_of_links(plan: GraspPlan) -> None:
+    bound = bound_nearby(plan, np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
+    assert bound.factor == np.inf and "links" in bound.reason
+    with pytest.raises(TaskError, match="sensor errors are those of fingertips"):
+        simulate(plan, reality="lab")
