@@ -37,12 +37,16 @@ class Setting:
         fingers: Fingers that take part; None for the hand's default, of which some may be spared.
         floating: Whether there is no table.
         joint_error: Standard deviation of the encoders' errors that planning reckons with, rad.
+        grasp_type: What touches (``planner.hands.grasp_types``), instead of ``fingers``.
+        mass: Of the object, kg; its own if None.
     """
 
     mu: float = DEFAULT_MU
     fingers: tuple[str, ...] | None = None
     floating: bool = False
     joint_error: float = 0.0
+    grasp_type: str | None = None
+    mass: float | None = None
 
 
 USUAL = Setting()
@@ -122,11 +126,12 @@ def task_of(hand: str, spec: str, setting: Setting = USUAL) -> GraspTask:
     """
     return GraspTask.create(
         checked_hand(hand),
-        parse_object(spec),
+        parse_object(spec, mass=setting.mass),
         table_height=None if setting.floating else 0.0,
         mu=setting.mu,
         fingers=setting.fingers,
         joint_error=setting.joint_error,
+        grasp_type=setting.grasp_type,
     )
 
 

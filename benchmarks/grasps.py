@@ -13,7 +13,7 @@ from planner.errors import NoGraspFoundError
 from planner.search.grasp import plan_grasp
 from planner.synthesis.problem_cache import problems_for
 from sim.cli.execution import physics_of, reality_of
-from sim.cli.options import PhysicsOption, RealityOption, SimMuOption
+from sim.cli.options import MassOption, PhysicsOption, RealityOption, SimMuOption, TypeOption
 from sim.tables import Row
 from sim.trial import simulate
 
@@ -26,15 +26,20 @@ class Options(HandOptions):
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
     reality: RealityOption = "ideal"
+    type: TypeOption = None
+    mass: MassOption = None
 
 
 def cases(options: Options) -> Iterator[Row]:
     """Seeds of every hand and object."""
     reality = reality_of(options.reality)
+    setting = Setting(
+        joint_error=reality.encoder_offset, grasp_type=options.type, mass=options.mass
+    )
     given = {"physics": physics_of(options.physics, options.sim_mu)}
     for cell in cells_of(options.hand_names, options.objects):
         for seed in range(options.seed, options.seed + options.n):
-            yield {**cell, "seed": seed, **given, "reality": reality}
+            yield {**cell, "seed": seed, **given, "reality": reality, "setting": setting}
 
 
 def measure(case: Row) -> Row:
@@ -44,7 +49,7 @@ def measure(case: Row) -> Row:
     the object in the hand after the squeeze; planned against measured contact position and normal
     force, per finger.
     """
-    task = task_of(case["hand"], case["spec"], Setting(joint_error=case["reality"].encoder_offset))
+    task = task_of(case["hand"], case["spec"], case["setting"])
     row: Row = {"build_s": problems_for(task).build_s, "found": False}
     try:
         plan = plan_grasp(task, seed=case["seed"])
