@@ -68,8 +68,8 @@ class Constrained:
     def _from_mesh(self, x: FloatArray, p: dict[str, FloatArray], task: GraspTask) -> FloatArray:
         u, surface = self.problem.formulation.unknowns, self.problem.surface
         pose = u.pose(x, SE3(p["reference"].reshape(3, 3, order="F"), np.zeros(3)))
-        state, names = HandState(task.hand, u.q(x)), task.finger_names
-        spheres = [(s, margin_of(s, names)) for s in link_spheres(task.hand)]
+        state = HandState(task.hand, u.q(x))
+        spheres = [(s, margin_of(s, task.fingers)) for s in link_spheres(task.hand)]
         kept = [(s, margin) for s, margin in spheres if margin is not None]
         centers = [pose.act(state.joint_pose(s.joint_id).act(s.center)) for s, _ in kept]
         reach = [s.radius + p[margin][0] + surface.distance_error for s, margin in kept]

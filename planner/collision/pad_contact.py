@@ -4,11 +4,15 @@ Two kinds of pad. Where the pad's sphere is the surface of its geometry (the end
 contact is the surface point nearest to the sphere's centre: exact, and smooth in q. Elsewhere (a
 box, a hull) the sphere is an approximation, and the contact is where coal finds the true geometry
 nearest to the object.
+
+A link or a palm that lies on the object touches along a line or in a face. Its contact is the
+middle of where it touches: that is where forces add up when all of it presses alike.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -20,9 +24,14 @@ from planner.kinematics.state import MovingHand
 from planner.spatial import SE3, FloatArray
 from planner.system.threads import kept_by_thread
 from planner.task import GraspTask
+from planner.tolerances import TOUCH_TOL
 
 ROUND = ("sphere", "capsule")
 """Kinds of geometry whose surface is a pad's sphere where the pad may touch."""
+
+ON_LINE, ON_SIDE = 31, 11
+"""Places along a link, and along each side of a face, at which it is looked whether it touches:
+some 2 mm and 10 mm apart."""
 
 IDENTITY = SE3.Identity()
 """The object's pose in its own frame; read only."""
@@ -88,11 +97,11 @@ class PadContactQueries:
         self._radii = np.array([f.pad.radius for f in task.fingers])
         nowhere = np.zeros(0)
         self._at = (nowhere, nowhere, nowhere), np.zeros((4, 4))  # the last answer, and its pose
-        self.round = [
-            pad_geometry(hand, f.pad.geom).kind in ROUND and not len(f.pad.reach)
-            for f in task.fingers
-        ]
+        self.round = [pad_geometry(hand, f.pad.geom).kind in ROUND for f in task.fingers]
         """Whether each pad's sphere is its geometry's surface."""
+        self._reach = [f.pad.reach for f in task.fingers]
+        self._lies = np.array([len(reach) > 0 for reach in self._reach])
+        self._shares = [_shares(len(reach)) for reach in self._reach]
         self._pairs = [
             [
                 (shape_pair(g.geometry, shape), g.T_joint_geometry)
@@ -125,8 +134,8 @@ class PadContactQueries:
     def gaps(self, T_world_base: SE3, q: FloatArray) -> PadGaps:
         """Gaps of the pads alone and how they move, at base pose and q (nq,)."""
         base, gaps, points, outward = self._spheres(T_world_base, q)
-        for i, is_round in enumerate(self.round):
-            if not is_round:
+        for i, by_sphere in enumerate(self._lies | self.round):
+            if not by_sphere:
                 gaps[i], points[i], outward[i] = self._whole(i, base, points[i], outward[i])
         to_base = base.inverse()
         in_base = points @ to_base.rotation.T + to_base.translation
@@ -147,10 +156,25 @@ class PadContactQueries:
         self._state.move(q)
         _, centers = self._state.pads(self._task.fingers)
         centers = centers @ base.rotation.T + base.translation
+        if self._lies.any():
+            centers = self._touching_centers(base, centers)
         points, outward = self._task.object.shape.closest_point(centers)
         gaps = ((centers - points) * outward).sum(axis=1) - self._radii
         self._at = (gaps, points, outward), base.homogeneous
         return base, gaps.copy(), points.copy(), outward.copy()
+
+    def _touching_centers(self, base: SE3, middles: FloatArray) -> FloatArray:
+        """Centres (n, 3) of the pads' spheres where they touch, of those in the middle of them."""
+        out = middles.copy()
+        for i in np.flatnonzero(self._lies).tolist():
+            turn = base.rotation @ self._state.joint_pose(int(self._joints[i])).rotation
+            ways = self._reach[i] @ turn.T
+            at = middles[i] + self._shares[i] @ ways
+            points, outward = self._task.object.shape.closest_point(at)
+            gaps = ((at - points) * outward).sum(axis=1)
+            weights = np.maximum(gaps.min() + TOUCH_TOL - gaps, 0.0)
+            out[i] = weights @ at / weights.sum()
+        return out
 
     def _whole(
         self, i: int, base: SE3, point: FloatArray, outward: FloatArray
@@ -160,12 +184,18 @@ class PadContactQueries:
         pairs = [(pair, pose * local) for pair, local in self._pairs[i]]
         gaps = [pair.distance(at, IDENTITY) for pair, at in pairs]
         gap = min(gaps)
-        if self.round[i]:
+        if self.round[i] or self._lies[i]:
             return gap, point, outward
         pair, at = pairs[gaps.index(gap)]
         lifted = SE3(at.rotation, at.translation + (LIFTED + max(-gap, 0.0)) * outward)
         found = pair.query(lifted, IDENTITY)
         return gap, found.point_b, -found.normal
+
+
+def _shares(n: int) -> FloatArray:
+    """Where along n ways a pad is looked at (k, n), in shares of its reach."""
+    along = np.linspace(-1.0, 1.0, {0: 1, 1: ON_LINE}.get(n, ON_SIDE))
+    return np.array(list(product(along, repeat=n)))
 
 
 @kept_by_thread(8)

@@ -26,6 +26,9 @@ FINGERTIP, ANY = "fingertip", "any"
 LEAST_LINE = 0.008
 """Least half length (m) of an inner link that is worth a contact: knuckles are shorter."""
 
+FEW = 2
+"""Fingers beside the opposer that hold what is too small for all of them."""
+
 INNER_LINKS = 2
 """Fingers of a power grasp that touch with an inner link too: more can seldom lie on one object."""
 
@@ -75,7 +78,7 @@ def _few(hand: Hand, count: int, name: str) -> ContactSets:
 
 
 def _power(hand: Hand) -> ContactSets:
-    """Palm, last links of all fingers, and in turns inner links of the fingers near the opposer."""
+    """Palm and last links of all fingers; with inner links of two; with two fingers alone."""
     palm = hand.description.palm_body
     if palm not in hand.contact_parts:
         raise TaskError(
@@ -84,12 +87,13 @@ def _power(hand: Hand) -> ContactSets:
     opposer, *others = _by_nearness(hand)
     links = {f.name: _links(hand, f) for f in (opposer, *others)}
     last = [links[f.name][-1].name if links[f.name] else f.name for f in (opposer, *others)]
+    inner = [part[-3].name for f in others if len(part := links[f.name]) > 2]
     sets = [(*last, palm)]
-    for depth in (-3, -2):  # from the palm: links nearer to it lie on more objects
-        inner = [part[depth].name for f in others if len(part := links[f.name]) >= -depth]
-        if inner:
-            sets.append((*last, *inner[:INNER_LINKS], palm))
-    return (sets[1], sets[0], *sets[2:]) if len(sets) > 1 else tuple(sets)
+    if inner:
+        sets.append((*last, *inner[:INNER_LINKS], palm))
+    if len(others) > FEW:
+        sets.append((*last[: 1 + FEW], palm))
+    return tuple(sets)
 
 
 def _any(hand: Hand) -> ContactSets:
