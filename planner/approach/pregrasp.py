@@ -60,8 +60,8 @@ AROUND_DISTANCES = (0.015, 0.03, 0.045, 0.06)
 way in, tried in this order."""
 
 LEAST_ACROSS = 0.3
-"""Length (-) of a unit normal across the way below which a contact faces the way: the normal does not
-tell in which direction it makes way."""
+"""Length (-) of a unit normal across the way below which a contact faces the way: its normal does
+not tell in which direction it makes way."""
 
 PALM_BACK = 0.002
 """How far (m) from the end of its way in a palm that is to touch has still the clearance of the
