@@ -349,9 +349,8 @@ class _GraspContext:
         roomy = with_room(options, task)
         with stage("solve"):
             candidate = self._solved(start, roomy)
-            if roomy is not options and problem.worst_violation(candidate.violation)[1] > nearly(
-                task
-            ):
+            worst = problem.worst_violation(candidate.violation)[1]
+            if roomy is not options and worst > nearly(task):
                 candidate = self._solved(start.at(candidate), options)
         return self.verified(candidate)
 
