@@ -105,7 +105,10 @@ class PadContactQueries:
         self.round = [pad_geometry(hand, f.pad.geom).kind in ROUND for f in task.fingers]
         """Whether each pad's sphere is its geometry's surface."""
         self._reach = [f.pad.reach for f in task.fingers]
-        self._lies = np.array([len(reach) > 0 for reach in self._reach])
+        kinds = [pad_geometry(hand, f.pad.geom).kind for f in task.fingers]
+        self._lies = np.array(  # the box of a hull is not its surface
+            [len(way) > 0 and kind != "mesh" for way, kind in zip(self._reach, kinds, strict=True)]
+        )
         self._shares = [_shares(len(reach)) for reach in self._reach]
         self._pairs = [
             [

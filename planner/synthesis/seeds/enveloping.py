@@ -131,7 +131,7 @@ class EnvelopingSeeder(Seeder):
         """Base in the object's frame and joints (nq,) of a hand that has closed."""
         task, state = self.task, moving_hand(self.task.hand)
         q = self._with_noise(self.open, rng)
-        if task.T_world_base is not None:
+        if task.T_world_base is not None and task.hand.arm is None:
             T_object_base = task.T_world_object.inverse() * task.T_world_base
         else:
             T_base_palm = SE3(state.move(q).joint_pose(self._palm.joint_id))
