@@ -60,8 +60,8 @@ AROUND_DISTANCES = (0.015, 0.03, 0.045, 0.06)
 way in, tried in this order."""
 
 LEAST_ACROSS = 0.3
-"""Length (-) of a unit normal across the way below which a contact is opened by less: it is before
-the object or behind it, and has no direction to make way in."""
+"""Length (-) of a unit normal across the way below which a contact faces the way: its normal does
+not tell in which direction it makes way."""
 
 PALM_BACK = 0.002
 """How far (m) from the end of its way in a palm that is to touch has still the clearance of the
@@ -164,16 +164,22 @@ def _find_around(
 
     Links that are behind the object, seen from where the hand comes, have to make way for it: the
     outermost contact of every finger opens across the way, in the direction that its normal has
-    there.
+    there; one that faces the way, away from the object's centre of mass.
     """
     task = world.task
     outer = list(task.outermost)
     fingers = [task.fingers[i] for i in outer]
+    middle = task.T_world_object.translation
+    pads = world.moving.move(q).pads(fingers)[1] @ T_world_base.rotation.T
+    pads += T_world_base.translation
     failure = Failure(kind="pregrasp_unreachable", text="the fingers cannot open around the object")
     for way in _ways_back(world, T_world_base, q):
         along = way / np.linalg.norm(way)
-        inward = normals[outer] - (normals[outer] @ along)[:, None] * along
-        inward /= np.maximum(np.linalg.norm(inward, axis=1), LEAST_ACROSS)[:, None]
+        across = np.eye(3) - np.outer(along, along)
+        inward, sideways = normals[outer] @ across, (middle - pads) @ across
+        facing_back = np.linalg.norm(inward, axis=1) < LEAST_ACROSS
+        inward[facing_back] = sideways[facing_back]
+        inward /= np.maximum(np.linalg.norm(inward, axis=1), SHORTEST)[:, None]
         solver = PregraspIk(world, T_world_base, q, inward, fingers=fingers)
         for distance in AROUND_DISTANCES:
             opened = solver.solve(distance)

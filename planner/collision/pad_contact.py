@@ -5,8 +5,9 @@ contact is the surface point nearest to the sphere's centre: exact, and smooth i
 box, a hull) the sphere is an approximation, and the contact is where coal finds the true geometry
 nearest to the object.
 
-A link or a palm that lies on the object touches along a line or in a face. Its contact is the
-middle of where it touches: that is where forces add up when all of it presses alike.
+A link or a palm that lies on the object touches along a line or in a face, and what it presses with
+may add up anywhere there. Its contact is the place there next to the middle of all contacts, where
+it opposes the others.
 """
 
 from __future__ import annotations
@@ -32,6 +33,10 @@ ROUND = ("sphere", "capsule")
 ON_LINE, ON_SIDE = 31, 11
 """Places along a link, and along each side of a face, at which it is looked whether it touches:
 some 2 mm and 10 mm apart."""
+
+NEXT_TO = 0.005
+"""Standard deviation (m) with which places count that are away from the one next to the middle: the
+contact moves smoothly when the hand does."""
 
 IDENTITY = SE3.Identity()
 """The object's pose in its own frame; read only."""
@@ -100,7 +105,10 @@ class PadContactQueries:
         self.round = [pad_geometry(hand, f.pad.geom).kind in ROUND for f in task.fingers]
         """Whether each pad's sphere is its geometry's surface."""
         self._reach = [f.pad.reach for f in task.fingers]
-        self._lies = np.array([len(reach) > 0 for reach in self._reach])
+        kinds = [pad_geometry(hand, f.pad.geom).kind for f in task.fingers]
+        self._lies = np.array(  # the box of a hull is not its surface
+            [len(way) > 0 and kind != "mesh" for way, kind in zip(self._reach, kinds, strict=True)]
+        )
         self._shares = [_shares(len(reach)) for reach in self._reach]
         self._pairs = [
             [
@@ -164,15 +172,16 @@ class PadContactQueries:
         return base, gaps.copy(), points.copy(), outward.copy()
 
     def _touching_centers(self, base: SE3, middles: FloatArray) -> FloatArray:
-        """Centres (n, 3) of the pads' spheres where they touch, of those in the middle of them."""
-        out = middles.copy()
+        """Centres (n, 3) of the pads' spheres where they touch, next to the middle of all."""
+        out, middle = middles.copy(), middles.mean(axis=0)
         for i in np.flatnonzero(self._lies).tolist():
             turn = base.rotation @ self._state.joint_pose(int(self._joints[i])).rotation
-            ways = self._reach[i] @ turn.T
-            at = middles[i] + self._shares[i] @ ways
+            at = middles[i] + self._shares[i] @ self._reach[i] @ turn.T
             points, outward = self._task.object.shape.closest_point(at)
             gaps = ((at - points) * outward).sum(axis=1)
+            away = ((at - middle) ** 2).sum(axis=1)
             weights = np.maximum(gaps.min() + TOUCH_TOL - gaps, 0.0)
+            weights *= np.exp((away[weights > 0.0].min() - away) / (2.0 * NEXT_TO**2))
             out[i] = weights @ at / weights.sum()
         return out
 

@@ -1,6 +1,6 @@
 """Where a hand can touch beside its fingertips: inner links of its fingers, and the palm.
 
-Called by ``Hand.link_contacts``. A link that touches is a finger that ends early: the joints up to
+Called by ``Hand.contact_parts``. A link that touches is a finger that ends early: the joints up to
 that link, and a pad on it. The palm is a finger without joints. Pads are proposed from the
 geometry: a capsule or cylinder touches along its line, a box or a hull with the face that looks to
 the palm's side.

@@ -13,14 +13,18 @@ from planner.failure import Failure
 from planner.plan import GraspPlan, SolveRecord
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_capsules import capsules_are_true
-from planner.synthesis.optimize import NEARLY
+from planner.synthesis.optimize import nearly
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem
 from planner.synthesis.symbols import GraspPoint
 from planner.synthesis.terms.term import Term, first_failure
 from planner.system.threads import kept_by_thread, stage
 from planner.task import GraspTask
-from planner.verification.grasp import project_onto_surface, verify_grasp
+from planner.verification.grasp import (
+    project_onto_surface,
+    verify_grasp,
+    with_palm_on_surface,
+)
 
 __all__ = ["UNSOLVED", "finished", "true_geometry", "true_links", "verified_on_surface"]
 
@@ -51,7 +55,7 @@ def finished(
         options: With what it solved.
     """
     worst, weighted = problem.worst_violation(candidate.violation)
-    if not weighted <= NEARLY:
+    if not weighted <= nearly(task):
         violation = candidate.violation[worst.name]
         return Failure(
             kind=f"{UNSOLVED}{worst.name}",
@@ -86,6 +90,7 @@ def verified_on_surface(
         terms: Terms beside the standard ones.
     """
     with stage("project"):
+        T_world_base = with_palm_on_surface(task, T_world_base, q)
         q = project_onto_surface(task, T_world_base, q)
     plan = verify_grasp(task, T_world_base, q, record=record, world=true_geometry(task))
     if isinstance(plan, Failure) or not terms:

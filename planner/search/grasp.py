@@ -22,7 +22,7 @@ from planner.plan import GraspPlan
 from planner.search.best import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted, improving_attempts
 from planner.search.finishing import UNSOLVED, finished, true_geometry, true_links
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.optimize import NEARLY, optimize_grasp
+from planner.synthesis.optimize import nearly, optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.problem_cache import Problems, problems_for
@@ -349,7 +349,8 @@ class _GraspContext:
         roomy = with_room(options, task)
         with stage("solve"):
             candidate = self._solved(start, roomy)
-            if roomy is not options and problem.worst_violation(candidate.violation)[1] > NEARLY:
+            worst = problem.worst_violation(candidate.violation)[1]
+            if roomy is not options and worst > nearly(task):
                 candidate = self._solved(start.at(candidate), options)
         return self.verified(candidate)
 

@@ -55,8 +55,16 @@ NEARLY = 0.5
 """Largest weighted residual of a term with which a grasp is worth improving and verifying: half a
 millimetre."""
 
+LINKS_NEARLY = 1.5
+"""The same where links or the palm touch, whose lines and faces end at kinks that steps stop at:
+fingers are put onto the true surface afterwards, where all is judged."""
+
 ROUND_ITERATIONS = 4
 """Evaluations of one round: after some four, other directions are the weakest."""
+
+LINK_ITERATIONS = 150
+"""Evaluations of the first run where links or the palm touch: where a face lies on a face, the last
+half millimetre takes twice as many as a fingertip."""
 
 MEND_ITERATIONS = 30
 """Evaluations of the last run, without objectives; most need six, contacts on mugs and brackets
@@ -89,9 +97,9 @@ def optimize_grasp(
     rounds = options.rounds if options.weights else 0
     begin = time.process_time()
     run = GraspRun(problem, task, start, parameters)
-    run.solve(MAX_ITERATIONS)
+    run.solve(MAX_ITERATIONS if task.is_of_fingertips else LINK_ITERATIONS)
     status = run.end.status
-    if run.end.worst <= NEARLY:
+    if run.end.worst <= nearly(task):
         damping = None
         for k in range(rounds):
             with stage("weakest"):
@@ -105,6 +113,11 @@ def optimize_grasp(
         if near or (rounds and run.end.worst > SOLVED):
             run.solve(MEND_ITERATIONS, slow=np.inf)
     return run.candidate(status, begin)
+
+
+def nearly(task: GraspTask) -> float:
+    """Largest weighted residual of a term with which a task's grasp is worth verifying."""
+    return NEARLY if task.is_of_fingertips else LINKS_NEARLY
 
 
 class GraspRun:

@@ -79,6 +79,21 @@ def project_onto_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> F
     return q
 
 
+def with_palm_on_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> SE3:
+    """The base moved so that a palm that takes part touches, which no joint can bring there.
+
+    The base itself if it is fixed, or too far off.
+    """
+    palms = [i for i, finger in enumerate(task.fingers) if not finger.joints]
+    if not palms or task.T_world_base is not None:
+        return T_world_base
+    found = pad_contacts(task, T_world_base, q)[palms[0]]
+    if abs(found.pad_gap) > FARTHEST:
+        return T_world_base
+    way = -found.pad_gap * (task.T_world_object.rotation @ found.outward)
+    return SE3(T_world_base.rotation, T_world_base.translation + way)
+
+
 @lru_cache(maxsize=8)
 def _moved(task: GraspTask) -> IntArray:
     """Joints (k,) that may move: the task's fingers, and what is coupled on fingers left out."""

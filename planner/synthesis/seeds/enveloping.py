@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.collision.moving_hand import moving_hand
+from planner.errors import TaskError
 from planner.hands.fingers import Pad
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
@@ -25,7 +26,7 @@ SLOWEST = 0.5
 """Least share (-) of its range that a joint flexes in the time in which others flex fully."""
 
 FLEXING = 0.4
-"""Cosine between the motion of a tip and the palm's normal from which on a joint flexes (-)."""
+"""Cosine (-) between the motion of a tip and where its pad faces from which on a joint flexes."""
 
 PALM_GAP = (0.002, 0.02)
 """Distances (m) of a palm that does not touch from the object."""
@@ -63,15 +64,25 @@ class EnvelopingSeeder(Seeder):
     """Draws starts in which the palm faces the object and the fingers are around it."""
 
     def _prepare(self) -> None:
-        """Find how the fingers flex."""
+        """Find how the fingers flex.
+
+        Raises:
+            TaskError: The palm has no geometry.
+        """
         hand = self.task.hand
         self._spheres = link_spheres(hand)
         self._joints = np.array([b.joint_id for b in self._spheres])
         self._moving, self._frame = np.unique(self._joints, return_inverse=True)
         self._centers = np.array([b.center for b in self._spheres])
         self._radii = np.array([b.radius for b in self._spheres])
-        self._palm = hand.contact_parts[hand.description.palm_body].pad
-        self._touches_palm = hand.description.palm_body in self.task.finger_names
+        palm = hand.description.palm_body
+        if palm not in hand.contact_parts:
+            raise TaskError(
+                f"the palm {palm!r} of {hand.name} has no geometry, and a hand closes around an "
+                "object from there; give it one in the model, or use fingertips alone"
+            )
+        self._palm = hand.contact_parts[palm].pad
+        self._touches_palm = palm in self.task.finger_names
         pads = [f.pad for f in self.task.fingers]
         self._spots = [_spots(pad) for pad in pads]
         sizes = [len(spots) for spots in self._spots]
@@ -100,19 +111,13 @@ class EnvelopingSeeder(Seeder):
         """Joints (nq,) with every finger flexed as far as it goes, others as in the open one."""
         hand, q = self.task.hand, self.open.copy()
         state = moving_hand(hand).move(self.open)
-        normal = state.T_base_palm.rotation @ hand.palm_normal
         for finger in hand.fingers.values():
             rates = state.point_jacobian(finger.pad.joint_id, state.pad_center(finger))[:3]
             facing = state.pad_axis(finger)
             for j in finger.q_index:
-                speed = float(np.linalg.norm(rates[:, j]))
-                along = float(rates[:, j] @ (facing - normal)) / max(
-                    speed * float(np.linalg.norm(facing - normal)), 1e-9
-                )
-                if along > FLEXING:
-                    q[j] = hand.q_upper[j]
-                elif along < -FLEXING:
-                    q[j] = hand.q_lower[j]
+                along = float(facing @ rates[:, j])
+                if abs(along) > FLEXING * np.linalg.norm(rates[:, j]):
+                    q[j] = hand.q_upper[j] if along > 0.0 else hand.q_lower[j]
         return q
 
     def _place(self, rng: np.random.Generator) -> tuple[SE3, FloatArray]:
@@ -126,7 +131,7 @@ class EnvelopingSeeder(Seeder):
         """Base in the object's frame and joints (nq,) of a hand that has closed."""
         task, state = self.task, moving_hand(self.task.hand)
         q = self._with_noise(self.open, rng)
-        if task.T_world_base is not None:
+        if task.T_world_base is not None and task.hand.arm is None:
             T_object_base = task.T_world_object.inverse() * task.T_world_base
         else:
             T_base_palm = SE3(state.move(q).joint_pose(self._palm.joint_id))
