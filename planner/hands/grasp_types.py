@@ -78,7 +78,7 @@ def _few(hand: Hand, count: int, name: str) -> ContactSets:
 
 
 def _power(hand: Hand) -> ContactSets:
-    """Palm and last links of all fingers; with inner links of two; with two fingers alone."""
+    """Palm and last links of all fingers; with inner links of two; with the opposer and two."""
     palm = hand.description.palm_body
     if palm not in hand.contact_parts:
         raise TaskError(
