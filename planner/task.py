@@ -22,7 +22,6 @@ from planner.errors import TaskError, shown
 from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
 from planner.hand_loading import load_hand
 from planner.hands.fingers import Finger
-from planner.hands.grasp_types import FINGERTIP, contact_sets
 from planner.hands.hand import Hand
 from planner.immutable import fixed_pose, is_pose
 from planner.objects import GraspObject, parse_object
@@ -203,7 +202,7 @@ class GraspTask:
             raise TaskError(
                 f"grasp_type is {shown(grasp_type)}, and fingers are named too; give one of them"
             )
-        sets = contact_sets(hand, grasp_type) if grasp_type not in (None, FINGERTIP) else ()
+        sets = () if grasp_type is None else _sets_of(hand, grasp_type)
         chosen = hand.choose_fingers(sets[0] if sets else fingers)
         pull = _numbers("gravity", gravity, "three finite numbers in m/s2")
         load = expected_load or ExpectedLoad()
@@ -353,7 +352,7 @@ class GraspTask:
     @cached_property
     def fingers(self) -> tuple[Finger, ...]:
         """The fingers that take part."""
-        return tuple(self.hand.contact_parts[name] for name in self.finger_names)
+        return self.hand.choose_fingers(self.finger_names)
 
     @cached_property
     def least_normals(self) -> FloatArray:
@@ -446,6 +445,13 @@ class GraspTask:
                 "fall before it is grasped; lower T_world_object (--at), or give table_height=None "
                 "(--table none) for an object that is held until it is lifted"
             )
+
+
+def _sets_of(hand: Hand, grasp_type: str) -> tuple[tuple[str, ...], ...]:
+    """Sets of contacts of a grasp type; none for the fingertips that are the default."""
+    from planner.hands.grasp_types import FINGERTIP, contact_sets  # here: most tasks name no type
+
+    return () if grasp_type == FINGERTIP else contact_sets(hand, grasp_type)
 
 
 def _outermost(fingers: Sequence[Finger]) -> tuple[int, ...]:

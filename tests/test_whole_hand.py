@@ -196,7 +196,7 @@ def test_what_a_type_cannot_be_is_said() -> None:
         GraspTask.create("allegro_hand", "sphere", grasp_type="power", fingers=["thumb", "index"])
     with pytest.raises(TaskError, match="2 finger"):
         GraspTask.create("allegro_hand", "sphere", grasp_type="pinch")
-    with pytest.raises(NotFoundError, match="finger or link"):
+    with pytest.raises(NotFoundError, match="finger of allegro_hand is called"):
         GraspTask.create("allegro_hand", "sphere", fingers=["thumb", "index", "elbow"])
 
 

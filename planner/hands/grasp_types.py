@@ -17,7 +17,7 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.joints.description import PINCH
 
-__all__ = ["FINGERTIP", "GRASP_TYPES", "contact_sets"]
+__all__ = ["GRASP_TYPES", "contact_sets"]
 
 ContactSets = tuple[tuple[str, ...], ...]
 
