@@ -247,7 +247,7 @@ def test_the_grip_is_shared_by_what_presses(hand: Hand) -> None:
 
 
 def test_a_set_that_a_region_forbids_is_left_out(hand: Hand) -> None:
-    everywhere = Region(name="all", lower=np.full(3, -np.inf), upper=np.full(3, np.inf))
+    everywhere = Region(name="all", lower=(-np.inf,) * 3, upper=(np.inf,) * 3)
     item = replace(parse_object("sphere:0.035"), touch=TouchRegion(required={"index": everywhere}))
     task = GraspTask.create(hand, item, grasp_type="any")
     assert [choice.finger_names for choice in task.choices] == [task.finger_names]

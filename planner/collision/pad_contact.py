@@ -54,19 +54,19 @@ class PadContact:
         sphere_gap: Signed distance of the pad's sphere, m.
         gap: Signed distance of all that may touch with the finger, m.
         round: Whether the pad's sphere is the geometry's surface, or only approximates it.
-        lies: Whether the pad touches along a line or in a face, at ``point``.
         point: Nearest point of the object's surface (3,), m.
         outward: Normal of the object there (3,), unit, out of the object.
         angle: Between the pad's axis and the direction into the object, rad.
+        lies: Whether the pad touches along a line or in a face, at ``point``.
     """
 
     sphere_gap: float
     gap: float
     round: bool
-    lies: bool
     point: FloatArray
     outward: FloatArray
     angle: float
+    lies: bool = False
 
     @property
     def pad_gap(self) -> float:
