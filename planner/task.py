@@ -22,7 +22,6 @@ from planner.errors import TaskError, shown
 from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
 from planner.hand_loading import load_hand
 from planner.hands.fingers import Finger
-from planner.hands.grasp_types import FINGERTIP, contact_sets
 from planner.hands.hand import Hand
 from planner.immutable import fixed_pose, is_pose
 from planner.objects import GraspObject, parse_object
@@ -203,12 +202,12 @@ class GraspTask:
             raise TaskError(
                 f"grasp_type is {shown(grasp_type)}, and fingers are named too; give one of them"
             )
-        sets = contact_sets(hand, grasp_type) if grasp_type not in (None, FINGERTIP) else ()
+        sets = () if grasp_type is None else _sets_of(hand, grasp_type)
         chosen = hand.choose_fingers(sets[0] if sets else fingers)
         pull = _numbers("gravity", gravity, "three finite numbers in m/s2")
         load = expected_load or ExpectedLoad()
         if grip_force is None:
-            grip_force = _default_grip(item, pull, mu, len(chosen), load)
+            grip_force = _default_grip(item, pull, mu, _pressing(chosen), load)
         elif load:
             raise TaskError(
                 f"grip_force is {grip_force:g} N, and expected_load would size it; give one of them"
@@ -238,14 +237,22 @@ class GraspTask:
         )
 
     @cached_property
-    def every_name(self) -> tuple[str, ...]:
+    def all_names(self) -> tuple[str, ...]:
         """Names of all fingers and links that a grasp of the task may have."""
         return tuple(dict.fromkeys(chain(self.finger_names, *self.alternatives)))
 
     @cached_property
     def choices(self) -> tuple[GraspTask, ...]:
         """The task itself, and the same with each of its alternatives."""
-        return (self, *(self.with_fingers(names) for names in self.alternatives))
+        if not self.alternatives:
+            return (self,)
+        out = [replace(self, alternatives=())]
+        for names in self.alternatives:
+            try:
+                out.append(self.with_fingers(names))
+            except TaskError:  # a region is required of a finger that this set has not
+                continue
+        return tuple(out)
 
     def with_fingers(self, names: Sequence[str]) -> GraspTask:
         """The same task for these fingers and no others, each gripping no less than before.
@@ -253,7 +260,8 @@ class GraspTask:
         Raises:
             TaskError, NotFoundError: They are not fingers of the hand, or too few.
         """
-        least = _default_grip(self.object, self.gravity, self.mu, len(names), self.expected_load)
+        n = _pressing(self.hand.choose_fingers(names))
+        least = _default_grip(self.object, self.gravity, self.mu, n, self.expected_load)
         return replace(
             self,
             finger_names=tuple(names),
@@ -344,7 +352,7 @@ class GraspTask:
     @cached_property
     def fingers(self) -> tuple[Finger, ...]:
         """The fingers that take part."""
-        return tuple(self.hand.contact_parts[name] for name in self.finger_names)
+        return self.hand.choose_fingers(self.finger_names)
 
     @cached_property
     def least_normals(self) -> FloatArray:
@@ -359,13 +367,23 @@ class GraspTask:
     @cached_property
     def outermost(self) -> tuple[int, ...]:
         """Numbers of the contacts beyond which no other is on their finger; the palm's is none."""
-        ends: dict[int, int] = {}
-        for i, finger in enumerate(self.fingers):
-            if finger.joints:
-                root = int(finger.q_index[0])
-                if root not in ends or len(finger.joints) > len(self.fingers[ends[root]].joints):
-                    ends[root] = i
-        return tuple(sorted(ends.values()))
+        return _outermost(self.fingers)
+
+    def require_fingertips(self, what: str) -> None:
+        """Refuse what nobody has worked out for inner links and the palm.
+
+        Args:
+            what: Begin of the message: what takes fingertips.
+
+        Raises:
+            TaskError: Others than fingertips touch.
+        """
+        if not self.is_of_fingertips:
+            links = ", ".join(f.name for f in self.fingers if f.is_link)
+            raise TaskError(
+                f"{what} takes fingertips alone, and {links} touch too; plan with "
+                "grasp_type='fingertip' (--type fingertip), or do without"
+            )
 
     @property
     def is_of_fingertips(self) -> bool:
@@ -384,7 +402,7 @@ class GraspTask:
         return MappingProxyType({**self.hand.finger_of_body, **own})
 
     @cached_property
-    def carried_pads(self) -> frozenset[str]:
+    def carried_geometries(self) -> frozenset[str]:
         """Geometries that touch the object and that no finger moves: a palm's that takes part.
 
         They are at the object before the fingers close.
@@ -427,6 +445,29 @@ class GraspTask:
                 "fall before it is grasped; lower T_world_object (--at), or give table_height=None "
                 "(--table none) for an object that is held until it is lifted"
             )
+
+
+def _sets_of(hand: Hand, grasp_type: str) -> tuple[tuple[str, ...], ...]:
+    """Sets of contacts of a grasp type; none for the fingertips that are the default."""
+    from planner.hands.grasp_types import FINGERTIP, contact_sets  # here: most tasks name no type
+
+    return () if grasp_type == FINGERTIP else contact_sets(hand, grasp_type)
+
+
+def _outermost(fingers: Sequence[Finger]) -> tuple[int, ...]:
+    """Numbers of the contacts beyond which no other is on their finger."""
+    ends: dict[int, int] = {}
+    for i, finger in enumerate(fingers):
+        if finger.joints:
+            root = int(finger.q_index[0])
+            if root not in ends or len(finger.joints) > len(fingers[ends[root]].joints):
+                ends[root] = i
+    return tuple(sorted(ends.values()))
+
+
+def _pressing(fingers: Sequence[Finger]) -> int:
+    """How many contacts press with the grip: one on each finger."""
+    return max(len(_outermost(fingers)), 1)
 
 
 def _default_grip(

@@ -141,7 +141,7 @@ class SampleRecorder:
         return self._states.recording(merged.columns(self._fingers, PALM))
 
 
-LEAST_SHARE_OF = 0.01
+LEAST_TOLD = 0.01
 """Planned normal force (N) from which on an error is told as a share of it: an inner link may only
 touch."""
 
@@ -245,7 +245,7 @@ class Recorder(SampleRecorder):
                     planned_normal_force=wanted,
                     measured_normal_force=float(force[:, i].mean()),
                     force_error_N=error,
-                    force_error_percent=100.0 * error / wanted if wanted > LEAST_SHARE_OF else NAN,
+                    force_error_percent=100.0 * error / wanted if wanted > LEAST_TOLD else NAN,
                 )
             )
         return tuple(out)

@@ -195,6 +195,7 @@ MADE = frozenset(
         *(
             "Opening",
             "Outcome",
+            "Pad",
             "PadReading",
             "PlanOptions",
             "Reading",

@@ -191,7 +191,7 @@ def test_what_is_printed_is_what_is_solved(
     text = str(problem)
     for w in problem.terms:
         assert f"{w.term.name:14s} {len(w.rows):5d}  {w.term.role.value}" in text
-    assert set(own) | set(STANDARD) - {"arm", "stop", "coupling", "surface", "edge"} <= {
+    assert set(own) | set(STANDARD) - {"arm", "stop", "coupling", "surface", "edge", "along"} <= {
         w.term.name for w in problem.terms
     }
 

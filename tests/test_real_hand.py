@@ -48,7 +48,7 @@ from sim.scene.carrier import Timeline
 from sim.scene.physics import PhysicsOptions
 from sim.trial import Trial
 
-QUICK = Timeline(approach=0.2, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.3, hold=0.2)
+QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4, hold=0.2)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -11,12 +12,15 @@ import pytest
 from planner import GraspTask, plan_grasp
 from planner.batch.recipe import recipe_of, task_of
 from planner.certify import bound_nearby
+from planner.collision.pad_contact import pad_contacts
 from planner.errors import NoGraspFoundError, NotFoundError, TaskError
 from planner.files import read_plan
 from planner.hand_loading import load_hand
 from planner.hands.grasp_types import contact_sets
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
+from planner.motion.search import check_task
+from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.tolerances import TOUCH_TOL
@@ -111,7 +115,7 @@ def test_the_way_in_is_free_and_so_is_closing(plan: GraspPlan) -> None:
         (plan.q_pregrasp + s * (plan.q - plan.q_pregrasp), plan.T_world_base)
         for s in np.linspace(0.0, 0.9, 10)
     ]
-    palm = {scene.model.geom("hand/" + name).id for name in task.carried_pads}
+    palm = {scene.model.geom("hand/" + name).id for name in task.carried_geometries}
     for q, base in moments:
         data = scene.start(q, base)
         for contact in data.contact[: data.ncon]:
@@ -192,7 +196,7 @@ def test_what_a_type_cannot_be_is_said() -> None:
         GraspTask.create("allegro_hand", "sphere", grasp_type="power", fingers=["thumb", "index"])
     with pytest.raises(TaskError, match="2 finger"):
         GraspTask.create("allegro_hand", "sphere", grasp_type="pinch")
-    with pytest.raises(NotFoundError, match="finger or link"):
+    with pytest.raises(NotFoundError, match="finger of allegro_hand is called"):
         GraspTask.create("allegro_hand", "sphere", fingers=["thumb", "index", "elbow"])
 
 
@@ -209,5 +213,41 @@ def test_links_by_name_are_a_grasp_too(hand: Hand) -> None:
 def test_what_is_known_of_fingertips_alone_is_not_claimed_of_links(plan: GraspPlan) -> None:
     bound = bound_nearby(plan, np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
     assert bound.factor == np.inf and "links" in bound.reason
-    with pytest.raises(TaskError, match="sensor errors are those of fingertips"):
+    with pytest.raises(TaskError, match="takes fingertips alone, and thumb_distal"):
         simulate(plan, reality="lab")
+    with pytest.raises(TaskError, match="the closed loop takes fingertips alone"):
+        simulate(plan, controller="impedance")
+    with pytest.raises(TaskError, match="a motion takes fingertips alone"):
+        check_task(plan.task, 1e-4, 0)
+
+
+def test_the_gap_of_a_palm_is_that_of_its_contact(plan: GraspPlan) -> None:
+    at = plan.task.finger_names.index("palm")
+    palm = pad_contacts(plan.task, plan.T_world_base, plan.q)[at]
+    outward = plan.task.T_world_object.rotation @ palm.outward
+    back = SE3(plan.T_world_base.rotation, plan.T_world_base.translation + 0.002 * outward)
+    away = pad_contacts(plan.task, back, plan.q)[at]
+    assert palm.pad_gap == palm.sphere_gap
+    assert away.pad_gap == pytest.approx(palm.pad_gap + 0.002, abs=2e-4)
+
+
+def test_a_palm_on_a_fixed_base_is_refused() -> None:
+    task = GraspTask.create("allegro_on_arm7", "cylinder:0.03x0.14", grasp_type="power")
+    with pytest.raises(TaskError, match="no way in is planned"):
+        plan_grasp(task)
+
+
+def test_the_grip_is_shared_by_what_presses(hand: Hand) -> None:
+    """Of two kilogrammes: of seven contacts four press, each as hard as one of four fingertips."""
+    item = parse_object("sphere:0.04", mass=2.0)
+    power = GraspTask.create(hand, item, grasp_type="power")
+    assert [len(task.outermost) for task in power.choices] == [4, 4, 3]
+    assert power.grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 4))
+    assert power.grip_force == GraspTask.create(hand, item).grip_force
+
+
+def test_a_set_that_a_region_forbids_is_left_out(hand: Hand) -> None:
+    everywhere = Region(name="all", lower=(-np.inf,) * 3, upper=(np.inf,) * 3)
+    item = replace(parse_object("sphere:0.035"), touch=TouchRegion(required={"index": everywhere}))
+    task = GraspTask.create(hand, item, grasp_type="any")
+    assert [choice.finger_names for choice in task.choices] == [task.finger_names]

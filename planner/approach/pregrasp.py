@@ -244,8 +244,9 @@ def _verify_closing(
 ) -> Failure | None:
     """What touches while the fingers close, None if nothing does."""
     path = q + CLOSING_SHARES * (opened - q)
+    may_touch = world.task.carried_geometries
     for i in world.maybe_touching(T_world_base, path):
-        touching = world.nearest_below(T_world_base, path[i], may_touch=world.task.carried_pads)
+        touching = world.nearest_below(T_world_base, path[i], may_touch=may_touch)
         if touching is not None and touching.distance <= 0.0:
             return Failure(
                 kind="closing_collision",
@@ -262,7 +263,7 @@ def _verify_opened(world: CollisionWorld, T_world_base: SE3, opened: FloatArray)
         opened,
         clearance=APPROACH_CLEARANCE,
         surroundings_only=True,
-        may_touch=world.task.carried_pads,
+        may_touch=world.task.carried_geometries,
     )
     return None if near is None else _collision(near)
 
@@ -297,12 +298,15 @@ def _verify_straight(
         return _invalid("the hand turns on its way in")
     # from the grasp outwards: what touches mostly touches there
     back = begin.translation - end.translation
-    if world.task.carried_pads and (length := float(np.linalg.norm(back))) > PALM_BACK:
-        # a palm that is to touch comes near only at the end
+    if world.task.carried_geometries and (length := float(np.linalg.norm(back))) > PALM_BACK:
+        # a palm that is to touch comes near only at the end, where all else keeps its clearance
+        near = _verify_opened(world, T_world_base, approach.q)
+        if near is not None:
+            return near
         end = SE3(end.rotation, end.translation + PALM_BACK / length * back)
         back = begin.translation - end.translation
-    near = world.swept_clearance_violation(end, approach.q, back, APPROACH_CLEARANCE)
-    return None if near is None else _collision(near)
+    swept = world.swept_clearance_violation(end, approach.q, back, APPROACH_CLEARANCE)
+    return None if swept is None else _collision(swept)
 
 
 SAME_ROTATION = 1e-9

@@ -93,7 +93,7 @@ class GraspFeatures:
     def of_rows(cls, task: GraspTask, rows: Sequence[Mapping[str, Any]]) -> GraspFeatures:
         """Of rows of a dataset, all found, all of the task's object."""
         index, n = _finger_joints(task), len(rows)
-        every = list(task.every_name)
+        every = list(task.all_names)
         contacts = np.full((n, len(every), 3), np.nan)
         for places, row in zip(contacts, rows, strict=True):
             names = row.get("fingers") or task.finger_names
@@ -119,8 +119,12 @@ class GraspFeatures:
         """
         if not plans:
             raise TaskError("there are no plans to compare; give at least one")
-        whole = max((plan.task for plan in plans), key=lambda task: len(task.fingers))
-        index, names = _finger_joints(whole), list(whole.finger_names)
+        tasks = [plan.task for plan in plans]
+        whole = max(tasks, key=lambda task: len(task.fingers))
+        names = list(whole.finger_names)
+        if not all(task.is_of_fingertips for task in tasks):
+            names = list(dict.fromkeys(name for task in tasks for name in task.finger_names))
+        index = _finger_joints(whole)
         contacts = np.full((len(plans), len(names), 3), np.nan)
         for places, plan in zip(contacts, plans, strict=True):
             if other := sorted(set(plan.task.finger_names) - set(names)):
@@ -177,7 +181,8 @@ class GraspFeatures:
 
 def _finger_joints(task: GraspTask) -> Any:
     """Where the joints of the fingers that take part stand in q."""
-    return np.concatenate([finger.q_index for finger in task.fingers])
+    index = np.concatenate([finger.q_index for finger in task.fingers])
+    return index if task.is_of_fingertips else np.unique(index)
 
 
 def _stack(items: Sequence[Any], shape: tuple[int, ...]) -> FloatArray:

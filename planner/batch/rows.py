@@ -244,7 +244,7 @@ def check_fingers(row: dict[str, Any], task: GraspTask, *, source: Path | str) -
     """
     names = task.finger_names
     fingers = row.get("fingers") or names
-    known = set(task.every_name)
+    known = set(task.all_names)
     if len(row["contact_positions_object_m"]) != len(fingers) or not set(fingers) <= known:
         raise FileFormatError(
             f"{source} is damaged: a row's contacts are not those of {', '.join(names)}{REMEDY}"

@@ -174,16 +174,15 @@ def certify(plan: GraspPlan, **options: Unpack[CertifyOptions]) -> Certificate:
         TaskError: ``width``, ``max_points`` or ``samples`` is out of range.
         PlannerError: A linear programme met numerical trouble.
     """
-    task = plan.task
+    task, poses = plan.task, None
+    if task.is_of_fingertips:  # contacts of links move along them when the object's pose is off
+        radii = np.array([finger.pad.radius for finger in task.fingers])
+        poses = PoseErrors.of(task.object.shape, plan.contacts_in_object, radii)
     return certify_contacts(
         plan.contacts,
         length=task.object.shape.bounding_radius,
         problem=plan.forces.problem,
-        poses=PoseErrors.of(
-            task.object.shape,
-            plan.contacts_in_object,
-            np.array([finger.pad.radius for finger in task.fingers]),
-        ),
+        poses=poses,
         rotation=np.array(task.T_world_object.rotation),
         **options,
     )

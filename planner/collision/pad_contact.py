@@ -57,6 +57,7 @@ class PadContact:
         point: Nearest point of the object's surface (3,), m.
         outward: Normal of the object there (3,), unit, out of the object.
         angle: Between the pad's axis and the direction into the object, rad.
+        lies: Whether the pad touches along a line or in a face, at ``point``.
     """
 
     sphere_gap: float
@@ -65,11 +66,12 @@ class PadContact:
     point: FloatArray
     outward: FloatArray
     angle: float
+    lies: bool = False
 
     @property
     def pad_gap(self) -> float:
         """Signed distance, m, of the pad: of its sphere where that is the geometry's surface."""
-        return self.sphere_gap if self.round else self.gap
+        return self.sphere_gap if self.round or self.lies else self.gap
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,6 +134,7 @@ class PadContactQueries:
                     sphere_gap=float(distances[i]),
                     gap=gap,
                     round=is_round,
+                    lies=bool(self._lies[i]),
                     point=point,
                     outward=normal,
                     angle=float(np.arccos(min(max(-float(axis @ normal), -1.0), 1.0))),

@@ -17,7 +17,7 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.joints.description import PINCH
 
-__all__ = ["FINGERTIP", "GRASP_TYPES", "contact_sets"]
+__all__ = ["GRASP_TYPES", "contact_sets"]
 
 ContactSets = tuple[tuple[str, ...], ...]
 
@@ -78,7 +78,7 @@ def _few(hand: Hand, count: int, name: str) -> ContactSets:
 
 
 def _power(hand: Hand) -> ContactSets:
-    """Palm and last links of all fingers; with inner links of two; with two fingers alone."""
+    """Palm and last links of all fingers; with inner links of two; with the opposer and two."""
     palm = hand.description.palm_body
     if palm not in hand.contact_parts:
         raise TaskError(

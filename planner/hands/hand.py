@@ -25,7 +25,6 @@ from planner.bridge import LinkGeometry
 from planner.errors import HandError, NotFoundError, TaskError, shown
 from planner.hands.arm import Arm
 from planner.hands.fingers import Finger
-from planner.hands.link_pads import link_contacts
 from planner.joints.actuation import Actuation
 from planner.joints.couplings import Coupling, nearest_on_couplings
 from planner.joints.description import HandDescription
@@ -149,6 +148,8 @@ class Hand:
 
         A link is a finger that ends with it (``planner.hands.link_pads``).
         """
+        from planner.hands.link_pads import link_contacts  # here: most grasps are of fingertips
+
         links = link_contacts(
             self.pin_model,
             self.geometries,
@@ -291,12 +292,14 @@ class Hand:
             chosen = tuple(self.fingers)
         if not chosen:
             raise TaskError(f"no finger is named; name some of {list(self.fingers)}")
+        parts = self.fingers if set(chosen) <= set(self.fingers) else self.contact_parts
         for name in chosen:
-            if name not in self.contact_parts:
-                raise NotFoundError(f"finger or link of {self.name}", name, self.contact_parts)
+            if name not in parts:
+                hint = "Links and the palm may touch too, by the names in contact_parts."
+                raise NotFoundError(f"finger of {self.name}", name, self.fingers, hint)
         if len(set(chosen)) != len(chosen):
             raise TaskError(f"a finger is named twice in {list(chosen)}; name each once")
-        return tuple(self.contact_parts[name] for name in chosen)
+        return tuple(parts[name] for name in chosen)
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: a table and a picture, made once."""

@@ -131,6 +131,7 @@ def _with_all(task: GraspTask) -> GraspTask:
 
 
 def _check_fingers(task: GraspTask) -> None:
+    task.require_fingertips("a gait")
     n = len(task.fingers)
     if n - 1 < task.fingers_needed:
         raise TaskError(

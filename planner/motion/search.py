@@ -200,6 +200,7 @@ def check_task(task: GraspTask, path_tolerance: float, seed: int) -> None:
     Raises:
         TaskError: The base or the wrist is not as it must be, or a number is out of range.
     """
+    task.require_fingertips("a motion")
     if task.hand.arm is not None or task.T_world_base is not None:
         raise TaskError(
             f"the base of {task.hand.name} is fixed in this task; a motion is planned for a hand "

@@ -231,6 +231,8 @@ def plan_command(plan: GraspPlan) -> str:
     task, record, shape = plan.task, plan.record, plan.task.object.shape
     if task.hand.reference is None or task.hand.rolls or record.objective == "task":
         return ""
+    if not task.is_of_fingertips:  # it may be one of the sets of a type, found in turns
+        return ""
     if isinstance(shape, Mesh) and shape.source is None:
         return ""
     again = GraspTask.create(task.hand, task.object, mu=task.mu, fingers=task.finger_names)

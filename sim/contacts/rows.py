@@ -97,6 +97,7 @@ class ContactRows:
             fingers: Names of the first columns.
             rest: Name of the column of what belongs to no finger.
         """
+        rest = f"{rest} (rest)" if rest in fingers else rest  # a palm that takes part has that name
         own = [name or rest for name in self.names]
         touching = [own[k] for k in dict.fromkeys(self.finger.tolist())]
         names = tuple(dict.fromkeys((*fingers, *touching)))

@@ -51,7 +51,12 @@ class Neighbours:
         self._ends = np.array([[c.inner, c.outer] for c in capsules]).reshape(-1, 2, 3)
         self._radii = np.array([c.radius for c in capsules])[self._pairs].sum(axis=1)
         names = np.array([c.finger for c in capsules])[self._pairs]
-        self._of = [np.flatnonzero((names == finger.name).any(axis=1)) for finger in fingers]
+        owner = hand.finger_of_body
+        whole = [  # a link is as near to its neighbours as its finger
+            owner.get(next(iter(finger.bodies)), "") if finger.is_link else finger.name
+            for finger in fingers
+        ]
+        self._of = [np.flatnonzero((names == name).any(axis=1)) for name in whole]
         self._moving = MovingHand(hand, (hand.q_lower + hand.q_upper) / 2.0)
 
     def gap(self, finger: int, q: FloatArray) -> float:
@@ -123,6 +128,10 @@ class GuardedClosing:
         self._plan, self._fingers = plan, plan.task.fingers
         n = len(self._fingers)
         self._outermost_first = sorted(range(n), key=lambda i: -len(self._fingers[i].q_index))
+        pressing = plan.task.outermost  # inner links that only touch do not look for the object
+        self._searches = np.array(
+            [not f.is_link or i in pressing for i, f in enumerate(self._fingers)]
+        )
         self._directions = search_directions(plan)
         self._search, self._along = np.zeros((2, n, plan.task.hand.nq))
         for i, one in enumerate(self._directions):
@@ -147,7 +156,7 @@ class GuardedClosing:
         self._share[free] = np.minimum(goal, self._share + rate * elapsed)[free]
         off = self.careful | (self._reach >= EARLY)
         speed = np.where(off, CAREFUL_SPEED, SEARCH_SPEED)
-        for i in np.flatnonzero(free & arrived).tolist():
+        for i in np.flatnonzero(free & arrived & self._searches).tolist():
             self._go_on(i, speed[i] * elapsed, observation.q)
         q = plan.q_pregrasp + goal * (plan.q - plan.q_pregrasp)
         for i in self._outermost_first:  # links have the last word on their finger's inner joints

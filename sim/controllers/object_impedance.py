@@ -141,6 +141,7 @@ class ObjectImpedance:
             if not (np.isfinite(value) and value > 0):
                 raise TaskError(f"the {name} is {value}; give a number > 0{unit}")
         self._max_normal, self._costs = max_normal, tuple(costs)
+        task.require_fingertips("the closed loop")
         n = len(task.fingers)
         if gains is None:
             felt_mass, inertia = effective_inertia(plan, self._mass)

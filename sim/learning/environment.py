@@ -275,6 +275,7 @@ class _External(PolicyController):
     """A controller whose decisions come from outside: it lets the environment's caller go on."""
 
     def __init__(self, plan: GraspPlan, rate_hz: float, meaning: str) -> None:
+        plan.task.require_fingertips("the environment")
         super().__init__(plan)
         self.period = 1.0 / rate_hz
         self.seen: Observation | None = None

@@ -391,6 +391,7 @@ class SenseHistory:
             task: Hand, and fingers that take part.
             senses: Those that are used, out of ``SENSES``.
         """
+        task.require_fingertips("a policy")
         self._senses = checked_senses(senses)
         hand = task.hand
         all_fingers = tuple(hand.fingers)

@@ -140,9 +140,8 @@ def _samples(plan: GraspPlan, seen: Held, mu: float) -> Samples:
 
 def _rows(plan: GraspPlan, seen: Held, mu: float) -> ContactRows:
     """Drake's patches as point contacts at their centroids."""
-    hand, touches = plan.task.hand, seen.touches
-    names = (*hand.fingers, "")
-    finger_of: dict[str, str] = dict(hand.finger_of_body)
+    touches, finger_of = seen.touches, plan.task.part_of_body
+    names = (*dict.fromkeys((*plan.task.hand.fingers, *finger_of.values())), "")
     bodies = [body.removeprefix(HAND_PREFIX) for body in touches.bodies]
     frames = contact_frames(touches.normals)
     forces = np.zeros((len(bodies), 4))

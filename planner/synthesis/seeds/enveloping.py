@@ -81,6 +81,11 @@ class EnvelopingSeeder(Seeder):
                 f"the palm {palm!r} of {hand.name} has no geometry, and a hand closes around an "
                 "object from there; give it one in the model, or use fingertips alone"
             )
+        if palm in self.task.finger_names and self.task.T_world_base is not None:
+            raise TaskError(
+                f"the palm {palm!r} is to touch, and the base of {hand.name} is fixed, or on an "
+                "arm: no way in is planned for that; use other contacts, or a hand that floats"
+            )
         self._palm = hand.contact_parts[palm].pad
         self._touches_palm = palm in self.task.finger_names
         pads = [f.pad for f in self.task.fingers]

@@ -311,6 +311,7 @@ def _episode(
     sentence: str,
     reason: str,
 ) -> Episode:
+    task.require_fingertips("an episode")
     robot = Robot.of(task.hand)
     states = (recording.joint_names, recording.actuator_names)
     if states != (robot.joint_names, robot.actuator_names):

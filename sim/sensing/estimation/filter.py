@@ -150,6 +150,7 @@ class PoseFilter:
         self, task: GraspTask, errors: SensorErrors, contact_noise: ContactNoise, *, feels: bool
     ) -> None:
         """Prepare for a task."""
+        task.require_fingertips("an estimator")
         self.tips = TipKinematics(task.hand, task.fingers)
         self.feels = feels
         self._errors, self._contact_noise = errors, contact_noise

@@ -43,7 +43,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.errors import TaskError
 from planner.joints.actuation import Actuation
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
@@ -77,12 +76,7 @@ class RealityOfTrial:
         Raises:
             TaskError: Links or palm touch, of which nobody has sensors.
         """
-        if not task.is_of_fingertips:
-            links = ", ".join(f.name for f in task.fingers if f.is_link)
-            raise TaskError(
-                f"sensor errors are those of fingertips, and {links} touch too; leave out "
-                "reality= (--reality), or plan with fingertips"
-            )
+        task.require_fingertips("a trial with sensor errors")
         self.reality, self.task = reality, task
         self.drawn = drawn or Drawn.of(reality, task.hand)
         self._senses = RealSenses(reality, self.drawn, task)

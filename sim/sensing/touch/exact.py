@@ -69,6 +69,7 @@ class PadContact:
 
 def layouts_of(scene: Scene, fingers: Sequence[str]) -> tuple[TaxelLayout, ...]:
     """The arrays of some fingers, in their order."""
+    scene.task.require_fingertips("touch by taxels")
     described = {f.name: f for f in scene.task.hand.description.fingers}
     return tuple(TaxelLayout.of(described[name]) for name in fingers)
 
