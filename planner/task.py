@@ -323,7 +323,7 @@ class GraspTask:
                 f"{len(self.finger_names)} finger(s) {list(self.finger_names)} cannot close a "
                 f"grasp with {self.contact_model} contacts, which needs at least "
                 f"{self.fingers_needed}; name more of {list(self.hand.fingers)}"
-                + (", or give mu_torsion > 0" if self._is_without_torsion else "")
+                + self._hint_of_torsion
             )
         self.hand.choose_fingers(self.finger_names)
         if self.mu == 0 and self.contact_model != "frictionless":
@@ -343,6 +343,15 @@ class GraspTask:
     def _is_without_torsion(self) -> bool:
         """Whether soft fingers are point contacts, having no torsional friction."""
         return self.contact_model == "soft" and self.mu_torsion == 0
+
+    @property
+    def _hint_of_torsion(self) -> str:
+        """What would make so few contacts enough; "" where nothing would."""
+        if self._is_without_torsion:
+            return ", or give mu_torsion > 0"
+        if self.contact_model == "point" and len(self.finger_names) >= FINGERS_NEEDED["soft"]:
+            return ", or take soft contacts with mu_torsion > 0 (--mu-torsion)"
+        return ""
 
     @property
     def fingers_needed(self) -> int:

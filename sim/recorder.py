@@ -141,6 +141,9 @@ class SampleRecorder:
         return self._states.recording(merged.columns(self._fingers, PALM))
 
 
+WHOLE_LINE = 2.0
+"""Reaches of a pad (-) from any place of it to any other: from one end to the other end."""
+
 LEAST_TOLD = 0.01
 """Planned normal force (N) from which on an error is told as a share of it: an inner link may only
 touch."""
@@ -260,8 +263,7 @@ class Recorder(SampleRecorder):
         if len(pad.reach):
             turn = plan.task.T_world_object.rotation.T @ plan.T_world_base.rotation
             turn = turn @ HandState(plan.task.hand, plan.q).joint_pose(pad.joint_id).rotation
-            for along in pad.reach @ turn.T:
-                off = off - np.clip(off @ along / (along @ along), -2.0, 2.0) * along
+            off = pad.beyond_reach(off, turn, WHOLE_LINE)
         return np.asarray(off)
 
     def slip(self) -> tuple[float, float]:

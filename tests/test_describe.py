@@ -103,7 +103,7 @@ Known = tuple[Hand, Proposal, tuple[PostureCandidate, ...]]
 
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
 def known(request: pytest.FixtureRequest) -> Known:
-    """A shipped hand, what is proposed from its bare model, and the candidates for its postures.
+    """A shipped hand, the proposal for its bare model, and the candidates for its postures.
 
     The search is whole for the smaller of the two.
     """

@@ -57,7 +57,7 @@ def inside_of_some(pieces: Pieces, points: FloatArray, slack: float) -> np.ndarr
 def test_pieces_cover_the_solid_and_stay_near_it(mesh: Mesh) -> None:
     pieces = convex_pieces(mesh)
     parts = list(zip(pieces.vertices, pieces.faces, strict=True))
-    # so what is kept is used again; the floor of the mug is cut along its own faces
+    # pieces from the disk are used only if they fit; cuts run along faces of the mug's floor
     assert pieces_fit(mesh, mesh.vertices, parts, pieces.deviation)
     surface, _ = mesh.surface_samples(2000, np.random.default_rng(1))
     assert inside_of_some(pieces, surface, 1e-6).all()

@@ -7,12 +7,16 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
+from test_closing import close
 
 from planner import GraspTask, plan_grasp
+from planner.approach.pregrasp import Approach, verify_approach
 from planner.batch.recipe import recipe_of, task_of
 from planner.certify import bound_nearby
 from planner.collision.pad_contact import pad_contacts
+from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, NotFoundError, TaskError
 from planner.files import read_plan
 from planner.hand_loading import load_hand
@@ -22,9 +26,12 @@ from planner.kinematics.state import HandState
 from planner.motion.search import check_task
 from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, minimum_jerk
+from planner.synthesis.link_spheres import link_spheres
+from planner.task import Obstacle
 from planner.tolerances import TOUCH_TOL
 from sim import simulate
+from sim.controllers.closing import GuardedClosing
 from sim.scene.build import build_scene
 
 RADIUS = 0.04
@@ -132,6 +139,7 @@ def test_it_is_held_with_the_forces_that_were_planned(plan: GraspPlan) -> None:
     # the palm's friction shares with the fingers' as it likes: the median, not each
     errors = [abs(c.measured_normal_force / c.planned_normal_force - 1.0) for c in pressing]
     assert np.median(errors) < 0.15
+    assert all(contact.position_error_mm < 2.0 for contact in pressing)
 
 
 def test_outermost_contacts_press_and_the_palm_need_not(plan: GraspPlan) -> None:
@@ -194,7 +202,7 @@ def test_what_a_type_cannot_be_is_said() -> None:
         GraspTask.create("allegro_hand", "sphere", grasp_type="hook")
     with pytest.raises(TaskError, match="give one of them"):
         GraspTask.create("allegro_hand", "sphere", grasp_type="power", fingers=["thumb", "index"])
-    with pytest.raises(TaskError, match="2 finger"):
+    with pytest.raises(TaskError, match=r"2 finger.*--mu-torsion"):
         GraspTask.create("allegro_hand", "sphere", grasp_type="pinch")
     with pytest.raises(NotFoundError, match="finger of allegro_hand is called"):
         GraspTask.create("allegro_hand", "sphere", fingers=["thumb", "index", "elbow"])
@@ -244,6 +252,7 @@ def test_the_grip_is_shared_by_what_presses(hand: Hand) -> None:
     assert [len(task.outermost) for task in power.choices] == [4, 4, 3]
     assert power.grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 4))
     assert power.grip_force == GraspTask.create(hand, item).grip_force
+    assert power.choices[2].grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 3))
 
 
 def test_a_set_that_a_region_forbids_is_left_out(hand: Hand) -> None:
@@ -251,3 +260,67 @@ def test_a_set_that_a_region_forbids_is_left_out(hand: Hand) -> None:
     item = replace(parse_object("sphere:0.035"), touch=TouchRegion(required={"index": everywhere}))
     task = GraspTask.create(hand, item, grasp_type="any")
     assert [choice.finger_names for choice in task.choices] == [task.finger_names]
+
+
+def test_what_a_reach_takes_up_is_no_offset(hand: Hand) -> None:
+    """A pad that reaches 10 mm along x of its joint, which is y of the axes that are asked in."""
+    pad = replace(hand.contact_parts["index_middle"].pad, reach=np.array([[0.01, 0.0, 0.0]]))
+    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    off = np.array([0.001, 0.015, -0.002])
+    np.testing.assert_allclose(pad.beyond_reach(off, turn), [0.001, 0.005, -0.002], atol=1e-12)
+    np.testing.assert_allclose(pad.beyond_reach(-off, turn, 2.0), [-0.001, 0.0, 0.002], atol=1e-12)
+
+
+def test_the_last_two_millimetres_of_a_way_in_are_looked_at(plan: GraspPlan) -> None:
+    """A wall half a millimetre before the foremost link where the way ends, far from it before."""
+    task, base = plan.task, plan.T_world_base
+    way = base.translation - plan.T_world_base_start.translation
+    along = way / np.linalg.norm(way)
+    state = HandState(task.hand, plan.q_pregrasp)
+    spheres = link_spheres(task.hand)
+    at = np.array([base.act(state.joint_pose(b.joint_id).act(b.center)) for b in spheres])
+    reached = at @ along + np.array([b.radius for b in spheres])
+    foremost = int(np.argmax(reached))
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).matrix()
+    tip = at[foremost] + spheres[foremost].radius * along
+    wall = Obstacle(
+        name="wall",
+        size=np.array([0.01, 0.01, 0.002]),
+        T_world_obstacle=SE3(turn, tip + (5e-4 + 0.001) * along),
+    )
+    approach = Approach(
+        q=plan.q_pregrasp,
+        pregrasp_distance=plan.pregrasp_distance,
+        T_world_base_start=plan.T_world_base_start,
+    )
+    assert verify_approach(CollisionWorld(task), base, plan.q, approach) is None
+    walled = replace(task, obstacles=(wall,))
+    failure = verify_approach(CollisionWorld(walled), base, plan.q, approach)
+    assert failure is not None and failure.kind == "approach_collision"
+
+
+@pytest.fixture(scope="module")
+def inner(hand: Hand) -> GraspPlan:
+    """A grasp in which two links of one finger touch."""
+    names = [f"{f}_distal" for f in ("thumb", "index", "middle", "ring")]
+    names += ["index_proximal", "middle_proximal", "palm"]
+    return plan_grasp(GraspTask.create(hand, "sphere:0.045", fingers=names), seed=0)
+
+
+@pytest.mark.parametrize("touching", ["index_proximal", "index_distal"])
+def test_a_link_that_touches_stops_its_joints_and_no_others(
+    inner: GraspPlan, touching: str
+) -> None:
+    """Where a finger's inner link touches, its tip goes on; where the tip does, the link does."""
+    closing, task = GuardedClosing(inner), inner.task
+    close(closing, inner, range(200))
+    which = task.finger_names.index(touching)
+    reference = close(closing, inner, range(200, 251), touching=(which,), q=inner.q)[-1]
+    share = float(minimum_jerk(np.asarray(199 / 250)))
+    stopped = inner.q_pregrasp + share * (inner.q - inner.q_pregrasp)
+    link = task.hand.contact_parts["index_proximal"].q_index
+    rest = np.setdiff1d(task.hand.fingers["index"].q_index, link)
+    on, off = (rest, link) if touching == "index_proximal" else (link, rest)
+    np.testing.assert_allclose(reference[off], stopped[off], atol=1e-12)
+    np.testing.assert_allclose(reference[on], inner.q[on], atol=1e-12)
+    assert np.abs(inner.q - stopped)[np.r_[on, off]].max() > 1e-3

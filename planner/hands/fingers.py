@@ -61,6 +61,18 @@ class Pad:
     rolling_half_angle: float
     reach: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
+    def beyond_reach(self, off: FloatArray, turn: FloatArray, most: float = 1.0) -> FloatArray:
+        """What is left of an offset (3,) from the pad's centre that its reach does not take up.
+
+        Args:
+            off: m, in any axes.
+            turn: Rotation (3, 3) of the pad's joint in those axes.
+            most: How many times its reach may be taken up (-).
+        """
+        for along in self.reach @ turn.T:
+            off = off - np.clip(off @ along / (along @ along), -most, most) * along
+        return off
+
     @property
     def rolling(self) -> Pad:
         """The same pad with the cone within which contacts may roll."""

@@ -27,7 +27,7 @@ LEAST_LINE = 0.008
 """Least half length (m) of an inner link that is worth a contact: knuckles are shorter."""
 
 FEW = 2
-"""Fingers beside the opposer that hold what is too small for all of them."""
+"""Number of fingers beside the opposer in the set for objects too small for all fingers."""
 
 INNER_LINKS = 2
 """Fingers of a power grasp that touch with an inner link too: more can seldom lie on one object."""

@@ -170,7 +170,8 @@ class EnvelopingSeeder(Seeder):
         pad, shape = self._palm, self.task.object.shape
         point, outward = self._drawn_side(rng)
         gap = 0.0 if self._touches_palm else rng.uniform(*PALM_GAP)
-        turn = pin.exp3(outward * rng.uniform(-np.pi, np.pi)) @ _turn_onto(pad.axis, -outward)
+        onto = pin.Quaternion.FromTwoVectors(pad.axis, -outward).matrix()
+        turn = pin.exp3(outward * rng.uniform(-np.pi, np.pi)) @ onto
         touching = pad.center + pad.radius * pad.axis
         if len(pad.reach):
             touching = touching + self._shares(rng) @ pad.reach
@@ -234,9 +235,7 @@ class EnvelopingSeeder(Seeder):
                 patch = self.surface.patch_at(task.object.shape, nearest[i], side)
                 at = pose.act(pad.center)
                 off = at - np.clip(at, patch.lower, patch.upper) - pad.radius * side
-                for along in pad.reach @ pose.rotation.T:
-                    off = off - np.clip(off @ along / (along @ along), -1.0, 1.0) * along
-                cost[k] += np.linalg.norm(off)
+                cost[k] += np.linalg.norm(pad.beyond_reach(off, pose.rotation))
             out[i] = sides[int(np.argmin(cost))]
         return out
 
@@ -248,18 +247,3 @@ def _spots(pad: Pad) -> FloatArray:
     """Centres (k, 3) where a pad may touch, in its joint's frame: the middle and all ends, m."""
     shares = np.array(list(product((-1.0, 0.0, 1.0), repeat=len(pad.reach))))
     return np.asarray(pad.center + shares @ pad.reach)
-
-
-def _turn_onto(a: FloatArray, b: FloatArray) -> FloatArray:
-    """A rotation (3, 3) that takes the unit vector a to b."""
-    axis = np.cross(a, b)
-    length = float(np.linalg.norm(axis))
-    if length < 1e-9:
-        return np.eye(3) if a @ b > 0 else np.array(pin.exp3(np.pi * _across(a)))
-    return np.array(pin.exp3(axis / length * np.arctan2(length, float(a @ b))))
-
-
-def _across(a: FloatArray) -> FloatArray:
-    out = np.eye(3)[int(np.argmin(np.abs(a)))]
-    out = out - a * (a @ out)
-    return np.asarray(out / np.linalg.norm(out))
