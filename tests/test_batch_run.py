@@ -10,11 +10,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 from weakref import finalize
 
+import joblib
 import numpy as np
 import pytest
 from joblib.externals.loky import get_reusable_executor
@@ -357,6 +359,30 @@ def test_ctrl_c_keeps_what_was_planned(reference: GraspSet, tmp_path: Path) -> N
     rows = sorted(rows_of(gone_on(tmp_path)), key=lambda row: int(row["k"]))
     assert rows[:N] == rows_of(reference)
     wait_for(lambda: not members(process.pid), "the workers to end")
+
+
+@pytest.mark.filterwarnings("ignore:.*tasks which were still being processed:UserWarning")
+@pytest.mark.parametrize("backend", ["fork", "loky"])
+def test_ctrl_c_while_workers_are_begun_or_sent_jobs_is_heard(
+    backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_ready(backend)
+    where = (ProcessPoolExecutor, "submit") if backend == "fork" else (joblib.Parallel, "__call__")
+    begin, pressed = getattr(*where), list[int]()
+
+    def interrupted(*arguments: Any, **options: Any) -> Any:
+        begun = begin(*arguments, **options)
+        if not pressed:
+            pressed.append(os.getpid())
+            os.kill(os.getpid(), signal.SIGINT)
+        return begun
+
+    monkeypatch.setattr(*where, interrupted)
+    rows = finished(abs, range(50), workers=2, backend=backend, given_up=lambda job, why: 0)
+    with pytest.raises(KeyboardInterrupt):
+        list(rows)
+    assert pressed == [os.getpid()]
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_bad_requests_are_refused(allegro: Hand) -> None:

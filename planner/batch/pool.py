@@ -49,7 +49,7 @@ from planner.plan import GraspPlan
 from planner.search.grasp import Attempt, plan_grasp
 from planner.shapes import Mesh, shape_key
 from planner.synthesis.options import SynthesisOptions
-from planner.system.process import on_interrupt, safe_path
+from planner.system.process import on_interrupt, safe_path, unheard_by_children
 from planner.task import GraspTask
 
 
@@ -295,7 +295,7 @@ def _in_portions(
     size, sent = 1, set[Future[bytes]]()
     while True:
         while len(sent) < AHEAD * workers and (portion := list(islice(jobs, size))):
-            with on_interrupt(signal.SIG_IGN):  # workers that are begun now inherit it
+            with unheard_by_children():
                 sent.add(pool.submit(_done, _packed(portion)))
         if not sent:
             return
@@ -489,8 +489,7 @@ def _stream(
         active, n_workers = joblib.parallel.get_active_backend()
         if active.supports_return_generator:
             parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1)
-            # children inherit it: one that is still loading libraries would print a traceback
-            with on_interrupt(signal.SIG_IGN):
+            with unheard_by_children():  # one that is still loading libraries prints a traceback
                 results = parallel(call(work, *job) for job in jobs)
             yield from results
             return

@@ -76,8 +76,7 @@ def on_interrupt(handler: Callable[..., Any] | signal.Handlers) -> Iterator[None
     """Ctrl-C calls a handler meanwhile; nothing changes outside of the main thread.
 
     Args:
-        handler: As for ``signal.signal``; ``signal.SIG_IGN`` to ignore it, which processes that are
-            started meanwhile inherit.
+        handler: As for ``signal.signal``.
     """
     if threading.current_thread() is not threading.main_thread():
         yield  # signals are handled by the main thread
@@ -122,3 +121,21 @@ def interrupts_wait() -> Iterator[None]:
             signal.signal(number, handler)
         for number, frame in heard:
             handlers[number](number, frame)
+
+
+@contextmanager
+def unheard_by_children() -> Iterator[None]:
+    """Processes that are started meanwhile never hear Ctrl-C; this one hears it right afterwards.
+
+    The signal is blocked, which a child inherits also across ``exec``. Ignoring it instead would
+    lose a Ctrl-C that comes meanwhile. Another thread may still receive it: so it waits, too.
+    """
+    with interrupts_wait():
+        if not hasattr(signal, "pthread_sigmask"):  # Windows
+            yield
+            return
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)

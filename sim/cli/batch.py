@@ -16,6 +16,7 @@ from sim.cli.common import (
     EXIT_NOT_FOUND,
     check_folder,
     err,
+    heeding_ctrl_c,
     print_json,
     refuse_given,
     say,
@@ -103,7 +104,12 @@ def batch(
     loaded = load_hand(hand)
     tasks = [request.task(loaded, item) for item in objects]
     options = request.synthesis()
-    with BatchBar(err) as bar:
+    with heeding_ctrl_c() as check, BatchBar(err) as bar:
+
+        def told(now: BatchProgress) -> None:
+            bar.told(now)
+            check()
+
         try:
             grasps = plan_grasps(
                 loaded,
@@ -115,7 +121,7 @@ def batch(
                 max_attempts=request.max_attempts or DEFAULT_MAX_ATTEMPTS,
                 max_cpu_s=request.max_cpu_s,
                 options=options,
-                progress=bar.told,
+                progress=told,
             )
         except KeyboardInterrupt as error:
             say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))
