@@ -52,7 +52,7 @@ from sim.manipulation import (
 )
 from sim.manipulation.log import measured_modes, mode_table, planned_modes
 from sim.manipulation.timeline import placed, tilt_between, undisturbed
-from sim.scene.physics import PhysicsOptions
+from sim.scene.physics import PhysicsOptions, named_physics
 
 ANGLE = math.radians(40.0)
 
@@ -383,6 +383,20 @@ def test_a_turn_on_ice_fails_with_a_reason(plan: ManipulationPlan) -> None:
     assert not told.complete
     assert not told.success_with_closure
     assert told.reason
+
+
+@pytest.mark.slow
+def test_torsional_friction_ends_turns_under_dexgraspbench_and_is_named() -> None:
+    # sliding friction at 26 mm from the axis is 0.6 x 26 = 16 mm, less than the preset's torsional
+    task = task_of("cylinder:0.026x0.08", "shadow_hand", mass=0.3)
+    plan = plan_manipulation(task, angle=math.radians(90.0))
+    assert np.argmax(plan.pivoted) == 0 and plan.pivoted[0] > math.radians(20.0)
+    benched = named_physics("dexgraspbench")
+    held = manipulate(plan, physics=benched, timeline=QUICK)
+    assert not held.success
+    assert "torsional friction of 20 mm (mu_torsion; ours: 5) holds thumb" in held.reason
+    usual = manipulate(plan, physics=replace(benched, mu_torsion=0.005), timeline=QUICK)
+    assert usual.success_with_closure, usual.reason
 
 
 @pytest.mark.slow
