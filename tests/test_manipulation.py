@@ -252,10 +252,11 @@ def test_a_reference_begins_where_the_object_is_and_ends_on_the_path(
     first = first_in_palm(motion)
     about = pin.exp3(0.04 * motion.grasp.T_world_palm.rotation.T @ UP)
     actual = SE3(about @ first.rotation, first.translation + np.array([0.002, 0.0, -0.001]))
-    tips, q = np.zeros((4, 3)), motion.knots[0].q
+    tips, q = np.zeros((4, 3)), motion.knots[0].q + 0.05  # the grip has bent the fingers
     reference = MotionReference(motion)
     target = reference.advance(DT, actual, tips, q, missed=0.0)
     assert target.T_palm_object.isApprox(actual, 1e-9)
+    np.testing.assert_allclose(target.q, q, atol=1e-12)
     np.testing.assert_allclose(target.tips, tips, atol=1e-12)
     targets = [target]
     last = follow(motion, reference, begin=actual, steps=3000, heard=targets.append)

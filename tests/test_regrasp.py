@@ -288,6 +288,7 @@ def test_a_finger_goes_from_where_it_was_to_where_it_lands(
     np.testing.assert_allclose(commands(1.0, begin), resting(begin), atol=1e-3)
     # one that keeps up is driven on, along its way
     commands(1.0 + 0.3 * away.duration, begin)
+    assert away._bent is not None
     here, there = (away._at(share, away._bent) for share in (0.3, 0.31))
     begin[index] = here
     driven = commands(1.0 + 0.3 * away.duration, begin) - resting(begin)
