@@ -40,19 +40,21 @@ from planner.objects import GraspObject, parse_object
 from planner.shapes import Box
 from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask
+from sim.controllers import ObjectImpedance, Observation, Phase
 from sim.controllers.follow import MAX_ADVANCE, RATE, MotionReference
 from sim.controllers.monitors import SLIP_SPEED, SlipDetector
 from sim.controllers.readings import CREEP, PadReading
-from sim.controllers.torques import HoldingTorques
+from sim.controllers.torques import JOINT_DAMPING, HoldingTorques
 from sim.manipulation import (
     PHASES,
     ManipulationReport,
     SuccessCriteria,
     manipulate,
 )
+from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.log import measured_modes, mode_table, planned_modes
 from sim.manipulation.timeline import placed, tilt_between, undisturbed
-from sim.scene.physics import PhysicsOptions
+from sim.scene.physics import PhysicsOptions, named_physics
 
 ANGLE = math.radians(40.0)
 
@@ -250,10 +252,11 @@ def test_a_reference_begins_where_the_object_is_and_ends_on_the_path(
     first = first_in_palm(motion)
     about = pin.exp3(0.04 * motion.grasp.T_world_palm.rotation.T @ UP)
     actual = SE3(about @ first.rotation, first.translation + np.array([0.002, 0.0, -0.001]))
-    tips, q = np.zeros((4, 3)), motion.knots[0].q
+    tips, q = np.zeros((4, 3)), motion.knots[0].q + 0.05  # the grip has bent the fingers
     reference = MotionReference(motion)
     target = reference.advance(DT, actual, tips, q, missed=0.0)
     assert target.T_palm_object.isApprox(actual, 1e-9)
+    np.testing.assert_allclose(target.q, q, atol=1e-12)
     np.testing.assert_allclose(target.tips, tips, atol=1e-12)
     targets = [target]
     last = follow(motion, reference, begin=actual, steps=3000, heard=targets.append)
@@ -288,6 +291,49 @@ def test_what_joints_take_for_moving_is_made_up_for(plan: ManipulationPlan) -> N
     np.testing.assert_allclose(torques.own_torque - still, 0.1 * rates, atol=1e-12)
     torques.move(grasp.q, np.zeros_like(grasp.q), np.array([0.0, 0.0, -9.81]))
     np.testing.assert_allclose(torques.own_torque, still, atol=1e-12)
+
+
+def test_fingers_are_damped_about_their_planned_rates(plan: ManipulationPlan) -> None:
+    grasp = plan.motion.grasp
+    actuation, rates = grasp.task.hand.actuation, np.linspace(-1.0, 1.0, len(grasp.q))
+    nothing, none = np.zeros((4, 3)), np.zeros(4, dtype=bool)
+
+    def torque(v: FloatArray, planned: FloatArray) -> FloatArray:
+        torques = HoldingTorques(grasp)
+        torques.move(grasp.q, v, np.array([0.0, 0.0, -9.81]))
+        torques.aim(nothing, grasp.q, planned)
+        ctrl = torques.commands(nothing, nothing, none, none)
+        return np.asarray(actuation.moment.T @ (actuation.gain * ctrl))
+
+    drag = torque(rates, rates) - torque(0.0 * rates, 0.0 * rates)
+    damping = torque(0.0 * rates, rates) - torque(rates, rates)
+    np.testing.assert_allclose(drag, 0.1 * rates, atol=1e-12)
+    np.testing.assert_allclose(damping, JOINT_DAMPING * rates, atol=1e-12)
+
+
+def test_fingers_that_have_opened_stay_open(plan: ManipulationPlan) -> None:
+    driver = ManipulationDriver(plan, ObjectImpedance(plan.grasp), rate=1.0)
+    n = len(plan.task.fingers)
+
+    def commands(phase: Phase, progress: float) -> FloatArray:
+        return driver.step(
+            Observation(
+                time=1.0,
+                phase=phase,
+                progress=progress,
+                q=plan.grasp.q,
+                v=np.zeros_like(plan.grasp.q),
+                T_world_base=plan.grasp.T_world_base,
+                T_world_object=plan.task.T_world_object,
+                normal_forces=np.zeros(n),
+                read_twist=lambda: np.zeros(6),
+                read_contacts=lambda: plan.grasp.contacts,
+            )
+        )
+
+    closed, opened = commands("open", 0.0), commands("open", 1.0)
+    assert np.abs(opened - closed).max() > 0.1
+    np.testing.assert_allclose(commands("retreat", 0.2), opened, atol=1e-12)
 
 
 # --- the plan and the run ----------------------------------------------------------------------
@@ -383,6 +429,20 @@ def test_a_turn_on_ice_fails_with_a_reason(plan: ManipulationPlan) -> None:
     assert not told.complete
     assert not told.success_with_closure
     assert told.reason
+
+
+@pytest.mark.slow
+def test_torsional_friction_ends_turns_under_dexgraspbench_and_is_named() -> None:
+    # sliding friction at 26 mm from the axis is 0.6 x 26 = 16 mm, less than the preset's torsional
+    task = task_of("cylinder:0.026x0.08", "shadow_hand", mass=0.3)
+    plan = plan_manipulation(task, angle=math.radians(90.0))
+    assert np.argmax(plan.pivoted) == 0 and plan.pivoted[0] > math.radians(20.0)
+    benched = named_physics("dexgraspbench")
+    held = manipulate(plan, physics=benched, timeline=QUICK)
+    assert not held.success
+    assert "torsional friction of 20 mm (mu_torsion; ours: 5) holds thumb" in held.reason
+    usual = manipulate(plan, physics=replace(benched, mu_torsion=0.005), timeline=QUICK)
+    assert usual.success_with_closure, usual.reason
 
 
 @pytest.mark.slow

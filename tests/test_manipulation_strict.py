@@ -52,6 +52,7 @@ from sim.manipulation.log import finger_forces, force_limit
 from sim.manipulation.machine import PhaseCall
 from sim.manipulation.phases import Phases
 from sim.manipulation.regrasping import margin_without
+from sim.scene.physics import PhysicsOptions
 from sim.verdict import Thresholds, first_collision
 
 
@@ -130,7 +131,8 @@ class TurnsTo:
 
     def __init__(self, plan: ManipulationPlan, degrees: float) -> None:
         """Whose controller does nothing."""
-        self.simulation = SimpleNamespace(timestep=0.002)
+        scene = SimpleNamespace(physics=PhysicsOptions())
+        self.simulation = SimpleNamespace(timestep=0.002, scene=scene)
         self.driver = ManipulationDriver(plan, ObjectImpedance(plan.grasp), rate=1.0)
         moved = (math.radians(degrees), 0.0, np.zeros(3))
         self.recorder = SimpleNamespace(moved=lambda: moved)
@@ -154,6 +156,7 @@ def test_one_rule_says_in_every_phase_how_far_is_far_enough(
     asked = replace(plan, angle=sign * plan.angle)
     run: Any = TurnsTo(plan, sign * degrees)
     phases = Phases(asked, run, QUICK, SuccessCriteria())
+    assert phases.left == pytest.approx(math.radians(45.0 - degrees))
     for phase in ("turn", "hold"):
         told, _ = phases.perform(PhaseCall(phase=phase, ending=plan.ending))
         assert (fault in told) if fault else not told, (phase, told)

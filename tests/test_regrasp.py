@@ -286,6 +286,13 @@ def test_a_finger_goes_from_where_it_was_to_where_it_lands(
     begin = move.postures[0].copy()
     begin[index] += [0.05, -0.1, 0.1, 0.15]  # the grip has bent it
     np.testing.assert_allclose(commands(1.0, begin), resting(begin), atol=1e-3)
+    # one that keeps up is driven on, along its way
+    commands(1.0 + 0.3 * away.duration, begin)
+    assert away._bent is not None
+    here, there = (away._at(share, away._bent) for share in (0.3, 0.31))
+    begin[index] = here
+    driven = commands(1.0 + 0.3 * away.duration, begin) - resting(begin)
+    assert driven @ (there - here) > 0.9 * np.linalg.norm(driven) * np.linalg.norm(there - here)
     end = move.postures[-1].copy()
     np.testing.assert_allclose(commands(1.0 + away.duration, end), resting(end), atol=1e-3)
 

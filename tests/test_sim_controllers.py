@@ -87,6 +87,14 @@ def test_full_squeeze_produces_the_planned_torques(plan: GraspPlan) -> None:
     np.testing.assert_allclose(torque, plan.forces.joint_torques, atol=1e-6)
 
 
+def test_offsets_that_were_found_change_no_torque(plan: GraspPlan) -> None:
+    """Encoders read too much by a known offset: the hand is where it was, and so is its weight."""
+    controller = GraspController(plan)
+    controller.calibration.offset = np.linspace(-0.05, 0.05, len(plan.q))
+    seen = observe(plan, "hold", q=plan.q + controller.calibration.offset)
+    np.testing.assert_allclose(produced(plan, controller, seen), wanted(plan, 1.0), atol=1e-9)
+
+
 def test_squeeze_begins_lightly_and_ends_in_full(plan: GraspPlan) -> None:
     for progress, share in ((0.0, 0.1), (0.5, 0.55), (1.0, 1.0)):
         controller = GraspController(plan)

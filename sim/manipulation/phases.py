@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.motion.manipulation import Ending, ManipulationPlan
+from planner.motion.single_stroke import MOST_PIVOT
 from planner.quality import QualityReport, analyse
 from planner.spatial import SE3
 from sim.contacts import hand_contacts, merge_per_finger
@@ -33,6 +34,7 @@ from sim.manipulation.timeline import (
     too_short,
     undisturbed,
 )
+from sim.scene.physics import PhysicsOptions
 
 STILL_SPEED = np.deg2rad(3.0)
 """Rate (rad/s) below which a turn that has reached its angle has ended."""
@@ -256,14 +258,26 @@ class Phases:
         tilt = numbers["tilt_deg"]
         if tilt <= self._criteria.tilt_deg:
             return ""
-        return f"tilted by {tilt:.1f} degrees off the axis"
+        return f"tilted by {tilt:.1f} degrees off the axis{self._held_back()}"
 
     def _obstacle(self) -> str:
         """Why the object does not follow, as far as the controller reports it."""
         holding = self._sim.driver.holding
         saturated = ", ".join(self._sim.driver.saturated_actuators())
         had_no_more = f"{saturated} had no more to give" if saturated else "it did not follow"
-        return holding.gave_up or had_no_more
+        return (holding.gave_up or had_no_more) + self._held_back()
+
+    def _held_back(self) -> str:
+        """Torsional friction above that of ``ours`` against a tip that pivots, "" if none is."""
+        physics, pivoted = self._sim.simulation.scene.physics, self._plan.pivoted
+        most, usual = int(np.argmax(pivoted)), PhysicsOptions.mu_torsion
+        if pivoted[most] <= MOST_PIVOT or physics.condim < 4 or physics.mu_torsion <= usual:
+            return ""
+        finger, degrees = self._plan.task.finger_names[most], np.rad2deg(pivoted[most])
+        return (
+            f"; torsional friction of {1e3 * physics.mu_torsion:g} mm (mu_torsion; ours: "
+            f"{1e3 * usual:g}) holds {finger}, which pivots by {degrees:.0f} degrees"
+        )
 
     def _hold(self) -> Measured:
         before = self._in_hand()
