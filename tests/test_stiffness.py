@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from planner.contacts import ContactSet
-from planner.exchange.dexgraspbench import plan_squeeze
+from planner.exchange.dexgraspbench import export, plan_squeeze
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.search.grasp import plan_grasp
@@ -17,7 +18,11 @@ from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 from planner.verification.grasp import plan_forces
 from planner.verification.stiffness import GraspStiffness
-from sim.protocols.dexgraspbench import dexgraspbench_cases
+from sim.protocols.dexgraspbench import (
+    benchmark_contacts,
+    benchmark_physics,
+    dexgraspbench_cases,
+)
 
 TIP, HALF = 0.008, 0.0125
 """Radius of a fingertip and half the object's width, m."""
@@ -196,6 +201,46 @@ def test_a_squeeze_stays_off_the_force_that_turns_the_object_aside(
     near = plan_squeeze(*given)
     assert near.factor < 0.8
     assert near.use > free.use
+
+
+def slides(pressed: float, pulled: float) -> float:
+    """Speed (m/s) at which a box creeps between two tips in the benchmark's contacts."""
+    physics, contacts = benchmark_physics(), benchmark_contacts()
+    (solref, solimp), mu = contacts.values(), f"{physics.mu} {physics.mu_torsion}"
+    tip = '<geom type="sphere" size="0.008" mass="0.05"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="{physics.timestep}" gravity="0 0 0" cone="elliptic"
+        impratio="{physics.impratio}" jacobian="dense" integrator="implicitfast"/>
+        <default><joint type="slide" axis="1 0 0" damping="2"/><geom condim="4" friction="{mu}"
+        solref="{solref[0]} 1" solimp="{" ".join(map(str, solimp[:3]))}"/></default><worldbody>
+        <body pos="-0.0205 0 0"><joint/>{tip}</body><body pos="0.0205 0 0"><joint/>{tip}</body>
+        <body name="object"><freejoint/><geom type="box" size="0.0125 0.03 0.03" mass="0.1"/></body>
+        </worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    data.qfrc_applied[:2] = pressed, -pressed
+    data.xfrc_applied[model.body("object").id, 1] = 2.0 * pulled
+    mujoco.mj_step(model, data, 300)
+    before = float(data.body("object").xpos[1])
+    mujoco.mj_step(model, data, 300)
+    return (float(data.body("object").xpos[1]) - before) / (300 * physics.timestep)
+
+
+@pytest.mark.parametrize("pulled", [1.0, 5.0])
+def test_contacts_of_the_benchmark_creep_as_far_as_the_squeeze_reckons(pulled: float) -> None:
+    assert 2.0 * slides(10.0, pulled) == pytest.approx(export.CREEP * pulled, rel=0.5)
+
+
+def test_pressing_harder_makes_a_sharply_curved_object_creep_out(tongs: Hand) -> None:
+    stiffness = pressed(tongs, BALL)
+    tangential = stiffness.forces.copy()
+    tangential[:, 1] = 0.4 * PRESS  # as where two fingers are not quite opposite
+    bent = replace(stiffness, forces=tangential)
+    flat = replace(bent, curvatures=np.zeros_like(bent.curvatures))
+    gentle, firm, hard = (export._use(bent, factor) for factor in (0.5, 1.5, 6.0))
+    assert firm < gentle
+    assert firm < hard
+    assert export._use(flat, 6.0) < export._use(flat, 1.5)
 
 
 @pytest.mark.slow

@@ -63,6 +63,7 @@ class GraspStiffness:
         shifts: (2n, N), what the forces do per metre by which a contact is along a tangent of where
             it should be.
         forces: Of the contacts (n, 4), N and N m, in contact frames.
+        curvatures: Of the object (n, 2, 2), 1/m, along the contacts' tangents.
     """
 
     springs: FloatArray
@@ -70,6 +71,7 @@ class GraspStiffness:
     rows: FloatArray
     shifts: FloatArray
     forces: FloatArray
+    curvatures: FloatArray
 
     @classmethod
     def of(
@@ -103,7 +105,13 @@ class GraspStiffness:
         bending = np.zeros_like(springs)
         pushes = contacts.forces_in_axes()[:, :3]
         shifts = np.cross(axes[:, 1:], pushes[:, None]) @ turns
-        compliance = _rolling(task, contacts.positions, contacts.frames)
+        to_object = task.T_world_object.inverse()
+        curved = _curvatures(
+            task.object.shape,
+            contacts.positions @ to_object.rotation.T + to_object.translation,
+            to_object.rotation @ contacts.frames[:, :, 1:],
+        )
+        compliance = _rolling(task, curved, contacts.frames)
         for i, f in enumerate(pushes):
             bending[3:6, 3:6] -= skew(f) @ arms[i]
             # f . (a_k x J_j) for k before j on the finger: moved by both
@@ -116,6 +124,7 @@ class GraspStiffness:
             rows=rows,
             shifts=shifts.reshape(2 * n, -1),
             forces=np.array(forces.forces),
+            curvatures=curved,
         )
 
     @property
@@ -163,12 +172,8 @@ class GraspStiffness:
         return -(gaps * k).reshape(-1, n, 4), moved[:, 3:6]
 
 
-def _rolling(task: GraspTask, positions: FloatArray, frames: FloatArray) -> FloatArray:
+def _rolling(task: GraspTask, curved: FloatArray, frames: FloatArray) -> FloatArray:
     """A (n, 3, 3) of the module, m, world axes."""
-    to_object = task.T_world_object.inverse()
-    points = positions @ to_object.rotation.T + to_object.translation
-    local = to_object.rotation @ frames
-    curved = _curvatures(task.object.shape, points, local[:, :, 1:])
     tips = np.array([1.0 / finger.pad.radius for finger in task.fingers])
     size, along = np.linalg.eigh(curved + tips[:, None, None] * np.eye(2))
     out = frames[:, :, 1:] @ along
