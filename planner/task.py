@@ -178,7 +178,8 @@ class GraspTask:
                 ``grip_force``.
             joint_error: Standard deviation of each joint's encoder error, rad.
             T_world_base: Pose of the hand's base if it is fixed. A hand on an arm has its arm stand
-                where its description says, seen from the object, if None.
+                where its description says, seen from the object, if None; two hands have their
+                middle at the object's.
             wrist_free: Whether the wrist joints may move.
             wrist_q: Wrist joints, rad; zero if None.
 
@@ -198,6 +199,8 @@ class GraspTask:
             spot = np.array(T_world_object.translation)
             spot[2] = 0.0 if table_height is None else table_height
             T_world_base = SE3(np.eye(3), spot) * hand.arm.T_spot_base
+        if T_world_base is None and hand.pair:
+            T_world_base = SE3(np.eye(3), np.array(T_world_object.translation))
         if grasp_type is not None and fingers is not None:
             raise TaskError(
                 f"grasp_type is {shown(grasp_type)}, and fingers are named too; give one of them"
@@ -224,7 +227,7 @@ class GraspTask:
             mu_torsion=mu_torsion,
             contact_model=contact_model,
             finger_names=tuple(f.name for f in chosen),
-            may_spare_fingers=fingers is None and not sets,
+            may_spare_fingers=fingers is None and not sets and not hand.pair,
             alternatives=tuple(sets[1:]),
             grip_force=grip_force,
             expected_load=load,

@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 from planner.bridge import LinkGeometry
 from planner.errors import HandError, NotFoundError, TaskError, shown
 from planner.hands.arm import Arm
-from planner.hands.fingers import Finger
+from planner.hands.fingers import Finger, Pad
 from planner.joints.actuation import Actuation
 from planner.joints.couplings import Coupling, nearest_on_couplings
 from planner.joints.description import HandDescription
 from planner.showing import in_notebook
-from planner.spatial import FloatArray, IntArray, fixed_array
+from planner.spatial import SE3, FloatArray, IntArray, fixed_array
 
-__all__ = ["Hand"]
+__all__ = ["Hand", "Side"]
 
 POSTURE_TOL = 1e-9
 """How far (rad or m) a described posture may leave the joint range before it is an error."""
@@ -42,6 +42,25 @@ COUPLING_TOL = 1e-6
 PALM_BEYOND = 0.1
 """How far (m) before the roots of the fingers, along the palm's normal, an origin is no palm: twice
 the height of a palm whose thumb starts at its far end."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Side:
+    """One hand of two, or the only one.
+
+    Attributes:
+        name: Its name in the description of the pair; "" of the only one.
+        palm_body: Body of its palm.
+        palm_normal: Direction the palm faces (3,), unit, in that body's frame.
+        carriage: Where the joints of its carriage stand in q (6,); empty for the only one.
+        fingers: Names of its fingers.
+    """
+
+    name: str
+    palm_body: str
+    palm_normal: FloatArray
+    carriage: IntArray
+    fingers: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +88,7 @@ class Hand:
         couplings: Kinematic couplings that hold in a grasp.
         arm: What carries the hand: its joints are part of q, and the base is its root, which stands
             fixed; None for a hand alone.
+        pair: The two hands that this is (``planner.hands.pair``); empty for one hand.
         rolls: Whether its pads have the cones within which contacts may roll (``rolling``).
     """
 
@@ -86,6 +106,7 @@ class Hand:
     actuation: Actuation
     couplings: tuple[Coupling, ...]
     arm: Arm | None = None
+    pair: tuple[Side, ...] = ()
     rolls: bool = False
 
     @cached_property
@@ -150,15 +171,49 @@ class Hand:
         """
         from planner.hands.link_pads import link_contacts  # here: most grasps are of fingertips
 
-        links = link_contacts(
-            self.pin_model,
-            self.geometries,
-            tuple(self.fingers.values()),
-            self.description.palm_body,
-            self.palm_normal,
-            self.neutral,
-        )
+        links: dict[str, Finger] = {}
+        for side in self.sides:
+            fingers = tuple(self.fingers[name] for name in side.fingers)
+            links |= link_contacts(self.pin_model, self.geometries, fingers, side, self.neutral)
         return MappingProxyType({**self.fingers, **links})
+
+    @cached_property
+    def sides(self) -> tuple[Side, ...]:
+        """The hands that this is: two, or itself."""
+        if self.pair:
+            return self.pair
+        only = Side(
+            name="",
+            palm_body=self.description.palm_body,
+            palm_normal=self.palm_normal,
+            carriage=np.zeros(0, dtype=int),
+            fingers=tuple(self.fingers),
+        )
+        return (only,)
+
+    @cached_property
+    def _at_rest(self) -> Any:
+        """``pinocchio.Data`` with all joints at rest; for two hands."""
+        data = self.pin_model.createData()
+        pin.framesForwardKinematics(self.pin_model, data, self.neutral)
+        return data
+
+    def T_base_palm(self, side: Side) -> SE3:
+        """Pose of a palm in the base, all joints at rest."""
+        return SE3(self._at_rest.oMf[self.pin_model.getBodyId(side.palm_body)])
+
+    def T_base_palm_joint(self, pad: Pad) -> SE3:
+        """Pose of the joint that a pad moves with in the base, all joints at rest."""
+        return SE3(self._at_rest.oMi[pad.joint_id])
+
+    def carriage_root(self, side: Side) -> SE3:
+        """Pose of a carriage in the base, all joints at rest."""
+        return SE3(self._at_rest.oMi[int(side.carriage[-1]) + 1])
+
+    @cached_property
+    def carriage_index(self) -> IntArray:
+        """Where the joints of the carriages of two hands stand in q; empty for one hand."""
+        return np.concatenate([side.carriage for side in self.sides])
 
     @cached_property
     def arm_index(self) -> IntArray:

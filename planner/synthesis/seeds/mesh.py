@@ -19,6 +19,7 @@ from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.resistance import least_resisted
 from planner.synthesis.seeds.draw import STEEPEST, Seeder
 from planner.synthesis.seeds.enveloping import EnvelopingSeeder
+from planner.synthesis.seeds.pair import PairSeeder
 from planner.synthesis.seeds.opposed_pairs import opposed_pairs
 from planner.synthesis.seeds.opposition import Postures, measure_postures, opposition
 from planner.task import GraspTask
@@ -215,6 +216,8 @@ TINY = 1e-9
 
 def seeder_for(task: GraspTask) -> Seeder:
     """The source of starts that suits the task's contacts and object."""
+    if task.hand.pair:
+        return PairSeeder(task)
     if not task.is_of_fingertips:
         return EnvelopingSeeder(task)
     return MeshSeeder(task) if isinstance(task.object.shape, Mesh) else Seeder(task)

@@ -1,0 +1,119 @@
+"""Starts of grasps with two hands: each on its side of the object, its fingers closed around it.
+
+The right hand, say, comes from where it is at rest, the other from the opposite side; both are
+turned at random about the normals of their palms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from planner.errors import TaskError
+from planner.hands.pair import HALF_TURN
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.seeds.enveloping import FAR, EnvelopingSeeder, Palm
+
+TIPS_GAP = (0.03, 0.09)
+"""Distances (m) from the object of a palm whose fingertips alone touch."""
+
+LEAST_OPPOSED = float(np.cos(np.deg2rad(50.0)))
+"""Least cosine between a flat side and where a hand comes from: others belong to nobody."""
+
+SIDE_NOISE = 0.3
+"""Standard deviation (-) of the direction from which a hand comes, of unit length."""
+
+ASIDE_NOISE = 0.2
+"""Standard deviation of where on its side a palm is, in radii of the object (-)."""
+
+TURN_OVER_TABLE = np.pi / 2
+"""How far (rad) a hand turns about its palm's normal over a table, from its rest."""
+
+PLACED_DRAWS = 20
+"""Poses of a palm drawn in search of one within its carriage's reach."""
+
+
+class PairSeeder(EnvelopingSeeder):
+    """Draws starts in which two palms face each other across the object."""
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        hand, pose = self.task.hand, self.task.T_world_object.inverse() * self.task.T_world_base
+        self._rest = [pose * hand.T_base_palm_joint(palm.pad) for palm in self._palms]
+        self._roots = [pose * hand.carriage_root(palm.side) for palm in self._palms]
+        first, second = (T.translation for T in self._rest)
+        apart = first - second
+        self._from = apart / np.linalg.norm(apart)
+
+    def _place(self, rng: np.random.Generator) -> tuple[SE3, FloatArray]:
+        """Of some closed pairs the one whose contacts lie best on the object."""
+        task = self.task
+        T_object_base = task.T_world_object.inverse() * task.T_world_base
+        drawn = [self._drawn_pair(T_object_base, rng) for _ in range(4)]
+        misses = [self._miss(T_object_base, q) for q in drawn]
+        return SE3(task.T_world_base), drawn[int(np.argmin(misses))]
+
+    def _drawn_pair(self, T_object_base: SE3, rng: np.random.Generator) -> FloatArray:
+        """Joints (nq,) of both hands, closed."""
+        q, outward = self._with_noise(self.open, rng), self._drawn_direction(rng)
+        for palm, rest, root, sign in zip(
+            self._palms, self._rest, self._roots, (1.0, -1.0), strict=True
+        ):
+            q[palm.side.carriage] = self._carriage(palm, rest, root, sign * outward, rng)
+        return self._closed(T_object_base, q, rng)
+
+    def _drawn_direction(self, rng: np.random.Generator) -> FloatArray:
+        """Unit direction (3,) from which the first hand comes, object frame.
+
+        Raises:
+            TaskError: No flat side of the object looks towards a hand.
+        """
+        sides = self.task.object.shape.flat_sides
+        if sides is None:
+            noisy = self._from + rng.normal(0.0, SIDE_NOISE, 3)
+            return np.asarray(noisy / np.linalg.norm(noisy))
+        faces = [s for s in sides if s @ self._from > LEAST_OPPOSED]
+        if not faces:
+            raise TaskError(
+                "no side of the object looks towards the hands; turn it (T_world_object), or the "
+                "pair (T_world_base)"
+            )
+        return np.asarray(faces[rng.integers(len(faces))])
+
+    def _carriage(
+        self, palm: Palm, rest: SE3, root: SE3, outward: FloatArray, rng: np.random.Generator
+    ) -> FloatArray:
+        """Joints (6,) of a carriage that lay the palm on the side of the object that looks so."""
+        shape, hand = self.task.object.shape, self.task.hand
+        low, high = hand.q_lower[palm.side.carriage], hand.q_upper[palm.side.carriage]
+        most = HALF_TURN if self.task.table_height is None else TURN_OVER_TABLE
+        best, least = np.zeros(6), np.inf
+        for _ in range(PLACED_DRAWS):
+            aside = rng.normal(0.0, ASIDE_NOISE * shape.bounding_radius, 3)
+            points, normals = shape.closest_point(
+                (FAR * shape.bounding_radius * outward + aside)[None]
+            )
+            normal = outward if shape.flat_sides is not None else normals[0]
+            gap = 0.0 if palm.touches else rng.uniform(*TIPS_GAP)
+            facing = rest.rotation @ palm.pad.axis
+            onto = pin.Quaternion.FromTwoVectors(facing, -normal).matrix() @ rest.rotation
+            turn = pin.exp3(normal * rng.uniform(-most, most)) @ onto
+            pose = self._laid(palm, points[0] + gap * normal, turn, rng)
+            wanted = carriage_joints(root.inverse() * pose * rest.inverse() * root)
+            beyond = float(np.maximum(low - wanted, wanted - high).max())
+            if beyond < least:
+                best, least = np.clip(wanted, low, high), beyond
+            if beyond <= 0.0:
+                break
+        return best
+
+
+def carriage_joints(moved: SE3) -> FloatArray:
+    """Joints (6,), m and rad, of a carriage that has moved so in its axes at rest.
+
+    moved = Trans(x, y, z) Rx Ry Rz.
+    """
+    R = moved.rotation
+    ry = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
+    rx, rz = np.arctan2(-R[1, 2], R[2, 2]), np.arctan2(-R[0, 1], R[0, 0])
+    return np.array([*moved.translation, rx, ry, rz])
