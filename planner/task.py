@@ -210,7 +210,7 @@ class GraspTask:
         pull = _numbers("gravity", gravity, "three finite numbers in m/s2")
         load = expected_load or ExpectedLoad()
         if grip_force is None:
-            grip_force = _default_grip(item, pull, mu, _pressing(chosen), load)
+            grip_force = _default_grip(item, pull, mu, _pressing(hand, chosen), load)
         elif load:
             raise TaskError(
                 f"grip_force is {grip_force:g} N, and expected_load would size it; give one of them"
@@ -263,7 +263,7 @@ class GraspTask:
         Raises:
             TaskError, NotFoundError: They are not fingers of the hand, or too few.
         """
-        n = _pressing(self.hand.choose_fingers(names))
+        n = _pressing(self.hand, self.hand.choose_fingers(names))
         least = _default_grip(self.object, self.gravity, self.mu, n, self.expected_load)
         return replace(
             self,
@@ -371,10 +371,14 @@ class GraspTask:
         """Smallest normal force (n,), N, of each contact: the grip of the outermost on a finger.
 
         Inner links and the palm may touch without pressing: others press the object onto them.
+        Where the palms of two hands press with the grip, fingertips need no more than touch.
         """
-        return fixed_array(
-            [self.grip_force if i in self.outermost else 0.0 for i in range(len(self.fingers))]
-        )
+        out = np.zeros(len(self.fingers))
+        out[list(self.outermost)] = self.grip_force
+        if palms := _carried_palms(self.hand, self.fingers):
+            out[list(self.outermost)] = min(MIN_GRIP, self.grip_force)
+            out[list(palms)] = self.grip_force
+        return fixed_array(out)
 
     @cached_property
     def outermost(self) -> tuple[int, ...]:
@@ -477,9 +481,15 @@ def _outermost(fingers: Sequence[Finger]) -> tuple[int, ...]:
     return tuple(sorted(ends.values()))
 
 
-def _pressing(fingers: Sequence[Finger]) -> int:
-    """How many contacts press with the grip: one on each finger."""
-    return max(len(_outermost(fingers)), 1)
+def _carried_palms(hand: Hand, fingers: Sequence[Finger]) -> tuple[int, ...]:
+    """Numbers of the contacts that are palms of two hands, which their carriages press."""
+    palms = {side.palm_body for side in hand.pair}
+    return tuple(i for i, finger in enumerate(fingers) if finger.name in palms)
+
+
+def _pressing(hand: Hand, fingers: Sequence[Finger]) -> int:
+    """How many contacts press with the grip: the palms of two hands, or one on each finger."""
+    return max(len(_carried_palms(hand, fingers) or _outermost(fingers)), 1)
 
 
 def _default_grip(

@@ -197,14 +197,7 @@ class EnvelopingSeeder(Seeder):
         along = turn @ palm.way
         size = shape.support(along) + shape.support(-along)
         size += shape.support(outward) + shape.support(-outward)
-        return float(size), self._laid(palm, point + gap * outward, turn, rng)
-
-    def _laid(self, palm: Palm, at: FloatArray, turn: FloatArray, rng: np.random.Generator) -> SE3:
-        """Pose of a palm's joint, turned so, with a drawn place of its face at a point (3,)."""
-        touching = palm.pad.center + palm.pad.radius * palm.pad.axis
-        if len(palm.pad.reach):
-            touching = touching + self._shares(palm, rng) @ palm.pad.reach
-        return SE3(turn, at - turn @ touching)
+        return float(size), laid(palm, self._shares(palm, rng), point + gap * outward, turn)
 
     def _drawn_side(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """A point (3,) of the surface where the palm may lie, and the outward normal (3,) there."""
@@ -223,11 +216,13 @@ class EnvelopingSeeder(Seeder):
         return points[0], outward[0] if sides is None else side
 
     def _shares(self, palm: Palm, rng: np.random.Generator) -> FloatArray:
-        """Where on the palm the object lies, in shares of its reach: rather near the fingers."""
+        """Where on the palm the object lies, (3,), m, from its middle: rather near the fingers."""
+        if not len(palm.pad.reach):
+            return np.zeros(3)
         toward = palm.pad.reach @ palm.way
         toward /= max(float(np.linalg.norm(toward)), 1e-9)
         shares = rng.uniform(-1.0, 1.0, len(toward)) * ASIDE + toward * rng.uniform(*TOWARD)
-        return np.asarray(np.clip(shares, -1.0, 1.0))
+        return np.asarray(np.clip(shares, -1.0, 1.0) @ palm.pad.reach)
 
     def _closed(self, T_object_base: SE3, q: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Joints (nq,) with all fingers flexed from q until links touch, or to their limits."""
@@ -268,6 +263,11 @@ class EnvelopingSeeder(Seeder):
 
     def _forces(self, normals: FloatArray) -> FloatArray:
         return np.asarray(-normals)
+
+
+def laid(palm: Palm, place: FloatArray, at: FloatArray, turn: FloatArray) -> SE3:
+    """Pose of a palm's joint, turned so, with a place (3,) of its face at a point (3,)."""
+    return SE3(turn, at - turn @ (palm.pad.center + palm.pad.radius * palm.pad.axis + place))
 
 
 def _spots(pad: Pad) -> FloatArray:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
 from planner.hands.pair import HALF_TURN
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.seeds.enveloping import FAR, EnvelopingSeeder, Palm
+from planner.synthesis.seeds.enveloping import FAR, HANDS, EnvelopingSeeder, Palm, laid
 
 TIPS_GAP = (0.03, 0.09)
 """Distances (m) from the object of a palm whose fingertips alone touch."""
@@ -49,7 +50,7 @@ class PairSeeder(EnvelopingSeeder):
         """Of some closed pairs the one whose contacts lie best on the object."""
         task = self.task
         T_object_base = task.T_world_object.inverse() * task.T_world_base
-        drawn = [self._drawn_pair(T_object_base, rng) for _ in range(4)]
+        drawn = [self._drawn_pair(T_object_base, rng) for _ in range(HANDS)]
         misses = [self._miss(T_object_base, q) for q in drawn]
         return SE3(task.T_world_base), drawn[int(np.argmin(misses))]
 
@@ -98,7 +99,8 @@ class PairSeeder(EnvelopingSeeder):
             facing = rest.rotation @ palm.pad.axis
             onto = pin.Quaternion.FromTwoVectors(facing, -normal).matrix() @ rest.rotation
             turn = pin.exp3(normal * rng.uniform(-most, most)) @ onto
-            pose = self._laid(palm, points[0] + gap * normal, turn, rng)
+            place = self._shares(palm, rng) if palm.touches else self._tips(palm)
+            pose = laid(palm, place, points[0] + gap * normal, turn)
             wanted = carriage_joints(root.inverse() * pose * rest.inverse() * root)
             beyond = float(np.maximum(low - wanted, wanted - high).max())
             if beyond < least:
@@ -106,6 +108,15 @@ class PairSeeder(EnvelopingSeeder):
             if beyond <= 0.0:
                 break
         return best
+
+
+    def _tips(self, palm: Palm) -> FloatArray:
+        """Middle of the tips of half closed fingers along the palm, (3,), m, from its middle."""
+        hand = self.task.hand
+        state = moving_hand(hand).move((self.open + self._flexed) / 2.0)
+        tips = np.mean([state.pad_center(hand.fingers[f]) for f in palm.side.fingers], axis=0)
+        off = state.joint_pose(palm.pad.joint_id).actInv(tips) - palm.pad.center
+        return np.asarray(off - palm.pad.axis * (palm.pad.axis @ off))
 
 
 def carriage_joints(moved: SE3) -> FloatArray:
