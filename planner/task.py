@@ -40,6 +40,9 @@ friction alone if all fingers shared the load, never less than ``MIN_GRIP``."""
 MIN_GRIP = 1.5
 """Smallest default normal force per finger, N: well above the joint friction of a real finger."""
 
+TWO_HANDS = "any"
+"""Grasp type of two hands for which a task names none."""
+
 MOST_JOINT_ERROR = 0.2
 """Largest ``joint_error``, rad: 11 degrees, with which no finger finds what it is sent to."""
 
@@ -170,7 +173,8 @@ class GraspTask:
                 some where all of them find nothing. Inner links and the palm may be among them, by
                 the names of their bodies.
             grasp_type: What touches, instead of ``fingers``: a name of
-                ``planner.hands.grasp_types``. The search tries its sets of contacts in turns.
+                ``planner.hands.grasp_types``. The search tries its sets of contacts in turns. Of
+                two hands it is "any" if neither is given.
             grip_force: N per finger; from weight, friction (``GRIP_SAFETY``) and ``expected_load``
                 if None.
             expected_load: The largest disturbance that the object is to bear in the hand; none if
@@ -180,7 +184,8 @@ class GraspTask:
             T_world_base: Pose of the hand's base if it is fixed. A hand on an arm has its arm stand
                 where its description says, seen from the object, if None; two hands have their
                 middle at the object's.
-            wrist_free: Whether the wrist joints may move.
+            wrist_free: Whether the wrist joints may move; those of two hands always may, since
+                forearms are in the way of palms that lie on something large.
             wrist_q: Wrist joints, rad; zero if None.
 
         Raises:
@@ -205,6 +210,8 @@ class GraspTask:
             raise TaskError(
                 f"grasp_type is {shown(grasp_type)}, and fingers are named too; give one of them"
             )
+        if hand.pair and fingers is None and grasp_type is None:
+            grasp_type = TWO_HANDS
         sets = () if grasp_type is None else _sets_of(hand, grasp_type)
         chosen = hand.choose_fingers(sets[0] if sets else fingers)
         pull = _numbers("gravity", gravity, "three finite numbers in m/s2")
@@ -233,7 +240,7 @@ class GraspTask:
             expected_load=load,
             joint_error=joint_error,
             T_world_base=T_world_base,
-            wrist_free=wrist_free,
+            wrist_free=wrist_free or bool(hand.pair),
             wrist_q=_numbers(
                 "wrist_q", np.zeros(n_wrist) if wrist_q is None else wrist_q, JOINTS_WANTED
             ),

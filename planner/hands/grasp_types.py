@@ -116,7 +116,7 @@ def _last(hand: Hand, finger: Finger) -> str:
 
 
 def _palms(hand: Hand) -> ContactSets:
-    """Both palms of two hands with the tips of two fingers each, that of an end among them.
+    """Both palms of two hands, with the last links of two fingers or of all but the opposer.
 
     Raises:
         TaskError: It is one hand.
@@ -129,14 +129,14 @@ def _palms(hand: Hand) -> ContactSets:
     out = []
     for side in hand.sides:
         _, *others = _by_nearness(hand, side)
-        tips = [f.name for f in (others[0], others[-1])]
-        out.append(((*tips, side.palm_body), (*(f.name for f in others), side.palm_body)))
+        last = [_last(hand, f) for f in others]
+        out.append(((last[0], last[-1], side.palm_body), (*last, side.palm_body)))
     return _both(out)
 
 
 def _any(hand: Hand) -> ContactSets:
-    every = (sets(hand) for name, sets in GRASP_TYPES.items() if name in (FINGERTIP, "power"))
-    return tuple(chain.from_iterable(every))
+    kinds = (FINGERTIP, "palms" if hand.pair else "power")
+    return tuple(chain.from_iterable(GRASP_TYPES[name](hand) for name in kinds))
 
 
 GRASP_TYPES: Mapping[str, Callable[[Hand], ContactSets]] = {

@@ -44,7 +44,7 @@ def link_contacts(
     side: Side,
     neutral: FloatArray,
 ) -> Mapping[str, Finger]:
-    """Inner links of the fingers and the palm of one hand as fingers that end early, by the name of the body.
+    """Inner links and palm of one hand as fingers that end early, by the name of the body.
 
     Of a body with several geometries the largest touches; of the last one of a finger that of the
     tip, if it is a ball. A body whose name is a finger's is left out.

@@ -24,7 +24,7 @@ from planner.bridge import compile_spec
 from planner.errors import HandError
 from planner.hands.description_toml import read_toml, validated
 from planner.hands.hand import Hand, Side
-from planner.joints.description import Finite, FingerDescription, HandDescription, Positive, Vector
+from planner.joints.description import FingerDescription, Finite, HandDescription, Positive, Vector
 from planner.schema import StrictData
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 

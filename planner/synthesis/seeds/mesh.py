@@ -19,9 +19,9 @@ from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.resistance import least_resisted
 from planner.synthesis.seeds.draw import STEEPEST, Seeder
 from planner.synthesis.seeds.enveloping import EnvelopingSeeder
-from planner.synthesis.seeds.pair import PairSeeder
 from planner.synthesis.seeds.opposed_pairs import opposed_pairs
 from planner.synthesis.seeds.opposition import Postures, measure_postures, opposition
+from planner.synthesis.seeds.pair import PairSeeder
 from planner.task import GraspTask
 
 POSTURES, NOISES = 128, (0.03, 0.1)

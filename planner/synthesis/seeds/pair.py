@@ -11,7 +11,6 @@ import pinocchio as pin
 
 from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
-from planner.hands.pair import HALF_TURN
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.seeds.enveloping import FAR, HANDS, EnvelopingSeeder, Palm, laid
 
@@ -85,22 +84,11 @@ class PairSeeder(EnvelopingSeeder):
         self, palm: Palm, rest: SE3, root: SE3, outward: FloatArray, rng: np.random.Generator
     ) -> FloatArray:
         """Joints (6,) of a carriage that lay the palm on the side of the object that looks so."""
-        shape, hand = self.task.object.shape, self.task.hand
+        hand = self.task.hand
         low, high = hand.q_lower[palm.side.carriage], hand.q_upper[palm.side.carriage]
-        most = HALF_TURN if self.task.table_height is None else TURN_OVER_TABLE
         best, least = np.zeros(6), np.inf
         for _ in range(PLACED_DRAWS):
-            aside = rng.normal(0.0, ASIDE_NOISE * shape.bounding_radius, 3)
-            points, normals = shape.closest_point(
-                (FAR * shape.bounding_radius * outward + aside)[None]
-            )
-            normal = outward if shape.flat_sides is not None else normals[0]
-            gap = 0.0 if palm.touches else rng.uniform(*TIPS_GAP)
-            facing = rest.rotation @ palm.pad.axis
-            onto = pin.Quaternion.FromTwoVectors(facing, -normal).matrix() @ rest.rotation
-            turn = pin.exp3(normal * rng.uniform(-most, most)) @ onto
-            place = self._shares(palm, rng) if palm.touches else self._tips(palm)
-            pose = laid(palm, place, points[0] + gap * normal, turn)
+            pose = self._drawn_pose(palm, rest.rotation, outward, rng)
             wanted = carriage_joints(root.inverse() * pose * rest.inverse() * root)
             beyond = float(np.maximum(low - wanted, wanted - high).max())
             if beyond < least:
@@ -109,6 +97,22 @@ class PairSeeder(EnvelopingSeeder):
                 break
         return best
 
+    def _drawn_pose(
+        self, palm: Palm, rest: FloatArray, outward: FloatArray, rng: np.random.Generator
+    ) -> SE3:
+        """Pose of a palm's joint on or before the side of the object that looks so."""
+        shape = self.task.object.shape
+        onto = pin.Quaternion.FromTwoVectors(rest @ palm.pad.axis, -outward).matrix() @ rest
+        most = np.pi if self.task.table_height is None else TURN_OVER_TABLE
+        turn = pin.exp3(outward * rng.uniform(-most, most)) @ onto
+        far = shape.bounding_radius * (FAR * outward + rng.normal(0.0, ASIDE_NOISE, 3))
+        points, normals = shape.closest_point(far[None])
+        normal = outward if shape.flat_sides is not None else normals[0]
+        turn = pin.Quaternion.FromTwoVectors(outward, normal).matrix() @ turn
+        if not palm.touches:
+            gap = rng.uniform(*TIPS_GAP)
+            return laid(palm, self._tips(palm), points[0] + gap * normal, turn)
+        return laid(palm, self._shares(palm, rng), points[0], turn)
 
     def _tips(self, palm: Palm) -> FloatArray:
         """Middle of the tips of half closed fingers along the palm, (3,), m, from its middle."""
