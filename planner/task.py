@@ -393,14 +393,15 @@ class GraspTask:
         return _outermost(self.fingers)
 
     def require_fingertips(self, what: str) -> None:
-        """Refuse what nobody has worked out for inner links and the palm.
+        """Refuse what nobody has worked out for inner links and the palm, or for two hands.
 
         Args:
             what: Begin of the message: what takes fingertips.
 
         Raises:
-            TaskError: Others than fingertips touch.
+            TaskError: Others than fingertips touch, or these are two hands.
         """
+        self.hand.require_one(what)
         if not self.is_of_fingertips:
             links = ", ".join(f.name for f in self.fingers if f.is_link)
             raise TaskError(

@@ -191,6 +191,18 @@ class Hand:
         )
         return (only,)
 
+    def require_one(self, what: str) -> None:
+        """Refuse two hands where nobody has worked out what they do.
+
+        Args:
+            what: Begin of the message: what takes one hand.
+
+        Raises:
+            TaskError: These are two hands.
+        """
+        if self.pair:
+            raise TaskError(f"{what} takes one hand, and {self.name} is two; load one of them")
+
     @cached_property
     def _at_rest(self) -> Any:
         """``pinocchio.Data`` with all joints at rest; for two hands."""

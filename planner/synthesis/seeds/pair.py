@@ -44,6 +44,52 @@ class PairSeeder(EnvelopingSeeder):
         first, second = (T.translation for T in self._rest)
         apart = first - second
         self._from = apart / np.linalg.norm(apart)
+        self._check_reach()
+        self._check_weight()
+
+    def _check_reach(self) -> None:
+        """Refuse an object whose sides are beyond what the carriages reach.
+
+        Raises:
+            TaskError: So.
+        """
+        hand, shape = self.task.hand, self.task.object.shape
+        for palm, rest, sign in zip(self._palms, self._rest, (1.0, -1.0), strict=True):
+            slides = palm.side.carriage[:3]
+            most = float(rest.translation @ (sign * self._from) + hand.q_upper[slides].max())
+            half = float(shape.support(sign * self._from))
+            if half > most:
+                raise TaskError(
+                    f"{hand.name} cannot reach around the object together: its side is "
+                    f"{half:.2f} m from its middle, and the palm of {palm.side.name!r} gets "
+                    f"{most:.2f} m away from there; use a smaller object, turn it, or give the "
+                    "carriages more reach in hand.toml"
+                )
+
+    def _check_weight(self) -> None:
+        """Refuse an object that is heavier than what the carriages can carry beside the hands.
+
+        Raises:
+            TaskError: So.
+        """
+        task, hand = self.task, self.task.hand
+        pull = float(np.linalg.norm(task.gravity))
+        limits = hand.actuation.torque_limits(hand.neutral)[:, 1]
+        up = task.T_world_object.rotation.T @ task.gravity / max(pull, 1e-9)
+        most = sum(
+            float(limits[palm.side.carriage[:3]] @ np.abs(root.rotation.T @ up))
+            for palm, root in zip(self._palms, self._roots, strict=True)
+        )
+        own = pull * float(np.sum(hand.mj_model.body_mass))
+        weight = pull * task.object.mass
+        if weight > most - own:
+            names = ", ".join(hand.joint_names[p.side.carriage[2]] for p in self._palms)
+            raise TaskError(
+                f"the object weighs {weight:.0f} N, and the carriages of {hand.name} carry "
+                f"{most:.0f} N ({names}), of which the hands themselves take {own:.0f} N; "
+                f"{weight - most + own:.0f} N are missing: use a lighter object or stronger "
+                "carriages (hand.toml)"
+            )
 
     def _place(self, rng: np.random.Generator) -> tuple[SE3, FloatArray]:
         """Of some closed pairs the one whose contacts lie best on the object."""
