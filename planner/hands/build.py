@@ -7,7 +7,7 @@ compiled model by ``planner.bridge``.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,20 +25,12 @@ from planner.bridge.numbers import check_numbers
 from planner.errors import HandError
 from planner.hands.arm import Mount
 from planner.hands.description_toml import MirrorAxis, reflection_signs
-from planner.hands.fingers import Resolver
+from planner.hands.fingers import Resolver, Side
 from planner.hands.hand import Hand
-from planner.hands.pair import (
-    PairDescription,
-    check_faces,
-    check_member,
-    pair_description,
-    pair_spec,
-    sides_of,
-)
 from planner.joints.couplings import check_held
 from planner.joints.description import HandDescription
 
-__all__ = ["build_from_spec", "build_hand", "hand_on_arm", "two_hands"]
+__all__ = ["build_from_spec", "build_hand", "hand_of_model", "hand_on_arm"]
 
 
 def build_from_spec(spec: Any, description: HandDescription) -> Hand:
@@ -120,7 +112,7 @@ def build_hand(
     if digest is None:
         content = description.model_dump_json().encode() + model_bytes(mj_model)
         digest = hashlib.sha256(content).hexdigest()
-    hand = _of_model(
+    hand = hand_of_model(
         spec,
         mj_model,
         description,
@@ -158,7 +150,7 @@ def hand_on_arm(hand: Hand, mount: Mount, reference: str) -> Hand:
     )
     files = (mount.path, *model_files(mount.arm_path))
     content = hand.digest.encode() + b"".join(f.read_bytes() for f in files)
-    return _of_model(
+    return hand_of_model(
         spec,
         mj_model,
         description,
@@ -170,39 +162,7 @@ def hand_on_arm(hand: Hand, mount: Mount, reference: str) -> Hand:
     )
 
 
-def two_hands(pair: PairDescription, hands: Sequence[Hand], path: Path, reference: str) -> Hand:
-    """Two hands on carriages as one.
-
-    Args:
-        pair: The description.
-        hands: Both hands, each alone.
-        path: Its file.
-        reference: What ``load_hand`` takes to get the same again.
-
-    Raises:
-        HandError: A hand is on an arm or a pair itself, or they do not fit.
-        ModelError: MuJoCo refuses the whole.
-    """
-    for hand in hands:
-        check_member(path, hand)
-    spec = pair_spec(pair, hands)
-    mj_model = compile_spec(spec, str(path))
-    content = b"".join(hand.digest.encode() for hand in hands) + path.read_bytes()
-    whole = _of_model(
-        spec,
-        mj_model,
-        pair_description(pair, hands),
-        where=str(path),
-        path=path,
-        reference=reference,
-        digest=hashlib.sha256(content).hexdigest(),
-        pair=(pair, hands),
-    )
-    check_faces(path, [(s.name, whole.T_base_palm(s), s.palm_normal) for s in whole.sides])
-    return whole
-
-
-def _of_model(
+def hand_of_model(
     spec: Any,
     mj_model: Any,
     description: HandDescription,
@@ -212,9 +172,20 @@ def _of_model(
     reference: str | None,
     digest: str,
     mount: Mount | None = None,
-    pair: tuple[PairDescription, Sequence[Hand]] | None = None,
+    sides: Callable[[Sequence[str]], tuple[Side, ...]] | None = None,
 ) -> Hand:
     """The hand of a compiled model: everything that follows from model and description.
+
+    Args:
+        spec: ``mujoco.MjSpec`` of the hand, prepared.
+        mj_model: The same, compiled.
+        description: What names its palm, base, fingers and pads.
+        where: What errors call the description.
+        path: Its file, or None.
+        reference: What ``load_hand`` takes to get the same hand again, or None.
+        digest: SHA-256 of what determines the hand.
+        mount: The arm that carries it, or None.
+        sides: The two hands that this is, by the names of all joints; None for one hand.
 
     Raises:
         NotFoundError: The description names what the model does not have.
@@ -242,7 +213,7 @@ def _of_model(
         actuation=actuation_from_mujoco(mj_model),
         couplings=resolver.couplings(),
         arm=arm,
-        pair=() if pair is None else sides_of(*pair, tuple(pin_model.names)[1:]),
+        pair=() if sides is None else sides(tuple(pin_model.names)[1:]),
     )
     drive = hand.actuation
     check_held(hand.joint_names, drive.moment, hand.couplings, where, drive.names)

@@ -6,15 +6,15 @@ search tries in turns. To add one, write its function and enter it in ``GRASP_TY
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 
 import numpy as np
 import pinocchio as pin
 
 from planner.errors import NotFoundError, TaskError
-from planner.hands.fingers import Finger
-from planner.hands.hand import Hand, Side
+from planner.hands.fingers import Finger, Side
+from planner.hands.hand import Hand
 from planner.joints.description import PINCH
 
 __all__ = ["GRASP_TYPES", "contact_sets"]
@@ -87,7 +87,7 @@ def _power(hand: Hand) -> ContactSets:
     return _both([_power_of(hand, side) for side in hand.sides])
 
 
-def _both(sets: list[ContactSets]) -> ContactSets:
+def _both(sets: Sequence[ContactSets]) -> ContactSets:
     """Sets of both hands of two, side by side; of one hand as they are."""
     return tuple(tuple(chain.from_iterable(one)) for one in zip(*sets, strict=False))
 

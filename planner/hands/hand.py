@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 from planner.bridge import LinkGeometry
 from planner.errors import HandError, NotFoundError, TaskError, shown
 from planner.hands.arm import Arm
-from planner.hands.fingers import Finger, Pad
+from planner.hands.fingers import Finger, Pad, Side
 from planner.joints.actuation import Actuation
 from planner.joints.couplings import Coupling, nearest_on_couplings
 from planner.joints.description import HandDescription
 from planner.showing import in_notebook
 from planner.spatial import SE3, FloatArray, IntArray, fixed_array
 
-__all__ = ["Hand", "Side"]
+__all__ = ["Hand"]
 
 POSTURE_TOL = 1e-9
 """How far (rad or m) a described posture may leave the joint range before it is an error."""
@@ -42,25 +42,6 @@ COUPLING_TOL = 1e-6
 PALM_BEYOND = 0.1
 """How far (m) before the roots of the fingers, along the palm's normal, an origin is no palm: twice
 the height of a palm whose thumb starts at its far end."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Side:
-    """One hand of two, or the only one.
-
-    Attributes:
-        name: Its name in the description of the pair; "" of the only one.
-        palm_body: Body of its palm.
-        palm_normal: Direction the palm faces (3,), unit, in that body's frame.
-        carriage: Where the joints of its carriage stand in q (6,); empty for the only one.
-        fingers: Names of its fingers.
-    """
-
-    name: str
-    palm_body: str
-    palm_normal: FloatArray
-    carriage: IntArray
-    fingers: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,17 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from planner.bridge import LinkGeometry
-from planner.hands.fingers import Finger, Pad
+from planner.hands.fingers import Finger, Pad, Side
 from planner.spatial import FloatArray
-
-if TYPE_CHECKING:
-    from planner.hands.hand import Side
 
 ROUND_HALF_ANGLE = float(np.deg2rad(70.0))
 """Contacts of a round link lie within this cone (rad) about the direction to the palm's side: its

@@ -9,24 +9,26 @@ certificate take the contacts of both hands. See ``models/hands/two_allegro_hand
 
 from __future__ import annotations
 
+import hashlib
 import os
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
 from planner.bridge import compile_spec
+from planner.bridge.edit import Carried, JointServo, carried_spec
 from planner.errors import HandError
+from planner.hands.build import hand_of_model
 from planner.hands.description_toml import read_toml, validated
-from planner.hands.hand import Hand, Side
+from planner.hands.fingers import Side
+from planner.hands.hand import Hand
 from planner.joints.description import FingerDescription, Finite, HandDescription, Positive, Vector
 from planner.schema import StrictData
-from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
+from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
 PAIR = "pair"
 """Name of the root body, which the gantry carries."""
@@ -95,16 +97,18 @@ HALF_TURN = float(np.pi)
 """How far (rad) the first hinge turns to either side."""
 
 
-def read_pair(path: Path) -> PairDescription | None:
-    """The pair that a file describes; None if it describes something else, or nothing.
+CARRIED_ARM = 0.1
+"""Radius of gyration (m) of carriage, hand and their share of an object about the palm, for the
+damping of the hinges."""
+
+
+def read_pair(path: Path) -> PairDescription:
+    """The pair that a file describes.
 
     Raises:
         HandError: Not TOML, or a pair with faults.
     """
-    raw = read_toml(path)
-    if "hands" not in raw:
-        return None
-    found = validated(path, PairDescription, raw, "two hands")
+    found = validated(path, PairDescription, read_toml(path), "two hands")
     first, second = found.hands
     if first.name == second.name:
         raise HandError(f"{path}: both hands are called {first.name!r}; rename one")
@@ -116,15 +120,37 @@ def read_pair(path: Path) -> PairDescription | None:
     return found
 
 
-def check_member(path: Path, hand: Hand) -> None:
-    """Refuse a hand that cannot be one of two.
+def two_hands(pair: PairDescription, hands: Sequence[Hand], path: Path, reference: str) -> Hand:
+    """Two hands on carriages as one.
+
+    Args:
+        pair: The description.
+        hands: Both hands, each alone.
+        path: Its file.
+        reference: What ``load_hand`` takes to get the same again.
 
     Raises:
-        HandError: It is on an arm, or two hands itself.
+        HandError: A hand is on an arm or a pair itself, or they do not fit.
+        ModelError: MuJoCo refuses the whole.
     """
-    if hand.arm is not None or len(hand.sides) > 1:
-        what = "is on an arm" if hand.arm is not None else "is two hands itself"
-        raise HandError(f"{path}: hands names {hand.name}, which {what}; name a hand alone")
+    for hand in hands:
+        if hand.arm is not None or hand.pair:
+            what = "is on an arm" if hand.arm is not None else "is two hands itself"
+            raise HandError(f"{path}: hands names {hand.name}, which {what}; name a hand alone")
+    spec = pair_spec(pair, hands)
+    content = b"".join(hand.digest.encode() for hand in hands) + path.read_bytes()
+    whole = hand_of_model(
+        spec,
+        compile_spec(spec, str(path)),
+        pair_description(pair, hands),
+        where=str(path),
+        path=path,
+        reference=reference,
+        digest=hashlib.sha256(content).hexdigest(),
+        sides=lambda joint_names: sides_of(pair, hands, joint_names),
+    )
+    _check_faces(path, whole)
+    return whole
 
 
 def pair_spec(pair: PairDescription, hands: Sequence[Hand]) -> Any:
@@ -133,24 +159,31 @@ def pair_spec(pair: PairDescription, hands: Sequence[Hand]) -> Any:
     Raises:
         ModelError: MuJoCo refuses the whole.
     """
-    out = mujoco.MjSpec()
-    out.compiler.degree = False
-    out.modelname = pair.name
-    root = out.worldbody.add_body(name=PAIR)
-    _weigh(root, pair.carriage)
+    c, carried = pair.carriage, []
     for held, hand in zip(pair.hands, hands, strict=True):
         rest, T_carriage_base = _at_rest(held, hand)
-        position, quaternion = pose_to_wxyz(rest)
-        carriage = root.add_body(name=f"{held.name}/carriage", pos=position, quat=quaternion)
-        _weigh(carriage, pair.carriage)
-        _drive(out, carriage, held.name, pair.carriage, float(np.sum(hand.mj_model.body_mass)))
-        position, quaternion = pose_to_wxyz(T_carriage_base)
-        frame = carriage.add_frame(pos=position, quat=quaternion)
-        out.attach(hand.new_spec(), prefix=f"{held.name}/", frame=frame)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Attaching a spec")
-        compile_spec(out, pair.name)
-    return out.copy()
+        load = c.mass + float(np.sum(hand.mj_model.body_mass))
+        carried.append(
+            Carried(
+                name=held.name,
+                spec=hand.new_spec(),
+                T_root_carriage=rest,
+                T_carriage_base=T_carriage_base,
+                servos=[
+                    _servo(c, load, slides=k < 3, most=most)
+                    for k, most in enumerate((*(c.reach,) * 3, HALF_TURN, c.tilt, c.tilt))
+                ],
+            )
+        )
+    return carried_spec(pair.name, PAIR, carried, AXES, mass=c.mass, radius=CARRIAGE_RADIUS)
+
+
+def _servo(c: CarriageDescription, load: float, *, slides: bool, most: float) -> JointServo:
+    """The servo of one joint of a carriage, damped for the mass (kg) that it carries."""
+    kp = c.stiffness if slides else c.turn_stiffness
+    moved = load if slides else load * CARRIED_ARM**2
+    kv = 2.0 * c.damping_ratio * float(np.sqrt(kp * moved))
+    return JointServo(slides=slides, most=most, kp=kp, kv=kv, force=c.force if slides else c.torque)
 
 
 def pair_description(pair: PairDescription, hands: Sequence[Hand]) -> HandDescription:
@@ -194,23 +227,19 @@ def pair_description(pair: PairDescription, hands: Sequence[Hand]) -> HandDescri
     )
 
 
-def check_faces(path: Path, sides: Sequence[tuple[str, SE3, FloatArray]]) -> None:
+def _check_faces(path: Path, whole: Hand) -> None:
     """Refuse palms that look away from each other at rest.
-
-    Args:
-        path: The description.
-        sides: Name, pose of the palm and its normal (3,) in the palm, of both hands.
 
     Raises:
         HandError: One looks away.
     """
-    (_, here, _), (_, there, _) = sides
-    way = there.translation - here.translation
-    for (name, T, normal), toward in zip(sides, (way, -way), strict=True):
-        if not T.rotation @ normal @ toward > 0.0:
+    poses = [whole.T_base_palm(side) for side in whole.sides]
+    way = poses[1].translation - poses[0].translation
+    for side, T, toward in zip(whole.sides, poses, (way, -way), strict=True):
+        if not T.rotation @ side.palm_normal @ toward > 0.0:
             raise HandError(
-                f"{path}: at rest the palm of {name!r} does not look towards the other hand; turn "
-                "it by its quaternion_wxyz, or exchange the positions"
+                f"{path}: at rest the palm of {side.name!r} does not look towards the other hand; "
+                "turn it by its quaternion_wxyz, or exchange the positions"
             )
 
 
@@ -263,34 +292,3 @@ def _at_rest(held: HeldHand, hand: Hand) -> tuple[SE3, SE3]:
     axes: FloatArray = np.column_stack([facing, np.cross(across, facing), across])
     rest = SE3(axes, np.array(held.position))
     return rest, rest.inverse() * T_pair_palm * T_base_palm.inverse()
-
-
-def _weigh(body: Any, carriage: CarriageDescription) -> None:
-    body.explicitinertial = True
-    body.mass = carriage.mass
-    body.inertia = np.full(3, 0.4 * carriage.mass * CARRIAGE_RADIUS**2)
-
-
-def _drive(spec: Any, body: Any, name: str, carriage: CarriageDescription, load: float) -> None:
-    """Six joints and their servos, damped for the mass (kg) that they carry."""
-    for k, axis in enumerate(AXES):
-        slides = k < 3
-        joint = body.add_joint(name=f"{name}/carriage_{axis}", axis=np.eye(3)[k % 3])
-        kinds = mujoco.mjtJoint
-        joint.type = kinds.mjJNT_SLIDE if slides else kinds.mjJNT_HINGE
-        most = carriage.reach if slides else HALF_TURN if k == 3 else carriage.tilt
-        joint.range, joint.limited = (-most, most), mujoco.mjtLimited.mjLIMITED_TRUE
-        kp = carriage.stiffness if slides else carriage.turn_stiffness
-        moved = carriage.mass + load if slides else (carriage.mass + load) * CARRIED_ARM**2
-        kv = 2.0 * carriage.damping_ratio * float(np.sqrt(kp * moved))
-        servo = spec.add_actuator(name=joint.name, target=joint.name)
-        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        servo.set_to_position(kp=kp, kv=kv)
-        ends = carriage.force if slides else carriage.torque
-        servo.forcelimited = servo.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
-        servo.forcerange, servo.ctrlrange = (-ends, ends), (-most, most)
-
-
-CARRIED_ARM = 0.1
-"""Radius of gyration (m) of carriage, hand and their share of an object about the palm, for the
-damping of the hinges."""

@@ -14,9 +14,8 @@ from typing import Any
 
 from planner.describe.proposal import Reason
 from planner.hands.arm import read_mount
-from planner.hands.description_toml import read_description
+from planner.hands.description_toml import is_pair, read_description
 from planner.hands.hand import Hand
-from planner.hands.pair import read_pair
 
 __all__ = ["DescribedLine", "comments_of", "described_lines", "named_joints", "reasons_by_key"]
 
@@ -68,7 +67,7 @@ def comments_of(path: Path) -> dict[str, str]:
     Raises:
         HandError: The file is damaged.
     """
-    if read_pair(path) is not None:
+    if is_pair(path):
         return {}  # the two descriptions have theirs
     mount = read_mount(path)
     described = read_description(path if mount is None else mount.hand_path)

@@ -15,8 +15,7 @@ import pinocchio as pin
 
 from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
-from planner.hands.fingers import Pad
-from planner.hands.hand import Side
+from planner.hands.fingers import Pad, Side
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.seeds.draw import Seeder

@@ -21,7 +21,6 @@ from planner.synthesis.seeds.draw import STEEPEST, Seeder
 from planner.synthesis.seeds.enveloping import EnvelopingSeeder
 from planner.synthesis.seeds.opposed_pairs import opposed_pairs
 from planner.synthesis.seeds.opposition import Postures, measure_postures, opposition
-from planner.synthesis.seeds.pair import PairSeeder
 from planner.task import GraspTask
 
 POSTURES, NOISES = 128, (0.03, 0.1)
@@ -217,6 +216,8 @@ TINY = 1e-9
 def seeder_for(task: GraspTask) -> Seeder:
     """The source of starts that suits the task's contacts and object."""
     if task.hand.pair:
+        from planner.synthesis.seeds.pair import PairSeeder  # here: few hands are two
+
         return PairSeeder(task)
     if not task.is_of_fingertips:
         return EnvelopingSeeder(task)
