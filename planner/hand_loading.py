@@ -13,7 +13,7 @@ from planner.bridge import load_spec
 from planner.hands.arm import read_mount
 from planner.hands.build import build_from_spec, build_hand, hand_on_arm
 from planner.hands.catalog import find_hand, hand_reference
-from planner.hands.description_toml import DescribedHand, read_description
+from planner.hands.description_toml import DescribedHand, is_pair, read_description
 from planner.hands.hand import Hand
 from planner.joints.description import HandDescription
 
@@ -43,6 +43,12 @@ def load_hand(name_or_path: str | Path, *, download: bool = True) -> Hand:
         mount = read_mount(path)
         if mount is not None:
             return hand_on_arm(load_hand(mount.hand_path), mount, reference)
+        if is_pair(path):
+            from planner.hands.pair import read_pair, two_hands  # here: few hands are two
+
+            pair = read_pair(path)
+            hands = [load_hand(path.parent / held.hand) for held in pair.hands]
+            return two_hands(pair, hands, path, reference)
         described = read_description(path)
     else:
         # here, since it loads slowly, and hands that are described do not need it

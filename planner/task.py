@@ -40,6 +40,9 @@ friction alone if all fingers shared the load, never less than ``MIN_GRIP``."""
 MIN_GRIP = 1.5
 """Smallest default normal force per finger, N: well above the joint friction of a real finger."""
 
+TWO_HANDS = "any"
+"""Grasp type of two hands for which a task names none."""
+
 MOST_JOINT_ERROR = 0.2
 """Largest ``joint_error``, rad: 11 degrees, with which no finger finds what it is sent to."""
 
@@ -170,7 +173,8 @@ class GraspTask:
                 some where all of them find nothing. Inner links and the palm may be among them, by
                 the names of their bodies.
             grasp_type: What touches, instead of ``fingers``: a name of
-                ``planner.hands.grasp_types``. The search tries its sets of contacts in turns.
+                ``planner.hands.grasp_types``. The search tries its sets of contacts in turns. Of
+                two hands it is "any" if neither is given.
             grip_force: N per finger; from weight, friction (``GRIP_SAFETY``) and ``expected_load``
                 if None.
             expected_load: The largest disturbance that the object is to bear in the hand; none if
@@ -178,8 +182,10 @@ class GraspTask:
                 ``grip_force``.
             joint_error: Standard deviation of each joint's encoder error, rad.
             T_world_base: Pose of the hand's base if it is fixed. A hand on an arm has its arm stand
-                where its description says, seen from the object, if None.
-            wrist_free: Whether the wrist joints may move.
+                where its description says, seen from the object, if None; two hands have their
+                middle at the object's.
+            wrist_free: Whether the wrist joints may move; those of two hands always may, since
+                forearms are in the way of palms that lie on something large.
             wrist_q: Wrist joints, rad; zero if None.
 
         Raises:
@@ -198,16 +204,20 @@ class GraspTask:
             spot = np.array(T_world_object.translation)
             spot[2] = 0.0 if table_height is None else table_height
             T_world_base = SE3(np.eye(3), spot) * hand.arm.T_spot_base
+        if T_world_base is None and hand.pair:
+            T_world_base = SE3(np.eye(3), np.array(T_world_object.translation))
         if grasp_type is not None and fingers is not None:
             raise TaskError(
                 f"grasp_type is {shown(grasp_type)}, and fingers are named too; give one of them"
             )
+        if hand.pair and fingers is None and grasp_type is None:
+            grasp_type = TWO_HANDS
         sets = () if grasp_type is None else _sets_of(hand, grasp_type)
         chosen = hand.choose_fingers(sets[0] if sets else fingers)
         pull = _numbers("gravity", gravity, "three finite numbers in m/s2")
         load = expected_load or ExpectedLoad()
         if grip_force is None:
-            grip_force = _default_grip(item, pull, mu, _pressing(chosen), load)
+            grip_force = _default_grip(item, pull, mu, _pressing(hand, chosen), load)
         elif load:
             raise TaskError(
                 f"grip_force is {grip_force:g} N, and expected_load would size it; give one of them"
@@ -224,13 +234,13 @@ class GraspTask:
             mu_torsion=mu_torsion,
             contact_model=contact_model,
             finger_names=tuple(f.name for f in chosen),
-            may_spare_fingers=fingers is None and not sets,
+            may_spare_fingers=fingers is None and not sets and not hand.pair,
             alternatives=tuple(sets[1:]),
             grip_force=grip_force,
             expected_load=load,
             joint_error=joint_error,
             T_world_base=T_world_base,
-            wrist_free=wrist_free,
+            wrist_free=wrist_free or bool(hand.pair),
             wrist_q=_numbers(
                 "wrist_q", np.zeros(n_wrist) if wrist_q is None else wrist_q, JOINTS_WANTED
             ),
@@ -260,7 +270,7 @@ class GraspTask:
         Raises:
             TaskError, NotFoundError: They are not fingers of the hand, or too few.
         """
-        n = _pressing(self.hand.choose_fingers(names))
+        n = _pressing(self.hand, self.hand.choose_fingers(names))
         least = _default_grip(self.object, self.gravity, self.mu, n, self.expected_load)
         return replace(
             self,
@@ -368,10 +378,14 @@ class GraspTask:
         """Smallest normal force (n,), N, of each contact: the grip of the outermost on a finger.
 
         Inner links and the palm may touch without pressing: others press the object onto them.
+        Where the palms of two hands press with the grip, fingertips need no more than touch.
         """
-        return fixed_array(
-            [self.grip_force if i in self.outermost else 0.0 for i in range(len(self.fingers))]
-        )
+        out = np.zeros(len(self.fingers))
+        out[list(self.outermost)] = self.grip_force
+        if palms := _carried_palms(self.hand, self.fingers):
+            out[list(self.outermost)] = min(MIN_GRIP, self.grip_force)
+            out[list(palms)] = self.grip_force
+        return fixed_array(out)
 
     @cached_property
     def outermost(self) -> tuple[int, ...]:
@@ -379,14 +393,15 @@ class GraspTask:
         return _outermost(self.fingers)
 
     def require_fingertips(self, what: str) -> None:
-        """Refuse what nobody has worked out for inner links and the palm.
+        """Refuse what nobody has worked out for inner links and the palm, or for two hands.
 
         Args:
             what: Begin of the message: what takes fingertips.
 
         Raises:
-            TaskError: Others than fingertips touch.
+            TaskError: Others than fingertips touch, or these are two hands.
         """
+        self.hand.require_one(what)
         if not self.is_of_fingertips:
             links = ", ".join(f.name for f in self.fingers if f.is_link)
             raise TaskError(
@@ -474,9 +489,15 @@ def _outermost(fingers: Sequence[Finger]) -> tuple[int, ...]:
     return tuple(sorted(ends.values()))
 
 
-def _pressing(fingers: Sequence[Finger]) -> int:
-    """How many contacts press with the grip: one on each finger."""
-    return max(len(_outermost(fingers)), 1)
+def _carried_palms(hand: Hand, fingers: Sequence[Finger]) -> tuple[int, ...]:
+    """Numbers of the contacts that are palms of two hands, which their carriages press."""
+    palms = {side.palm_body for side in hand.pair}
+    return tuple(i for i, finger in enumerate(fingers) if finger.name in palms)
+
+
+def _pressing(hand: Hand, fingers: Sequence[Finger]) -> int:
+    """How many contacts press with the grip: the palms of two hands, or one on each finger."""
+    return max(len(_carried_palms(hand, fingers) or _outermost(fingers)), 1)
 
 
 def _default_grip(

@@ -377,7 +377,7 @@ def test_ctrl_c_while_workers_are_begun_or_sent_jobs_is_heard(
             os.kill(os.getpid(), signal.SIGINT)
         return begun
 
-    monkeypatch.setattr(*where, interrupted)
+    monkeypatch.setattr(where[0], where[1], interrupted)
     rows = finished(abs, range(50), workers=2, backend=backend, given_up=lambda job, why: 0)
     with pytest.raises(KeyboardInterrupt):
         list(rows)

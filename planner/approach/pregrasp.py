@@ -130,7 +130,7 @@ def find_approach(
     lift = find_lift(world, T_world_base, q) if on_arm else None
     if isinstance(lift, Failure):
         return lift
-    if not world.task.is_of_fingertips:
+    if not (world.task.is_of_fingertips or world.task.hand.pair):
         return _find_around(world, T_world_base, q, normals, lift)
     solvers = [PregraspIk(world, T_world_base, q, normals)]
     loose = undetermined_joints(world.task.hand)

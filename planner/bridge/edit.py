@@ -1,4 +1,4 @@
-"""Other hands from a model: the mirror image, the hand on an arm, a motor on every joint.
+"""Other hands from a model: mirror image, hand on an arm, two hands, a motor on every joint.
 
 **Mirror.** With M = diag(signs) the reflection through a coordinate plane, every frame of the model
 goes to the frame that the mirror shows, conjugated so that it stays right-handed: position p ->
@@ -12,6 +12,8 @@ and nothing is rounded.
 **Arm.** Two ``mujoco.MjSpec`` become one. The arm's names get the prefix ``arm/``; the hand's stay,
 so that its description holds for the whole.
 
+**Two hands.** Each hangs on a carriage of driven joints under one root body; names get prefixes.
+
 **Motors.** A motor's torque is its command, within what the actuators of the model can make at that
 joint: the sum over them of the moment arm times the force range. A tendon over two joints becomes a
 motor on each, and tied joints keep their own as well: torque at the joint itself need not pass
@@ -23,6 +25,8 @@ remain is described as a coupling.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -188,6 +192,99 @@ def _exclude_root(arm: Any, model: Any) -> None:
         for j in static:
             if frozenset((names[i], names[j])) not in excluded:
                 arm.add_exclude(bodyname1=names[j], bodyname2=names[i])
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointServo:
+    """A driven joint of a carriage.
+
+    Attributes:
+        slides: Whether it slides or turns.
+        most: Its range to either side, m or rad.
+        kp: Stiffness of its position servo, N/m or N m/rad.
+        kv: Damping, N s/m or N m s/rad.
+        force: Largest force, N or N m.
+    """
+
+    slides: bool
+    most: float
+    kp: float
+    kv: float
+    force: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Carried:
+    """A hand on a carriage.
+
+    Attributes:
+        name: Names of its model begin with it.
+        spec: ``mujoco.MjSpec`` of the hand; attached, so give a fresh one.
+        T_root_carriage: Pose of the carriage at rest.
+        T_carriage_base: Pose of the hand's base on it.
+        servos: Its joints in order, slides before hinges.
+    """
+
+    name: str
+    spec: Any
+    T_root_carriage: SE3
+    T_carriage_base: SE3
+    servos: Sequence[JointServo]
+
+
+def carried_spec(
+    what: str,
+    root: str,
+    carried: Sequence[Carried],
+    axes: Sequence[str],
+    *,
+    mass: float,
+    radius: float,
+) -> Any:
+    """A spec of hands on carriages, under one root body.
+
+    Args:
+        what: Name of the whole.
+        root: Name of the root body.
+        carried: The hands.
+        axes: Names of a carriage's joints.
+        mass: Of the root and of each carriage, kg.
+        radius: Of the ball of that mass whose moment of inertia they have, m.
+
+    Raises:
+        ModelError: MuJoCo refuses the whole.
+    """
+    out = mujoco.MjSpec()
+    out.compiler.degree = False
+    out.modelname = what
+    base = out.worldbody.add_body(name=root)
+    bodies = [base]
+    for hand in carried:
+        position, quaternion = pose_to_wxyz(hand.T_root_carriage)
+        body = base.add_body(name=f"{hand.name}/carriage", pos=position, quat=quaternion)
+        bodies.append(body)
+        for k, (axis, servo) in enumerate(zip(axes, hand.servos, strict=True)):
+            _drive(out, body, f"{hand.name}/carriage_{axis}", np.eye(3)[k % 3], servo)
+        position, quaternion = pose_to_wxyz(hand.T_carriage_base)
+        frame = body.add_frame(pos=position, quat=quaternion)
+        out.attach(hand.spec, prefix=f"{hand.name}/", frame=frame)
+    for body in bodies:
+        body.explicitinertial = True
+        body.mass, body.inertia = mass, np.full(3, 0.4 * mass * radius**2)
+    compile_spec(out, what)
+    return out.copy()
+
+
+def _drive(spec: Any, body: Any, name: str, axis: FloatArray, servo: JointServo) -> None:
+    """Add a joint and its position servo."""
+    kinds, limited = mujoco.mjtJoint, mujoco.mjtLimited.mjLIMITED_TRUE
+    joint = body.add_joint(name=name, axis=axis, range=(-servo.most, servo.most), limited=limited)
+    joint.type = kinds.mjJNT_SLIDE if servo.slides else kinds.mjJNT_HINGE
+    actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.set_to_position(kp=servo.kp, kv=servo.kv)
+    actuator.forcelimited = actuator.ctrllimited = limited
+    actuator.forcerange = (-servo.force, servo.force)
+    actuator.ctrlrange = (-servo.most, servo.most)
 
 
 _EQ_TENDON = int(mujoco.mjtEq.mjEQ_TENDON)

@@ -184,7 +184,8 @@ class PadContactQueries:
             gaps = ((at - points) * outward).sum(axis=1)
             away = ((at - middle) ** 2).sum(axis=1)
             weights = np.maximum(gaps.min() + TOUCH_TOL - gaps, 0.0)
-            weights *= np.exp((away[weights > 0.0].min() - away) / (2.0 * NEXT_TO**2))
+            nearer = np.minimum(away[weights > 0.0].min() - away, 0.0)
+            weights *= np.exp(nearer / (2.0 * NEXT_TO**2))
             out[i] = weights @ at / weights.sum()
         return out
 

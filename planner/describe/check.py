@@ -48,7 +48,8 @@ def check_hand(hand: Hand, *, seed: int = 0) -> CheckReport:
     rng = np.random.default_rng(seed)
     findings = Findings()
     fingers = hand.choose_fingers()
-    postures = check_postures(hand, fingers, findings)
+    # two hands are checked one by one: their pads do not look at each other
+    postures = () if hand.pair else check_postures(hand, fingers, findings)
     joints = _joints(hand, findings)
     _check_weight(hand, findings)
     _check_inertias(hand, joints, findings)
@@ -72,6 +73,7 @@ def _joints(hand: Hand, findings: Findings) -> tuple[JointRow, ...]:
     torques = hand.actuation.torque_limits(middle)
     owner = {j: f.name for f in hand.fingers.values() for j in f.joints}
     owner |= dict.fromkeys(hand.description.wrist_joints, "wrist")
+    owner |= {hand.joint_names[k]: "carriage" for k in hand.carriage_index}
     out = []
     for k, name in enumerate(hand.joint_names):
         acting = np.flatnonzero(hand.actuation.moment[:, k])

@@ -259,8 +259,9 @@ def need_no_arm(task: GraspTask, what: str) -> Hand:
     """The hand of a task.
 
     Raises:
-        TaskError: It is on an arm.
+        TaskError: It is on an arm, or two hands.
     """
+    task.hand.require_one(what)
     if task.hand.arm is not None:
         raise TaskError(
             f"{task.hand.name} is on an arm, and {what} tells the pose of a hand alone; plan with "

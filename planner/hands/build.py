@@ -7,6 +7,7 @@ compiled model by ``planner.bridge``.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +25,12 @@ from planner.bridge.numbers import check_numbers
 from planner.errors import HandError
 from planner.hands.arm import Mount
 from planner.hands.description_toml import MirrorAxis, reflection_signs
-from planner.hands.fingers import Resolver
+from planner.hands.fingers import Resolver, Side
 from planner.hands.hand import Hand
 from planner.joints.couplings import check_held
 from planner.joints.description import HandDescription
 
-__all__ = ["build_from_spec", "build_hand", "hand_on_arm"]
+__all__ = ["build_from_spec", "build_hand", "hand_of_model", "hand_on_arm"]
 
 
 def build_from_spec(spec: Any, description: HandDescription) -> Hand:
@@ -111,7 +112,7 @@ def build_hand(
     if digest is None:
         content = description.model_dump_json().encode() + model_bytes(mj_model)
         digest = hashlib.sha256(content).hexdigest()
-    hand = _of_model(
+    hand = hand_of_model(
         spec,
         mj_model,
         description,
@@ -149,7 +150,7 @@ def hand_on_arm(hand: Hand, mount: Mount, reference: str) -> Hand:
     )
     files = (mount.path, *model_files(mount.arm_path))
     content = hand.digest.encode() + b"".join(f.read_bytes() for f in files)
-    return _of_model(
+    return hand_of_model(
         spec,
         mj_model,
         description,
@@ -161,7 +162,7 @@ def hand_on_arm(hand: Hand, mount: Mount, reference: str) -> Hand:
     )
 
 
-def _of_model(
+def hand_of_model(
     spec: Any,
     mj_model: Any,
     description: HandDescription,
@@ -171,8 +172,20 @@ def _of_model(
     reference: str | None,
     digest: str,
     mount: Mount | None = None,
+    sides: Callable[[Sequence[str]], tuple[Side, ...]] | None = None,
 ) -> Hand:
     """The hand of a compiled model: everything that follows from model and description.
+
+    Args:
+        spec: ``mujoco.MjSpec`` of the hand, prepared.
+        mj_model: The same, compiled.
+        description: What names its palm, base, fingers and pads.
+        where: What errors call the description.
+        path: Its file, or None.
+        reference: What ``load_hand`` takes to get the same hand again, or None.
+        digest: SHA-256 of what determines the hand.
+        mount: The arm that carries it, or None.
+        sides: The two hands that this is, by the names of all joints; None for one hand.
 
     Raises:
         NotFoundError: The description names what the model does not have.
@@ -200,6 +213,7 @@ def _of_model(
         actuation=actuation_from_mujoco(mj_model),
         couplings=resolver.couplings(),
         arm=arm,
+        pair=() if sides is None else sides(tuple(pin_model.names)[1:]),
     )
     drive = hand.actuation
     check_held(hand.joint_names, drive.moment, hand.couplings, where, drive.names)

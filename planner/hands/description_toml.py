@@ -32,6 +32,7 @@ __all__ = [
     "MirrorAxis",
     "MirrorDescription",
     "MotorsDescription",
+    "is_pair",
     "read_description",
     "read_toml",
     "reflection_signs",
@@ -235,6 +236,15 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise HandError(f"{path} is not a TOML file: {error}") from error
+
+
+def is_pair(path: Path) -> bool:
+    """Whether a description file is one of two hands (``planner.hands.pair``).
+
+    Raises:
+        HandError: It is not TOML.
+    """
+    return "hands" in read_toml(path)
 
 
 _Described = TypeVar("_Described", bound=StrictData)

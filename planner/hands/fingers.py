@@ -23,7 +23,7 @@ from planner.joints.description import FingerDescription, HandDescription
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["Finger", "Pad", "Resolver"]
+__all__ = ["Finger", "Pad", "Resolver", "Side"]
 
 PAD_TOL = 5e-4
 """How far (m) a pad's sphere may be from the surface of its geometry: the tolerance of touch."""
@@ -103,6 +103,25 @@ class Finger:
     pad: Pad
     bodies: frozenset[str]
     is_link: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Side:
+    """One hand of two, or the only one.
+
+    Attributes:
+        name: Its name in the description of the pair; "" of the only one.
+        palm_body: Body of its palm.
+        palm_normal: Direction the palm faces (3,), unit, in that body's frame.
+        carriage: Where the joints of its carriage stand in q (6,); empty for the only one.
+        fingers: Names of its fingers.
+    """
+
+    name: str
+    palm_body: str
+    palm_normal: FloatArray
+    carriage: IntArray
+    fingers: tuple[str, ...]
 
 
 class Resolver:

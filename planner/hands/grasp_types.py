@@ -6,14 +6,14 @@ search tries in turns. To add one, write its function and enter it in ``GRASP_TY
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 
 import numpy as np
 import pinocchio as pin
 
 from planner.errors import NotFoundError, TaskError
-from planner.hands.fingers import Finger
+from planner.hands.fingers import Finger, Side
 from planner.hands.hand import Hand
 from planner.joints.description import PINCH
 
@@ -45,9 +45,14 @@ def contact_sets(hand: Hand, grasp_type: str) -> ContactSets:
     return GRASP_TYPES[grasp_type](hand)
 
 
-def _by_nearness(hand: Hand) -> list[Finger]:
-    """The fingers of a grasp: the one that opposes the others, then those, the nearest first."""
-    fingers = hand.choose_fingers()
+def _by_nearness(hand: Hand, side: Side | None = None) -> list[Finger]:
+    """The fingers of a grasp: the one that opposes the others, then those, the nearest first.
+
+    Args:
+        hand: The hand.
+        side: Of which of two hands; of both if None.
+    """
+    fingers = [f for f in hand.choose_fingers() if side is None or f.name in side.fingers]
     data = hand.pin_model.createData()
     pin.forwardKinematics(hand.pin_model, data, hand.posture(PINCH))
     axes = np.array([data.oMi[f.pad.joint_id].rotation @ f.pad.axis for f in fingers])
@@ -79,15 +84,23 @@ def _few(hand: Hand, count: int, name: str) -> ContactSets:
 
 def _power(hand: Hand) -> ContactSets:
     """Palm and last links of all fingers; with inner links of two; with the opposer and two."""
-    palm = hand.description.palm_body
+    return _both([_power_of(hand, side) for side in hand.sides])
+
+
+def _both(sets: Sequence[ContactSets]) -> ContactSets:
+    """Sets of both hands of two, side by side; of one hand as they are."""
+    return tuple(tuple(chain.from_iterable(one)) for one in zip(*sets, strict=False))
+
+
+def _power_of(hand: Hand, side: Side) -> ContactSets:
+    palm = side.palm_body
     if palm not in hand.contact_parts:
         raise TaskError(
             f"the palm {palm!r} of {hand.name} has no geometry that could touch; use fingertip"
         )
-    opposer, *others = _by_nearness(hand)
-    links = {f.name: _links(hand, f) for f in (opposer, *others)}
-    last = [links[f.name][-1].name if links[f.name] else f.name for f in (opposer, *others)]
-    inner = [part[-3].name for f in others if len(part := links[f.name]) > 2]
+    opposer, *others = _by_nearness(hand, side)
+    last = [_last(hand, f) for f in (opposer, *others)]
+    inner = [part[-3].name for f in others if len(part := _links(hand, f)) > 2]
     sets = [(*last, palm)]
     if inner:
         sets.append((*last, *inner[:INNER_LINKS], palm))
@@ -96,9 +109,34 @@ def _power(hand: Hand) -> ContactSets:
     return tuple(sets)
 
 
+def _last(hand: Hand, finger: Finger) -> str:
+    """Name of what touches last on a finger: its last link, or itself."""
+    links = _links(hand, finger)
+    return links[-1].name if links else finger.name
+
+
+def _palms(hand: Hand) -> ContactSets:
+    """Both palms of two hands, with the last links of two fingers or of all but the opposer.
+
+    Raises:
+        TaskError: It is one hand.
+    """
+    if not hand.pair:
+        raise TaskError(
+            f"palms takes two hands, and {hand.name} is one; load two (two_allegro_hands, "
+            "two_shadow_hands), or use power"
+        )
+    out = []
+    for side in hand.sides:
+        _, *others = _by_nearness(hand, side)
+        last = [_last(hand, f) for f in others]
+        out.append(((last[0], last[-1], side.palm_body), (*last, side.palm_body)))
+    return _both(out)
+
+
 def _any(hand: Hand) -> ContactSets:
-    every = (sets(hand) for name, sets in GRASP_TYPES.items() if name in (FINGERTIP, "power"))
-    return tuple(chain.from_iterable(every))
+    kinds = (FINGERTIP, "palms" if hand.pair else "power")
+    return tuple(chain.from_iterable(GRASP_TYPES[name](hand) for name in kinds))
 
 
 GRASP_TYPES: Mapping[str, Callable[[Hand], ContactSets]] = {
@@ -106,6 +144,7 @@ GRASP_TYPES: Mapping[str, Callable[[Hand], ContactSets]] = {
     "pinch": lambda hand: _few(hand, 2, "pinch"),
     "tripod": lambda hand: _few(hand, 3, "tripod"),
     "power": _power,
+    "palms": _palms,
     ANY: _any,
 }
 """Sets of contacts of a hand, by the name of the type."""

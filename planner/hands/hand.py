@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from planner.bridge import LinkGeometry
 from planner.errors import HandError, NotFoundError, TaskError, shown
 from planner.hands.arm import Arm
-from planner.hands.fingers import Finger
+from planner.hands.fingers import Finger, Pad, Side
 from planner.joints.actuation import Actuation
 from planner.joints.couplings import Coupling, nearest_on_couplings
 from planner.joints.description import HandDescription
 from planner.showing import in_notebook
-from planner.spatial import FloatArray, IntArray, fixed_array
+from planner.spatial import SE3, FloatArray, IntArray, fixed_array
 
 __all__ = ["Hand"]
 
@@ -69,6 +69,7 @@ class Hand:
         couplings: Kinematic couplings that hold in a grasp.
         arm: What carries the hand: its joints are part of q, and the base is its root, which stands
             fixed; None for a hand alone.
+        pair: The two hands that this is (``planner.hands.pair``); empty for one hand.
         rolls: Whether its pads have the cones within which contacts may roll (``rolling``).
     """
 
@@ -86,6 +87,7 @@ class Hand:
     actuation: Actuation
     couplings: tuple[Coupling, ...]
     arm: Arm | None = None
+    pair: tuple[Side, ...] = ()
     rolls: bool = False
 
     @cached_property
@@ -150,15 +152,61 @@ class Hand:
         """
         from planner.hands.link_pads import link_contacts  # here: most grasps are of fingertips
 
-        links = link_contacts(
-            self.pin_model,
-            self.geometries,
-            tuple(self.fingers.values()),
-            self.description.palm_body,
-            self.palm_normal,
-            self.neutral,
-        )
+        links: dict[str, Finger] = {}
+        for side in self.sides:
+            fingers = tuple(self.fingers[name] for name in side.fingers)
+            links |= link_contacts(self.pin_model, self.geometries, fingers, side, self.neutral)
         return MappingProxyType({**self.fingers, **links})
+
+    @cached_property
+    def sides(self) -> tuple[Side, ...]:
+        """The hands that this is: two, or itself."""
+        if self.pair:
+            return self.pair
+        only = Side(
+            name="",
+            palm_body=self.description.palm_body,
+            palm_normal=self.palm_normal,
+            carriage=np.zeros(0, dtype=int),
+            fingers=tuple(self.fingers),
+        )
+        return (only,)
+
+    def require_one(self, what: str) -> None:
+        """Refuse two hands where nobody has worked out what they do.
+
+        Args:
+            what: Begin of the message: what takes one hand.
+
+        Raises:
+            TaskError: These are two hands.
+        """
+        if self.pair:
+            raise TaskError(f"{what} takes one hand, and {self.name} is two; load one of them")
+
+    @cached_property
+    def _at_rest(self) -> Any:
+        """``pinocchio.Data`` with all joints at rest; for two hands."""
+        data = self.pin_model.createData()
+        pin.framesForwardKinematics(self.pin_model, data, self.neutral)
+        return data
+
+    def T_base_palm(self, side: Side) -> SE3:
+        """Pose of a palm in the base, all joints at rest."""
+        return SE3(self._at_rest.oMf[self.pin_model.getBodyId(side.palm_body)])
+
+    def T_base_palm_joint(self, pad: Pad) -> SE3:
+        """Pose of the joint that a pad moves with in the base, all joints at rest."""
+        return SE3(self._at_rest.oMi[pad.joint_id])
+
+    def carriage_root(self, side: Side) -> SE3:
+        """Pose of a carriage in the base, all joints at rest."""
+        return SE3(self._at_rest.oMi[int(side.carriage[-1]) + 1])
+
+    @cached_property
+    def carriage_index(self) -> IntArray:
+        """Where the joints of the carriages of two hands stand in q; empty for one hand."""
+        return np.concatenate([side.carriage for side in self.sides])
 
     @cached_property
     def arm_index(self) -> IntArray:

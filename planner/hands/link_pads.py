@@ -1,7 +1,8 @@
 """Where a hand can touch beside its fingertips: inner links of its fingers, and the palm.
 
 Called by ``Hand.contact_parts``. A link that touches is a finger that ends early: the joints up to
-that link, and a pad on it. The palm is a finger without joints. Pads are proposed from the
+that link, and a pad on it. The palm is a finger without joints, or, of one
+hand of two, with those of its carriage. Pads are proposed from the
 geometry: a capsule or cylinder touches along its line, a box or a hull with the face that looks to
 the palm's side.
 """
@@ -16,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.bridge import LinkGeometry
-from planner.hands.fingers import Finger, Pad
+from planner.hands.fingers import Finger, Pad, Side
 from planner.spatial import FloatArray
 
 ROUND_HALF_ANGLE = float(np.deg2rad(70.0))
@@ -37,11 +38,10 @@ def link_contacts(
     model: Any,
     geometries: Sequence[LinkGeometry],
     fingers: Sequence[Finger],
-    palm: str,
-    palm_normal: FloatArray,
+    side: Side,
     neutral: FloatArray,
 ) -> Mapping[str, Finger]:
-    """Inner links of the fingers and the palm as fingers that end early, by the name of the body.
+    """Inner links and palm of one hand as fingers that end early, by the name of the body.
 
     Of a body with several geometries the largest touches; of the last one of a finger that of the
     tip, if it is a ball. A body whose name is a finger's is left out.
@@ -50,8 +50,7 @@ def link_contacts(
         model: ``pinocchio.Model`` of the hand.
         geometries: Its colliding geometries.
         fingers: Its fingers.
-        palm: Name of the palm's body.
-        palm_normal: Where the palm faces (3,), unit, in that body's frame.
+        side: Its palm, and the joints of the carriage that moves it if it is one of two.
         neutral: Joints (nq,) with straight fingers.
     """
     data = model.createData()
@@ -74,9 +73,10 @@ def link_contacts(
                 pad = replace(finger.pad, axis=pad.axis, half_angle=wide)
             moving = [int(j) - 1 for j in model.supports[geometry.joint_id]]
             out[body] = _ended(model, body, pad, [j for j in finger.q_index if j in moving])
+    palm = side.palm_body
     if (face := _largest(geometries, palm)) is not None:
         turn = model.frames[model.getBodyId(palm)].placement.rotation
-        out[palm] = _ended(model, palm, _pad(face, turn @ palm_normal), [])
+        out[palm] = _ended(model, palm, _pad(face, turn @ side.palm_normal), side.carriage.tolist())
     names = {finger.name for finger in fingers}
     return {name: part for name, part in out.items() if name not in names}
 

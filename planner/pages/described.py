@@ -14,7 +14,7 @@ from typing import Any
 
 from planner.describe.proposal import Reason
 from planner.hands.arm import read_mount
-from planner.hands.description_toml import read_description
+from planner.hands.description_toml import is_pair, read_description
 from planner.hands.hand import Hand
 
 __all__ = ["DescribedLine", "comments_of", "described_lines", "named_joints", "reasons_by_key"]
@@ -67,6 +67,8 @@ def comments_of(path: Path) -> dict[str, str]:
     Raises:
         HandError: The file is damaged.
     """
+    if is_pair(path):
+        return {}  # the two descriptions have theirs
     mount = read_mount(path)
     described = read_description(path if mount is None else mount.hand_path)
     return _comments(described.described_in.read_text(encoding="utf-8"))

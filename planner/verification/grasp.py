@@ -100,7 +100,7 @@ def _moved(task: GraspTask) -> IntArray:
     hand = task.hand
     coupled = np.flatnonzero(np.abs(hand.coupling_matrix[0]).sum(axis=0))
     held = np.concatenate([hand.wrist_index, hand.arm_index])
-    mine = np.concatenate([f.q_index for f in task.fingers])
+    mine = np.concatenate([hand.carriage_index, *(f.q_index for f in task.fingers)])
     found = np.union1d(mine, np.setdiff1d(coupled, held))
     found.flags.writeable = False
     return found

@@ -252,6 +252,8 @@ def dexgraspbench_cases() -> tuple[DexGraspBenchCase, ...]:
 
 def unsuitable_for_dexgraspbench(hand: Hand) -> str:
     """Why a hand cannot be tested by this protocol; "" if it can."""
+    if hand.pair:
+        return f"protocol dexgraspbench carries one hand, and {hand.name} is two; use hold"
     if hand.arm is not None:
         return (
             f"protocol dexgraspbench carries the hand alone, by a weld, and {hand.name} is on an "

@@ -32,6 +32,10 @@ from sim.scene.gantry import Gantry
 __all__ = ["ArmCarrier", "Carrier", "GantryCarrier", "Timeline", "carrier_of"]
 
 
+MOST_TURN = np.pi
+"""Largest turn or tilt while lifting (rad)."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Timeline:
     """How long each phase takes, in s, and how far the lift goes.
@@ -45,6 +49,9 @@ class Timeline:
         lift: Upwards by ``lift_height``.
         hold: Held in the air.
         lift_height: m.
+        turn: By how much the hand turns about the vertical through its base while it lifts, rad; on
+            a gantry. The base of two hands is between them.
+        tilt: By how much it tilts about the world's x axis meanwhile, rad.
     """
 
     approach: float = 1.0
@@ -55,11 +62,15 @@ class Timeline:
     lift: float = 1.0
     hold: float = 2.0
     lift_height: float = 0.1
+    turn: float = 0.0
+    tilt: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that every phase has a duration."""
         check_fields(self, ("close_wait",), what="timeline: ", least=0.0)
-        phases = [field.name for field in fields(self) if field.name != "close_wait"]
+        check_fields(self, ("turn", "tilt"), what="timeline: ", least=-MOST_TURN, most=MOST_TURN)
+        others = ("close_wait", "turn", "tilt")
+        phases = [field.name for field in fields(self) if field.name not in others]
         check_fields(self, phases, what="timeline: ", above=0.0)
 
     @classmethod
@@ -105,7 +116,8 @@ class GantryCarrier:
         """Note where the approach begins."""
         self._gantry, self._timeline = gantry, timeline
         self._start = gantry.coordinates(plan.T_world_base_start)
-        self._lifted = np.array([0.0, 0.0, timeline.lift_height, 0.0, 0.0, 0.0])
+        turns = (timeline.tilt, 0.0, timeline.turn)
+        self._lifted = np.array([0.0, 0.0, timeline.lift_height, *turns])
         self._low, self._still = np.zeros((2, 6))
 
     def drive(self, data: Any, phase: Phase, share: float) -> None:
@@ -135,8 +147,13 @@ class ArmCarrier:
         """Prepare the paths.
 
         Raises:
-            TaskError: The timeline lifts higher than the plan.
+            TaskError: The timeline lifts higher than the plan, or turns.
         """
+        if timeline.turn or timeline.tilt:
+            raise TaskError(
+                f"{plan.task.hand.name} is on an arm, whose plan lifts without turning; leave turn "
+                "and tilt at 0"
+            )
         if timeline.lift_height > LIFT_HEIGHT:
             raise TaskError(
                 f"the timeline lifts by {timeline.lift_height:g} m; with an arm a plan lifts by "

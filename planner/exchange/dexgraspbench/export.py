@@ -296,6 +296,7 @@ def export_dexgraspbench(
     """
     folder = Path(folder).resolve()
     hand = grasps.task(grasps.labels[0]).hand
+    hand.require_one("export for DexGraspBench")
     if hand.arm is not None:
         raise TaskError(
             f"{hand.name} is on an arm; export for DexGraspBench is for hands alone: plan with "
@@ -480,6 +481,7 @@ def _one_hand(plans: Sequence[GraspPlan]) -> Hand:
             f"the plans are for more than one hand, {hand.name} and {', '.join(sorted(others))}; "
             "write a folder for each"
         )
+    hand.require_one("export for DexGraspBench")
     if hand.arm is not None:
         raise TaskError(
             f"{hand.name} is on an arm, and DexGraspBench takes hands alone; plan with the hand "

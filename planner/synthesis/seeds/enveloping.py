@@ -7,6 +7,7 @@ in a hand of which each joint has its own motor.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -14,7 +15,7 @@ import pinocchio as pin
 
 from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
-from planner.hands.fingers import Pad
+from planner.hands.fingers import Pad, Side
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.seeds.draw import Seeder
@@ -60,6 +61,23 @@ TOWARD, ASIDE = (0.0, 1.0), 0.3
 far aside of that."""
 
 
+@dataclass(frozen=True)
+class Palm:
+    """A palm as a start places it.
+
+    Attributes:
+        side: Whose palm.
+        pad: Where it touches.
+        way: Unit direction (3,) in which most fingers lie across it, in its joint's frame.
+        touches: Whether it takes part.
+    """
+
+    side: Side
+    pad: Pad
+    way: FloatArray
+    touches: bool
+
+
 class EnvelopingSeeder(Seeder):
     """Draws starts in which the palm faces the object and the fingers are around it."""
 
@@ -75,19 +93,7 @@ class EnvelopingSeeder(Seeder):
         self._moving, self._frame = np.unique(self._joints, return_inverse=True)
         self._centers = np.array([b.center for b in self._spheres])
         self._radii = np.array([b.radius for b in self._spheres])
-        palm = hand.description.palm_body
-        if palm not in hand.contact_parts:
-            raise TaskError(
-                f"the palm {palm!r} of {hand.name} has no geometry, and a hand closes around an "
-                "object from there; give it one in the model, or use fingertips alone"
-            )
-        if palm in self.task.finger_names and self.task.T_world_base is not None:
-            raise TaskError(
-                f"the palm {palm!r} is to touch, and the base of {hand.name} is fixed, or on an "
-                "arm: no way in is planned for that; use other contacts, or a hand that floats"
-            )
-        self._palm = hand.contact_parts[palm].pad
-        self._touches_palm = palm in self.task.finger_names
+        self._palms = [self._palm_of(side) for side in hand.sides]
         pads = [f.pad for f in self.task.fingers]
         self._spots = [_spots(pad) for pad in pads]
         sizes = [len(spots) for spots in self._spots]
@@ -95,22 +101,37 @@ class EnvelopingSeeder(Seeder):
         self._spot_radii = np.repeat([pad.radius for pad in pads], sizes)
         self._spot_begins = np.cumsum([0, *sizes[:-1]])
         self._flexed = self._flexed_posture()
-        self._fingers_way = self._way_of_fingers()
 
-    def _way_of_fingers(self) -> FloatArray:
-        """Unit direction (3,) in which most fingers lie across the palm, in its joint's frame."""
-        hand = self.task.hand
+    def _palm_of(self, side: Side) -> Palm:
+        """A palm, and where its fingers lie.
+
+        Raises:
+            TaskError: It has no geometry, or is to touch where nothing moves it.
+        """
+        task, hand, name = self.task, self.task.hand, side.palm_body
+        if name not in hand.contact_parts:
+            raise TaskError(
+                f"the palm {name!r} of {hand.name} has no geometry, and a hand closes around an "
+                "object from there; give it one in the model, or use fingertips alone"
+            )
+        touches = name in task.finger_names
+        if touches and task.T_world_base is not None and not hand.pair:
+            raise TaskError(
+                f"the palm {name!r} is to touch, and the base of {hand.name} is fixed, or on an "
+                "arm: no way in is planned for that; use other contacts, or a hand that floats"
+            )
+        pad = hand.contact_parts[name].pad
         state = moving_hand(hand).move(self.open)
-        inverse = state.joint_pose(self._palm.joint_id).inverse()
+        inverse = state.joint_pose(pad.joint_id).inverse()
         ways = []
-        for finger in hand.fingers.values():
+        for finger in (hand.fingers[f] for f in side.fingers):
             root = state.joint_pose(hand.pin_model.getJointId(finger.joints[0])).translation
             way = inverse.rotation @ (state.pad_center(finger) - root)
-            way -= self._palm.axis * (self._palm.axis @ way)
+            way -= pad.axis * (pad.axis @ way)
             ways.append(way / max(float(np.linalg.norm(way)), 1e-9))
         # the way that agrees with most: a thumb points elsewhere
         best = ways[int(np.argmax(np.sum(np.array(ways) @ np.array(ways).T, axis=1)))]
-        return np.asarray(best)
+        return Palm(side, pad, np.asarray(best), touches)
 
     def _flexed_posture(self) -> FloatArray:
         """Joints (nq,) with every finger flexed as far as it goes, others as in the open one."""
@@ -139,7 +160,7 @@ class EnvelopingSeeder(Seeder):
         if task.T_world_base is not None and task.hand.arm is None:
             T_object_base = task.T_world_object.inverse() * task.T_world_base
         else:
-            T_base_palm = SE3(state.move(q).joint_pose(self._palm.joint_id))
+            T_base_palm = SE3(state.move(q).joint_pose(self._palms[0].pad.joint_id))
             T_object_base = self._palm_pose(rng) * T_base_palm.inverse()
         return T_object_base, self._closed(T_object_base, q, rng)
 
@@ -167,18 +188,15 @@ class EnvelopingSeeder(Seeder):
 
     def _drawn_palm_pose(self, rng: np.random.Generator) -> tuple[float, SE3]:
         """Size (m) of the object across fingers and palm, and a pose."""
-        pad, shape = self._palm, self.task.object.shape
+        palm, shape = self._palms[0], self.task.object.shape
         point, outward = self._drawn_side(rng)
-        gap = 0.0 if self._touches_palm else rng.uniform(*PALM_GAP)
-        onto = pin.Quaternion.FromTwoVectors(pad.axis, -outward).matrix()
+        gap = 0.0 if palm.touches else rng.uniform(*PALM_GAP)
+        onto = pin.Quaternion.FromTwoVectors(palm.pad.axis, -outward).matrix()
         turn = pin.exp3(outward * rng.uniform(-np.pi, np.pi)) @ onto
-        touching = pad.center + pad.radius * pad.axis
-        if len(pad.reach):
-            touching = touching + self._shares(rng) @ pad.reach
-        along = turn @ self._fingers_way
+        along = turn @ palm.way
         size = shape.support(along) + shape.support(-along)
         size += shape.support(outward) + shape.support(-outward)
-        return float(size), SE3(turn, point + gap * outward - turn @ touching)
+        return float(size), laid(palm, self._shares(palm, rng), point + gap * outward, turn)
 
     def _drawn_side(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """A point (3,) of the surface where the palm may lie, and the outward normal (3,) there."""
@@ -196,17 +214,20 @@ class EnvelopingSeeder(Seeder):
         points, outward = shape.closest_point(far[None])
         return points[0], outward[0] if sides is None else side
 
-    def _shares(self, rng: np.random.Generator) -> FloatArray:
-        """Where on the palm the object lies, in shares of its reach: rather near the fingers."""
-        toward = self._palm.reach @ self._fingers_way
+    def _shares(self, palm: Palm, rng: np.random.Generator) -> FloatArray:
+        """Where on the palm the object lies, (3,), m, from its middle: rather near the fingers."""
+        if not len(palm.pad.reach):
+            return np.zeros(3)
+        toward = palm.pad.reach @ palm.way
         toward /= max(float(np.linalg.norm(toward)), 1e-9)
         shares = rng.uniform(-1.0, 1.0, len(toward)) * ASIDE + toward * rng.uniform(*TOWARD)
-        return np.asarray(np.clip(shares, -1.0, 1.0))
+        return np.asarray(np.clip(shares, -1.0, 1.0) @ palm.pad.reach)
 
     def _closed(self, T_object_base: SE3, q: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Joints (nq,) with all fingers flexed from q until links touch, or to their limits."""
         hand, surface = self.task.hand, self.task.object.shape
         way = (self._flexed - q) * rng.uniform(SLOWEST, 1.0, hand.nq)
+        way[hand.carriage_index] = 0.0
         free = np.ones(hand.nq, dtype=bool)
         state, q = moving_hand(hand), q.copy()
         for _ in range(FLEXION_STEPS):
@@ -241,6 +262,11 @@ class EnvelopingSeeder(Seeder):
 
     def _forces(self, normals: FloatArray) -> FloatArray:
         return np.asarray(-normals)
+
+
+def laid(palm: Palm, place: FloatArray, at: FloatArray, turn: FloatArray) -> SE3:
+    """Pose of a palm's joint, turned so, with a place (3,) of its face at a point (3,)."""
+    return SE3(turn, at - turn @ (palm.pad.center + palm.pad.radius * palm.pad.axis + place))
 
 
 def _spots(pad: Pad) -> FloatArray:

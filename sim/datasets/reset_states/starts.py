@@ -197,6 +197,7 @@ def cells_of(asked: StatesAsked) -> tuple[Hand, list[tuple[Cell, GraspTask]]]:
         raise TaskError(
             f"{reason}; states are held by position targets: give a hand with position servos"
         )
+    hand.require_one("a dataset of states")
     if hand.arm is not None:
         raise TaskError(
             f"{hand.name} hangs on an arm; states are those of a hand on a fixed base: give the "

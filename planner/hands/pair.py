@@ -1,0 +1,294 @@
+"""Two hands as one: its description, and the model in which each hand hangs on a carriage.
+
+Called by ``planner.hand_loading``. The description is a fourth kind of ``hand.toml``: it names two
+descriptions, where the hands are at rest, and what moves them. A carriage has three slides and
+three hinges through the palm's origin; it stands for the arm that would carry the hand. The joints
+of both carriages are part of q like any others, so that one grasp map, one force programme and one
+certificate take the contacts of both hands. See ``models/hands/two_allegro_hands/hand.toml``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from pydantic import Field
+
+from planner.bridge import compile_spec
+from planner.bridge.edit import Carried, JointServo, carried_spec
+from planner.errors import HandError
+from planner.hands.build import hand_of_model
+from planner.hands.description_toml import read_toml, validated
+from planner.hands.fingers import Side
+from planner.hands.hand import Hand
+from planner.joints.description import FingerDescription, Finite, HandDescription, Positive, Vector
+from planner.schema import StrictData
+from planner.spatial import SE3, FloatArray, pose_from_wxyz
+
+PAIR = "pair"
+"""Name of the root body, which the gantry carries."""
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""Joints of a carriage, in order: slides, then hinges, in the axes of the carriage at rest. Its x
+axis is the palm's normal, so that the hinge that turns far is the first and no angle near a right
+one is in the middle."""
+
+
+class HeldHand(StrictData):
+    """One of the two hands.
+
+    Attributes:
+        name: What it is called; names of its bodies and joints begin with it.
+        hand: Its description, relative to this file.
+        position: Where its palm is at rest, m, in the axes of the pair.
+        quaternion_wxyz: Orientation of its base there.
+    """
+
+    name: str = Field(min_length=1)
+    hand: str
+    position: Vector
+    quaternion_wxyz: tuple[Finite, Finite, Finite, Finite]
+
+
+class CarriageDescription(StrictData):
+    """What moves a hand; both carriages are alike.
+
+    Attributes:
+        reach: How far each slide goes to either side, m.
+        tilt: How far the second and third hinge turn to either side, rad; the first turns by half
+            a turn.
+        force: Largest force of a slide, N.
+        torque: Largest torque of a hinge, N m.
+        stiffness: Of a slide's position servo, N/m.
+        turn_stiffness: Of a hinge's, N m/rad.
+        mass: Of the moving part, kg.
+        damping_ratio: Of each servo under carriage and hand (-).
+    """
+
+    reach: Positive = 0.4
+    tilt: Positive = 1.2
+    force: Positive = 100.0
+    torque: Positive = 12.0
+    stiffness: Positive = 2e4
+    turn_stiffness: Positive = 300.0
+    mass: Positive = 1.0
+    damping_ratio: Positive = 1.0
+
+
+class PairDescription(StrictData):
+    """A ``hand.toml`` that puts two described hands on carriages."""
+
+    schema_version: int = Field(alias="schema", ge=1, le=1)
+    name: str
+    summary: str = ""
+    hands: tuple[HeldHand, HeldHand]
+    carriage: CarriageDescription = CarriageDescription()
+
+
+CARRIAGE_RADIUS = 0.04
+"""Radius (m) of the ball whose moment of inertia a carriage has: a wrist's."""
+
+HALF_TURN = float(np.pi)
+"""How far (rad) the first hinge turns to either side."""
+
+
+CARRIED_ARM = 0.1
+"""Radius of gyration (m) of carriage, hand and their share of an object about the palm, for the
+damping of the hinges."""
+
+
+def read_pair(path: Path) -> PairDescription:
+    """The pair that a file describes.
+
+    Raises:
+        HandError: Not TOML, or a pair with faults.
+    """
+    found = validated(path, PairDescription, read_toml(path), "two hands")
+    first, second = found.hands
+    if first.name == second.name:
+        raise HandError(f"{path}: both hands are called {first.name!r}; rename one")
+    for held in found.hands:
+        if not os.path.isfile(path.parent / held.hand):
+            raise HandError(f"{path}: {held.name!r} names {held.hand}, which does not exist")
+        if not np.linalg.norm(held.quaternion_wxyz) > 0:
+            raise HandError(f"{path}: quaternion_wxyz of {held.name!r} has no length; give a unit")
+    return found
+
+
+def two_hands(pair: PairDescription, hands: Sequence[Hand], path: Path, reference: str) -> Hand:
+    """Two hands on carriages as one.
+
+    Args:
+        pair: The description.
+        hands: Both hands, each alone.
+        path: Its file.
+        reference: What ``load_hand`` takes to get the same again.
+
+    Raises:
+        HandError: A hand is on an arm or a pair itself, or they do not fit.
+        ModelError: MuJoCo refuses the whole.
+    """
+    for hand in hands:
+        if hand.arm is not None or hand.pair:
+            what = "is on an arm" if hand.arm is not None else "is two hands itself"
+            raise HandError(f"{path}: hands names {hand.name}, which {what}; name a hand alone")
+    spec = pair_spec(pair, hands)
+    content = b"".join(hand.digest.encode() for hand in hands) + path.read_bytes()
+    whole = hand_of_model(
+        spec,
+        compile_spec(spec, str(path)),
+        pair_description(pair, hands),
+        where=str(path),
+        path=path,
+        reference=reference,
+        digest=hashlib.sha256(content).hexdigest(),
+        sides=lambda joint_names: sides_of(pair, hands, joint_names),
+    )
+    _check_faces(path, whole)
+    return whole
+
+
+def pair_spec(pair: PairDescription, hands: Sequence[Hand]) -> Any:
+    """``mujoco.MjSpec`` of both hands on their carriages, under one root body.
+
+    Raises:
+        ModelError: MuJoCo refuses the whole.
+    """
+    c, carried = pair.carriage, []
+    for held, hand in zip(pair.hands, hands, strict=True):
+        rest, T_carriage_base = _at_rest(held, hand)
+        load = c.mass + float(np.sum(hand.mj_model.body_mass))
+        carried.append(
+            Carried(
+                name=held.name,
+                spec=hand.new_spec(),
+                T_root_carriage=rest,
+                T_carriage_base=T_carriage_base,
+                servos=[
+                    _servo(c, load, slides=k < 3, most=most)
+                    for k, most in enumerate((*(c.reach,) * 3, HALF_TURN, c.tilt, c.tilt))
+                ],
+            )
+        )
+    return carried_spec(pair.name, PAIR, carried, AXES, mass=c.mass, radius=CARRIAGE_RADIUS)
+
+
+def _servo(c: CarriageDescription, load: float, *, slides: bool, most: float) -> JointServo:
+    """The servo of one joint of a carriage, damped for the mass (kg) that it carries."""
+    kp = c.stiffness if slides else c.turn_stiffness
+    moved = load if slides else load * CARRIED_ARM**2
+    kv = 2.0 * c.damping_ratio * float(np.sqrt(kp * moved))
+    return JointServo(slides=slides, most=most, kp=kp, kv=kv, force=c.force if slides else c.torque)
+
+
+def pair_description(pair: PairDescription, hands: Sequence[Hand]) -> HandDescription:
+    """The description of both: fingers, postures and couplings of each under its name."""
+    both = list(zip(pair.hands, hands, strict=True))
+    first = hands[0].description
+    postures: dict[str, dict[str, float]] = {}
+    for name in sorted(set.intersection(*(set(h.description.postures) for h in hands))):
+        postures[name] = {
+            f"{held.name}/{joint}": angle
+            for held, hand in both
+            for joint, angle in hand.description.postures[name].items()
+        }
+    return HandDescription(
+        schema=1,
+        name=pair.name,
+        model=", ".join(hand.name for hand in hands),
+        summary=pair.summary,
+        base_body=PAIR,
+        palm_body=f"{pair.hands[0].name}/{first.palm_body}",
+        palm_normal=first.palm_normal,
+        wrist_joints=tuple(f"{s.name}/{j}" for s, h in both for j in h.description.wrist_joints),
+        default_fingers=tuple(_called(s, f.name) for s, h in both for f in h.choose_fingers()),
+        allowed_contacts=tuple(
+            (f"{s.name}/{a}", f"{s.name}/{b}")
+            for s, h in both
+            for a, b in h.description.allowed_contacts
+        ),
+        fingers=tuple(_finger(s, f) for s, h in both for f in h.description.fingers),
+        couplings=tuple(
+            c.model_copy(
+                update={
+                    "name": f"{s.name}/{c.name}",
+                    "joints": {f"{s.name}/{j}": k for j, k in c.joints.items()},
+                }
+            )
+            for s, h in both
+            for c in h.description.couplings
+        ),
+        postures=postures,
+    )
+
+
+def _check_faces(path: Path, whole: Hand) -> None:
+    """Refuse palms that look away from each other at rest.
+
+    Raises:
+        HandError: One looks away.
+    """
+    poses = [whole.T_base_palm(side) for side in whole.sides]
+    way = poses[1].translation - poses[0].translation
+    for side, T, toward in zip(whole.sides, poses, (way, -way), strict=True):
+        if not T.rotation @ side.palm_normal @ toward > 0.0:
+            raise HandError(
+                f"{path}: at rest the palm of {side.name!r} does not look towards the other hand; "
+                "turn it by its quaternion_wxyz, or exchange the positions"
+            )
+
+
+def sides_of(
+    pair: PairDescription,
+    hands: Sequence[Hand],
+    joint_names: Sequence[str],
+) -> tuple[Side, ...]:
+    """Both hands by the names and joints of the whole."""
+    return tuple(
+        Side(
+            name=held.name,
+            palm_body=f"{held.name}/{hand.description.palm_body}",
+            palm_normal=hand.palm_normal,
+            carriage=np.array([joint_names.index(f"{held.name}/carriage_{a}") for a in AXES]),
+            fingers=tuple(_called(held, name) for name in hand.fingers),
+        )
+        for held, hand in zip(pair.hands, hands, strict=True)
+    )
+
+
+def _called(held: HeldHand, finger: str) -> str:
+    return f"{held.name}_{finger}"
+
+
+def _finger(held: HeldHand, finger: FingerDescription) -> FingerDescription:
+    pad = finger.pad.model_copy(update={"geom": f"{held.name}/{finger.pad.geom}"})
+    return finger.model_copy(
+        update={
+            "name": _called(held, finger.name),
+            "joints": tuple(f"{held.name}/{joint}" for joint in finger.joints),
+            "tip_site": f"{held.name}/{finger.tip_frame}",
+            "tip": None,
+            "pad": pad,
+        }
+    )
+
+
+def _at_rest(held: HeldHand, hand: Hand) -> tuple[SE3, SE3]:
+    """Pose of the carriage in the pair, and of the hand's base in the carriage."""
+    data = hand.pin_model.createData()
+    pin.framesForwardKinematics(hand.pin_model, data, hand.neutral)
+    T_base_palm = data.oMf[hand.palm_frame_id]
+    turn = pose_from_wxyz(np.zeros(3), np.array(held.quaternion_wxyz)).rotation
+    T_pair_palm = SE3(turn @ T_base_palm.rotation, np.array(held.position))
+    facing = T_pair_palm.rotation @ hand.palm_normal
+    side = np.roll(np.eye(3)[int(np.argmax(np.abs(facing)))], 1)
+    across = np.cross(facing, side)
+    across /= np.linalg.norm(across)
+    axes: FloatArray = np.column_stack([facing, np.cross(across, facing), across])
+    rest = SE3(axes, np.array(held.position))
+    return rest, rest.inverse() * T_pair_palm * T_base_palm.inverse()
