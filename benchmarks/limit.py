@@ -202,7 +202,9 @@ class _Table:
     def epsilon(self, chosen: IntArray) -> float:
         """Epsilon of points; their weakest directions join the table."""
         try:
-            facets = ConvexHull(np.hstack(list(self._wrenches[chosen])).T.astype(float), qhull_options="QJ")
+            facets = ConvexHull(
+                np.hstack(list(self._wrenches[chosen])).T.astype(float), qhull_options="QJ"
+            )
         except QhullError:  # in a hyperplane
             return 0.0
         equations = facets.equations[np.argsort(-facets.equations[:, -1])]
