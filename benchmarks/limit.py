@@ -42,7 +42,7 @@ POINTS = 400
 """Surface points among which contacts are exchanged."""
 
 STAGES = (POINTS, 20 * POINTS, 200 * POINTS)
-"""Points that are drawn in stages of equal time; after the first, those nearest to the best contacts
+"""Points drawn, in stages of equal time; after the first, those nearest to the best contacts
 are kept."""
 
 DIRECTIONS = 500
