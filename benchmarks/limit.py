@@ -110,7 +110,7 @@ def tables(result: Row) -> Iterator[Row]:
         f"best epsilon of {setting['n']} contacts off edges without a hand, mu {setting['mu']:g}, "
         "FRoGGeR's definition; medians of our grasps and FRoGGeR's, and as shares of it",
         rows,
-        "object",
+        ("object",),
         {
             "limit": of("limit", digits=3),
             "ours": of("ours", digits=3),

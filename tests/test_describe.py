@@ -305,8 +305,9 @@ def test_candidates_differ_and_the_first_is_followed_over_more_openings(
             assert candidate.bar or away <= reach + 0.004
 
 
-def test_postures_are_one_where_every_joint_is_within_an_eighth_of_its_range(known: Known) -> None:
-    hand, _, _ = known
+@pytest.mark.parametrize("name", ["allegro_hand", "shadow_hand"])
+def test_postures_are_one_where_every_joint_is_within_an_eighth_of_its_range(name: str) -> None:
+    hand = load_hand(name)
     solver = PostureSolver(hand, hand.choose_fingers())
     span = (hand.q_upper - hand.q_lower)[solver._free]
     one = hand.neutral[solver._free]
