@@ -24,7 +24,7 @@ from scipy.spatial import ConvexHull, QhullError
 from benchmarks.bench import ObjectsOption
 from benchmarks.bench import Options as Common
 from benchmarks.common import half_longest_side, objects_of
-from benchmarks.summary import of, ratio, summary
+from benchmarks.summary import Cell, Frame, amount, of, summary
 from benchmarks.synthesis import BASELINE_EPSILON
 from planner.contacts import ContactSet
 from planner.files import read_json
@@ -36,7 +36,7 @@ from planner.spatial import FloatArray, IntArray
 from planner.synthesis.mesh_surface import surface_of
 from planner.verification.geometry import EDGE_RADIUS, EDGE_SPREAD
 from sim.cli.options import MuOption
-from sim.tables import Row
+from sim.tables import Row, number
 
 POINTS = 400
 """Surface points among which contacts are exchanged."""
@@ -114,11 +114,19 @@ def tables(result: Row) -> Iterator[Row]:
         {
             "limit": of("limit", digits=3),
             "ours": of("ours", digits=3),
-            "of it, %": ratio("ours", "limit", 0, 100.0),
+            "of it, %": _share("ours"),
             "FRoGGeR": of("theirs", digits=3),
-            "its, %": ratio("theirs", "limit", 0, 100.0),
+            "its, %": _share("theirs"),
         },
     )
+
+
+def _share(name: str) -> Cell:
+    def cell(frame: Frame) -> str:
+        there = amount(frame, name)
+        return number(there and there / float(frame["limit"].iloc[0]), 0, 100.0)
+
+    return cell
 
 
 def best_contacts(
