@@ -35,7 +35,7 @@ def test_the_search_comes_near_the_best_on_a_sphere_and_not_beyond() -> None:
 def test_points_lie_on_the_surface_and_off_edges(of_triangles: bool) -> None:
     shape: Box | Mesh = Box((0.04, 0.06, 0.08))
     if of_triangles:
-        cuboid = trimesh.creation.box(shape.size)
+        cuboid = trimesh.creation.box((0.04, 0.06, 0.08))
         shape = Mesh(np.array(cuboid.vertices), np.array(cuboid.faces))
     points, normals = surface_points(shape, 300, np.random.default_rng(1))
     assert len(points) > 100
