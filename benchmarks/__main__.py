@@ -16,6 +16,7 @@ from sim.cli.options import with_options
 NAMES = (
     "grasps",
     "synthesis",
+    "limit",
     "objectives",
     "best",
     "walls",

@@ -187,6 +187,14 @@ def test_members_bear_more_than_the_planned_posture_could() -> None:
     assert max(borne) > 0.5 * bound_nearby(ball, FORCE).factor
 
 
+def test_a_contact_of_a_tip_that_stands_moves_by_the_chord_of_its_tilt(plan: GraspPlan) -> None:
+    """It lies a pad's radius off the tip's centre, along the normal."""
+    turned = Changes.of(plan, Neighbourhood(shift=0.0, turn=0.05, tips=0.0, joints=0.0))
+    radii = np.array([finger.pad.radius for finger in plan.task.fingers])
+    assert turned.arms.min() > 0.0
+    assert (turned.arms <= 2.0 * radii * np.sin(turned.tilts / 2.0) + 1e-12).all()
+
+
 def test_no_member_differs_by_more_than_is_said(
     plan: GraspPlan, near_members: list[Member]
 ) -> None:

@@ -30,6 +30,13 @@ def options(**given: object) -> PlanOptions:
     return PlanOptions(**given)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("name", ["run", "plan", "batch", "manipulate", "states", "learn"])
+def test_an_object_before_the_hand_is_recognised(name: str) -> None:
+    told = RUN.invoke(app, [name, "box:0.05x0.05x0.05", "shadow_hand"])
+    assert told.exit_code == 3
+    assert "the hand comes first: shadow_hand box:0.05x0.05x0.05" in " ".join(told.output.split())
+
+
 def test_a_pose_is_metres_and_degrees_about_fixed_axes() -> None:
     pose = pose_of("--at", "0.1,-0.2,0.3,10,20,30")
     x, y, z = np.radians([10, 20, 30])

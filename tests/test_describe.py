@@ -305,6 +305,20 @@ def test_candidates_differ_and_the_first_is_followed_over_more_openings(
             assert candidate.bar or away <= reach + 0.004
 
 
+@pytest.mark.parametrize("name", ["allegro_hand", "shadow_hand"])
+def test_postures_are_one_where_every_joint_is_within_an_eighth_of_its_range(name: str) -> None:
+    hand = load_hand(name)
+    solver = PostureSolver(hand, hand.choose_fingers())
+    span = (hand.q_upper - hand.q_lower)[solver._free]
+    one = hand.neutral[solver._free]
+    off = np.where(np.arange(len(span)) % 2, 0.11, -0.11) * span
+    assert solver._alike(one, one) and solver._alike(one, one + off)
+    for k in range(len(span)):
+        far = off.copy()
+        far[k] = -0.13 * span[k]
+        assert not solver._alike(one, one + far) and not solver._alike(one + far, one)
+
+
 def test_distances_with_memory_are_those_without(known: Known) -> None:
     hand, _, _ = known
     near, rng = 0.01, np.random.default_rng(1)

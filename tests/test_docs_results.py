@@ -101,3 +101,6 @@ def test_rates_beside_the_peer_are_those_of_the_data() -> None:
         speed = read["summary"][0]
         total = dict(zip(speed["columns"], speed["rows"][-1], strict=True))
         assert f"| {float(total['found/s']):.1f} |" in row
+    read = result(results.DATA / "synthesis-scans.json")
+    fewer = sum(cell["with_fewer_fingers"] for cell in read["cells"])
+    assert f"{fewer} of these {read['total']['found']}" in text

@@ -74,6 +74,23 @@ def test_a_browser_without_a_network_shows_every_kind_of_page(site: Path) -> Non
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "page"), [("own hand", "Your own hand"), ("Real hand", "On a real hand")]
+)
+def test_a_search_shows_guides_first_and_those_whose_title_it_is_before_all(
+    site: Path, words: str, page: str
+) -> None:
+    with browser() as chromium:
+        found = chromium.new_context(offline=True).new_page()
+        found.goto(f"{(site / 'search.html').as_uri()}?q={words}")
+        titles = found.locator("#search-results ul.search > li > a")
+        titles.nth(5).wait_for()
+        first = [titles.nth(k) for k in range(6)]
+        assert page in (first[0].inner_text(), first[1].inner_text())
+        assert not any("generated/" in (a.get_attribute("href") or "") for a in first)
+
+
 OWN_KIND = ("index", "search", "genindex", "py-modindex")
 """Pages of the first folder that are like no others."""
 

@@ -11,8 +11,10 @@ import pytest
 from manipulations import task_of
 
 from planner.failure import Failure
+from planner.kinematics.state import HandState
 from planner.motion.gait import Relocation, Stroke
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_single_stroke
+from sim.manipulation.driver import FingerSwing
 from sim.manipulation.machine import StateMachine
 
 
@@ -44,6 +46,23 @@ def _move(plan: ManipulationPlan, finger: str) -> Relocation:
         margin=0.1,
         grip=1.5,
     )
+
+
+def test_a_tip_that_seeks_the_object_goes_inwards_and_no_faster_than_asked(
+    plan: ManipulationPlan,
+) -> None:
+    """Whatever its posture: where joints can hardly move it that way, damping slows it."""
+    grasp = plan.motion.grasp
+    for finger in plan.task.finger_names:
+        move = _move(plan, finger)
+        landing, pad = move.landing, grasp.task.hand.fingers[finger].pad
+        state = HandState(grasp.task.hand, move.postures[-1])
+        base = grasp.T_world_base
+        place = base.actInv(landing.position)
+        index = grasp.task.hand.fingers[finger].q_index
+        jacobian = state.point_jacobian(pad.joint_id, place)[:3, index]
+        moved = base.rotation @ jacobian @ FingerSwing(grasp, move, 4.0)._inwards
+        assert 0.2 < landing.frame[:, 0] @ moved < 1.0
 
 
 FEW = Failure(kind="few_fingers", text="too few fingers")

@@ -182,7 +182,8 @@ def test_fingers_term_is_the_distance_of_capsules(right_hand: Hand) -> None:
 @given(st.integers(0, 10_000))
 def test_nearest_points_of_segments_are_nearer_than_any_others(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    p1, q1, p2, q2 = rng.normal(size=(4, 6, 3))
+    p1, q1, p2, q2 = 0.02 * rng.normal(size=(4, 12, 3))  # as long as bones of fingers
+    q2[6:] = p2[6:] + (q1 - p1)[6:] * (1.0 + 0.02 * rng.normal(size=(6, 3)))  # nearly parallel
     q1[0] = p1[0]  # a point
     q2[1] = p2[1] + 2.0 * (q1[1] - p1[1])  # parallel
     p2[2] = q2[2] = p1[2]  # a point on the other's end

@@ -169,10 +169,13 @@ class MeshPair:
             certain = likely + mesh.support(along) - float(along @ surface[0]) + TOLERANCE
             return Start(along=along, likely=likely, certain=certain)
 
+        def outward_at(point: FloatArray) -> FloatArray:
+            return np.asarray(mesh.closest_point(point[None])[1][0])
+
         starts = [outward[0]]
         if abs(float(np.linalg.norm(guess)) - 1.0) < UNIT:  # coal has none where it failed
             starts.append(guess)
-        return shortest_exit(moved, starts, start_of)
+        return shortest_exit(moved, starts, start_of, outward_at)
 
     def last_points(self, distance: float, pose_mesh: SE3) -> FloatArray:
         """Nearest points (3,) + (3,) and normal (3,) of the last query, which gave a distance (m).

@@ -9,8 +9,9 @@ geometry and solid share no point. It is thus an upper bound of the penetration 
 translation in any direction): never too shallow but for ``TOLERANCE``. And no point of either is
 farther inside the other than that. Directions are tried as in a descent: first normals of the
 surface nearby, then the normal at which the geometry left the mesh, until the way gets no shorter.
-In a concave corner, one way out leads into the next surface; the least translation across the
-planes of both is tried then.
+The shortest way across a face may be longer than one across its edge, so the surface next to the
+geometry's farthest point within the mesh is tried too. In a concave corner, one way out leads into
+the next surface; the least translation across the planes of both is tried then.
 ``tests/test_depths.py`` measures how much longer it is than the least translation of all.
 
 Along one direction, the end of the way is found from outside. A step towards the mesh by no more
@@ -108,6 +109,7 @@ def shortest_exit(
     moved: Movement,
     starts: Sequence[FloatArray],
     start_of: Callable[[FloatArray], Start],
+    outward_at: Callable[[FloatArray], FloatArray],
 ) -> Exit:
     """The shortest way out of those tried.
 
@@ -115,9 +117,12 @@ def shortest_exit(
         moved: How they lie after a translation.
         starts: Directions (3,) to begin with, unit; at least one.
         start_of: What is known of the way along a direction.
+        outward_at: Unit normal (3,) of the surface next to a point (3,), m.
     """
     best = _turned(moved, start_of, start_of(starts[0]))
-    for direction in starts[1:]:
+    for start in (*starts[1:], None):
+        # last, out of the surface next to the geometry's farthest point within: it may be another
+        direction = outward_at(best.on_mesh - best.way * best.along) if start is None else start
         if max(direction @ best.along, direction @ best.normal) > ALONGSIDE:
             continue
         found = _turned(moved, start_of, start_of(direction))

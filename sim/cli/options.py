@@ -177,6 +177,9 @@ def with_options(command: Command) -> Command:
 
     @wraps(command)
     def called(**given: Any) -> None:
+        hand, item = given.get("hand"), given.get("object") or given.get("objects")
+        if hand and item:
+            _refuse_swapped(hand, item if isinstance(item, str) else item[0])
         for name, group in groups.items():
             given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
         command(**given)
@@ -186,6 +189,22 @@ def with_options(command: Command) -> Command:
     stated.__annotations__ = {p.name: p.annotation for p in parameters}
     stated_as: Command = stated
     return stated_as
+
+
+def _refuse_swapped(hand: str, object: str) -> None:
+    """Say so where the object stands before the hand.
+
+    Raises:
+        TaskError: It does.
+    """
+    from planner.errors import TaskError
+    from planner.hands.catalog import foreign_hand_names, hand_names
+    from planner.objects import object_names
+
+    if hand.split(":")[0] in object_names() and object in (*hand_names(), *foreign_hand_names()):
+        raise TaskError(
+            f"{hand!r} is an object and {object!r} a hand; the hand comes first: {object} {hand}"
+        )
 
 
 def command(function: Command) -> Command:

@@ -136,22 +136,6 @@ def object_of(spec: str, **options: Any) -> GraspObject:
     return item
 
 
-def _refuse_swapped(hand: str, object: str) -> None:
-    """Say so where the object stands before the hand.
-
-    Raises:
-        TaskError: It does.
-    """
-    from planner.errors import TaskError
-    from planner.hands.catalog import foreign_hand_names, hand_names
-    from planner.objects import object_names
-
-    if hand.split(":")[0] in object_names() and object in (*hand_names(), *foreign_hand_names()):
-        raise TaskError(
-            f"{hand!r} is an object and {object!r} a hand; the hand comes first: {object} {hand}"
-        )
-
-
 @dataclass(frozen=True, kw_only=True)
 class TaskOptions:
     """What commands that plan take of object, surroundings and hand."""
@@ -212,8 +196,6 @@ class TaskOptions:
         from planner.hand_loading import load_hand
         from planner.task import GraspTask
 
-        if isinstance(hand, str):
-            _refuse_swapped(hand, object)
         loaded = load_hand(hand) if isinstance(hand, str) else hand
         item = object_of(object, **self.told_of_object())
         height = table_of(self.table)
