@@ -612,7 +612,8 @@ def test_an_actuator_by_the_pid_plugin_is_the_servo_of_its_gains(tmp_path: Path)
     gains = (
         '<extension><plugin plugin="mujoco.pid"><instance name="pid"><config key="kp" value="2.5"/>'
         '<config key="ki" value="3"/><config key="kd" value="0.02"/>'
-        '<config key="slewmax" value="3"/><config key="imax" value="0.1"/></instance></plugin></extension><worldbody>'
+        '<config key="slewmax" value="3"/><config key="imax" value="0.1"/>'
+        "</instance></plugin></extension><worldbody>"
     )
     text = claw().replace(servo, pid).replace("<worldbody>", gains)
     assert pid in text

@@ -161,7 +161,8 @@ class GuardedClosing:
         left = (self._along * (plan.q - observation.q)).sum(axis=1)  # to the planned contact, m
         late = bool((arrived & free & ~self._touched & (left > EARLY)).any())
         self._waited += elapsed * late
-        self.waits = late and self._waited <= LONGEST_WAIT
+        # joints that are off do not tell how far a finger is
+        self.waits = late and not self.careful and self._waited <= LONGEST_WAIT
         rate = self._careful_rate if self.careful else CLOSE_RATE
         self._share[free] = np.minimum(goal, self._share + rate * elapsed)[free]
         off = self.careful | (self._reach >= EARLY)
