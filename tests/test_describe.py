@@ -457,6 +457,19 @@ def test_a_weld_within_one_link_closes_no_loop(proposed_claw: Proposal, tmp_path
     assert not hand_from_spec(load_spec(tmp_path / "claw.xml"), proposal.description).couplings
 
 
+def test_a_mass_without_inertia_and_a_ball_of_no_size_are_read(tmp_path: Path) -> None:
+    whole = urdf()
+    inertia = re.search(r"\s*<inertia [^>]*/>", whole)
+    assert inertia is not None
+    nothing = '<collision><geometry><sphere radius="0.00"/></geometry></collision></link>'
+    text = whole.replace(inertia[0], "", 1).replace("</link>", nothing, 1)
+    first = Path(written(tmp_path, text, "claw.urdf"))
+    spec = load_spec(first)
+    assert len(spec.geoms) == len(load_spec(written(tmp_path, whole, "whole.urdf")).geoms)
+    proposal = propose(first)
+    assert any("an inertia that no body has" in q for q in proposal.open_questions)
+
+
 def test_joints_that_mimic_others_get_no_servo(tmp_path: Path) -> None:
     proposal = propose(written(tmp_path, urdf(mimic=True), "claw.urdf"))
     (servos,) = proposal.description.actuators

@@ -39,13 +39,13 @@ WORLD_BODY = "world_body"
 OVERLAP_SAMPLES = 60
 """Random configurations at which parts are looked at that always overlap."""
 
-ALWAYS, OFTEN = 0.8, 0.4
-"""Share of configurations in which two links must overlap to do so by construction; and if they do
-at rest, where fingers are stretched and nothing folds."""
+ALWAYS, OFTEN, MOSTLY = 0.8, 0.4, 0.6
+"""Share of configurations in which two links must overlap to do so by construction; if they do at
+rest, where fingers are stretched and nothing folds; and if they are no neighbours but do so."""
 
 NEIGHBOURS = 2
 """Joints between two links up to which they count as neighbours; further ones fold, and overlap by
-construction only if they always do."""
+construction only if they do at rest and mostly, or always."""
 
 
 def repair_and_base(
@@ -206,7 +206,7 @@ def _overlapping(hand: Hand) -> tuple[tuple[str, str], ...]:
         apart_at_rest = pair.distance(placed[0][i], placed[0][j]) >= TOUCHING
         share = ALWAYS if apart_at_rest else OFTEN
         if _joints_between(hand.pin_model, a.joint_id, b.joint_id) > NEIGHBOURS:
-            share = 1.0
+            share = 1.0 if apart_at_rest else MOSTLY
         apart, allowed = 0, int((1 - share) * OVERLAP_SAMPLES)
         for poses in placed[1:]:
             apart += pair.distance(poses[i], poses[j]) >= TOUCHING
