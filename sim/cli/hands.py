@@ -126,8 +126,8 @@ def _check(hand: str, as_json: bool) -> None:
         raise typer.Exit(EXIT_NO)
 
 
-ATTEMPTS = 25
-"""Attempts at a grasp of an object that may fit."""
+ATTEMPTS = 100
+"""Attempts at a grasp of an object that may fit, as those of ``opposable run``."""
 
 
 def _graspable(hand: Hand, objects: Sequence[str]) -> list[str]:
