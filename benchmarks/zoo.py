@@ -23,7 +23,8 @@ from PIL import Image
 from benchmarks.bench import NumberOption
 from benchmarks.bench import Options as Shared
 from benchmarks.summary import table_data
-from planner.describe import CheckReport, check_hand, propose, write_proposal
+from planner.describe import check_hand, propose, write_proposal
+from planner.describe.report import fitting_objects
 from planner.errors import FileFormatError, NoGraspFoundError, NotFoundError, PlannerError
 from planner.hand_loading import load_hand
 from planner.hands.catalog import foreign_hand_names, hand_names
@@ -44,15 +45,6 @@ MODELS_FILE = Path(__file__).resolve().parents[1] / "docs" / "zoo" / "models.tom
 
 THUMBNAIL, QUALITY = (320, 240), 70
 """Pixels and WebP quality of a picture: some 6 kB."""
-
-SHARE = 0.35
-"""Where the width of an object lies between the widths of the hand's postures pinch and open."""
-
-LEAST, MOST = 0.015, 0.14
-"""Smallest and largest width, m."""
-
-LEAST_HEIGHT = 0.06
-"""Least height (m) of what stands on the table, so that fingers have room beside it."""
 
 TWO_FINGERS = ("a gripper", "two fingers take part")
 """What ``check_hand`` says of a gripper of two fingers, which is refused by design."""
@@ -204,24 +196,6 @@ def cases(options: Options) -> Iterator[Row]:
     for model in chosen(zoo_models(options.listed), options.hands or []):
         folders = {"folder": str(options.models), "pictures": str(options.pictures or "")}
         yield {**asdict(model), **folders, **asked, "slug": model.slug}
-
-
-def fitting_objects(check: CheckReport) -> list[str]:
-    """Specifications of objects that the hand can take, the likeliest first."""
-    gaps = {row.name: float(row.gap) for row in check.postures}
-    pinch = gaps.get("pinch", LEAST)
-    width = pinch + SHARE * max(0.0, gaps.get("open", pinch) - pinch)
-    width = round(min(max(width, LEAST), MOST), 3)
-    found = []
-    for scale in (1.0, 0.75, 1.2):
-        wide = scale * width
-        tall = max(1.5 * wide, LEAST_HEIGHT)
-        found += [
-            f"cylinder:{wide / 2:.3f}x{tall:.3f}",
-            f"sphere:{wide / 2:.3f}",
-            f"box:{0.85 * wide:.3f}x{0.85 * wide:.3f}x{tall:.3f}",
-        ]
-    return found
 
 
 def without_folders(case: Row, text: object) -> str:

@@ -30,6 +30,7 @@ __all__ = [
     "float_array",
     "is_finite",
     "per_item",
+    "short_names",
     "short_repr",
     "without_prefix",
 ]
@@ -293,3 +294,19 @@ def without_prefix(names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
     if any(len(name) == end for name in names):  # one of them is the prefix itself
         end = 0
     return (names[0] if names else "")[:end], tuple(name[end:] for name in names)
+
+
+def short_names(names: Sequence[str], width: int = 20) -> tuple[str, tuple[str, ...]]:
+    """As ``without_prefix``, and the middle of a longer name is an ellipsis.
+
+    Names that differ stay different: where ``width`` characters are too few, all get more.
+    """
+    prefix, rest = without_prefix(names)
+    while True:
+        tail = width // 2
+        short = tuple(
+            n if len(n) <= width else f"{n[: width - tail - 1]}…{n[len(n) - tail :]}" for n in rest
+        )
+        if len(set(short)) == len(set(rest)):
+            return prefix, short
+        width += 1

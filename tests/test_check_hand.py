@@ -310,7 +310,11 @@ def test_check_hand_command(runner: CliRunner, edit_hand: EditHand) -> None:
     assert good.exit_code == 0, good.output
     assert "nothing forbids planning" in good.output
     as_json = runner.invoke(app, ["hands", "--check", "allegro_hand", "--json"])
-    assert json.loads(as_json.output)["ok"] is True
+    told = json.loads(as_json.output)
+    assert told["ok"] is True
+    # an object of each shape, of which a grasp is found
+    assert {item.partition(":")[0] for item in told["fits"]} == {"cylinder", "sphere", "box"}
+    assert all(f"opposable run allegro_hand {item}" in good.output for item in told["fits"])
     path = edit_hand({"[postures.pinch]": "[postures.other]"})
     bad = runner.invoke(app, ["hands", "--check", str(path)])
     assert bad.exit_code == EXIT_NO

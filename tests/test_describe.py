@@ -471,6 +471,19 @@ def test_a_weld_within_one_link_closes_no_loop(proposed_claw: Proposal, tmp_path
     assert not hand_from_spec(load_spec(tmp_path / "claw.xml"), proposal.description).couplings
 
 
+def test_a_mass_without_inertia_and_a_ball_of_no_size_are_read(tmp_path: Path) -> None:
+    whole = urdf()
+    inertia = re.search(r"\s*<inertia [^>]*/>", whole)
+    assert inertia is not None
+    nothing = '<collision><geometry><sphere radius="0.00"/></geometry></collision></link>'
+    text = whole.replace(inertia[0], "", 1).replace("</link>", nothing, 1)
+    first = Path(written(tmp_path, text, "claw.urdf"))
+    spec = load_spec(first)
+    assert len(spec.geoms) == len(load_spec(written(tmp_path, whole, "whole.urdf")).geoms)
+    proposal = propose(first)
+    assert any("an inertia that no body has" in q for q in proposal.open_questions)
+
+
 def test_joints_that_mimic_others_get_no_servo(tmp_path: Path) -> None:
     proposal = propose(written(tmp_path, urdf(mimic=True), "claw.urdf"))
     (servos,) = proposal.description.actuators
@@ -565,6 +578,83 @@ def test_a_large_flat_hull_has_its_pad_on_the_face_and_not_in_the_edge(tmp_path:
     assert 0.035 < pad.center[2] < 0.045
     assert sum("not round" in q for q in proposal.open_questions) == 3
     hand_from_spec(load_spec(tmp_path / "claw.xml"), proposal.description)
+
+
+def test_the_pad_of_a_cylinder_is_on_its_side_towards_the_tip(tmp_path: Path) -> None:
+    tip = '<geom name="{name}_b" type="cylinder" pos="0 0 0.018" size="0.007 0.017" mass="0.02"/>'
+    description = propose(written(tmp_path, claw(tip=tip))).description
+    pad = description.fingers[0].pad
+    assert pad.axis == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
+    assert pad.radius == pytest.approx(0.007)
+    assert pad.center == pytest.approx((0.0, 0.0, 0.018 + 0.0085), abs=1e-6)
+
+
+def test_a_joint_that_bends_both_ways_closes_as_the_one_before_it(tmp_path: Path) -> None:
+    both_ways = claw().replace('_b" axis="0 1 0" range="-0.6 1.4"', '_b" axis="0 1 0" range="-1 1"')
+    proposal = propose(written(tmp_path, both_ways))
+    assert not any("which way it closes" in q for q in proposal.open_questions)
+    assert all(f.pad.axis[0] > 0.5 for f in proposal.description.fingers)
+
+
+def fingers_in_the_world() -> str:
+    """The claw without its palm's body: the palm's box and the fingers lie in the world."""
+    head, palm = claw().split('<body name="palm" pos="0 0 0.4">')
+    inside, rest = palm.split("</body>\n      </worldbody>")
+    return head + inside + "</worldbody>" + rest
+
+
+def test_fingers_that_start_from_the_world_get_a_palm(tmp_path: Path) -> None:
+    path = written(tmp_path, fingers_in_the_world())
+    proposal = propose(path)
+    made = proposal.description
+    assert made.repair.world_body == made.base_body == made.palm_body
+    assert [f.joints[0] for f in made.fingers] == ["thumb_a", "left_a", "right_a"]
+    write_proposal(proposal, tmp_path / "hand.toml")
+    hand = load_hand(tmp_path / "hand.toml")
+    # the palm's box belongs to it; the floor and the free cube do not
+    mine = [g for g in hand.geometries if g.body == made.palm_body]
+    assert [g.kind for g in mine] == ["box"]
+    assert hand.nq == 6
+
+
+def test_a_cover_that_follows_a_finger_is_no_finger(tmp_path: Path) -> None:
+    cover = (
+        '<body name="cover" pos="-0.06 0 0.02"><joint name="cover" axis="0 1 0" range="-0.6 1.4"/>'
+        '<geom type="box" pos="0 0 0.02" size="0.002 0.01 0.02" mass="0.005"/></body></body>'
+        "\n      </worldbody>"
+    )
+    follow = '<equality><joint joint1="cover" joint2="thumb_a"/></equality></mujoco>'
+    text = claw().replace("</body>\n      </worldbody>", cover).replace("</mujoco>", follow)
+    proposal = propose(written(tmp_path, text))
+    assert len(proposal.description.fingers) == 3
+    assert not any("cover belongs to no finger" in q for q in proposal.open_questions)
+
+
+def test_an_actuator_by_the_pid_plugin_is_the_servo_of_its_gains(tmp_path: Path) -> None:
+    servo = '<position joint="thumb_a" kp="4" forcerange="-1 1" ctrlrange="-1 2"/>'
+    pid = (
+        '<plugin name="thumb" plugin="mujoco.pid" instance="pid" joint="thumb_a" '
+        'forcerange="-1 1" ctrlrange="-1 2" actdim="2"/>'
+    )
+    gains = (
+        '<extension><plugin plugin="mujoco.pid"><instance name="pid"><config key="kp" value="2.5"/>'
+        '<config key="ki" value="3"/><config key="kd" value="0.02"/>'
+        '<config key="slewmax" value="3"/><config key="imax" value="0.1"/>'
+        "</instance></plugin></extension><worldbody>"
+    )
+    text = claw().replace(servo, pid).replace("<worldbody>", gains)
+    assert pid in text
+    path = written(tmp_path, text)
+    drive = hand_from_spec(load_spec(path), propose(path).description).actuation
+    k = drive.names.index("thumb")
+    assert drive.gain[k] == 2.5
+    np.testing.assert_array_equal(drive.bias[k], (0.0, -2.5, -0.02))
+
+
+def test_the_weight_of_a_hand_is_borne_once(tmp_path: Path) -> None:
+    path = written(tmp_path, claw().replace("<body ", '<body gravcomp="1" '))
+    hand = hand_from_spec(load_spec(path), propose(path).description)
+    assert not hand.mj_model.body_gravcomp.any()
 
 
 def test_a_gripper_of_two_fingers_is_said(tmp_path: Path) -> None:

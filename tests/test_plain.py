@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.arrays import finite, without_prefix
+from planner.arrays import finite, short_names, without_prefix
 
 NUMBERS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
 DATA = st.recursive(
@@ -54,3 +54,13 @@ def test_names_in_a_table_lose_what_all_begin_with() -> None:
     assert without_prefix(["a_", "a_b"]) == ("", ("a_", "a_b"))
     assert without_prefix(["left_index_0"]) == ("", ("left_index_0",))
     assert without_prefix([]) == ("", ())
+
+
+def test_long_names_in_a_table_are_short_and_stay_different() -> None:
+    names = ["hand_P-FingerTipAssembly_cd219176_to_P-PP_1d411b9b", "hand_wrist"]
+    assert short_names(names) == ("hand_", ("P-FingerT…P_1d411b9b", "wrist"))
+    # two that differ in the middle alone keep as much as tells them apart
+    alike = [f"{'a' * 12}{i}{'b' * 20}" for i in range(2)]
+    _, short = short_names(alike)
+    assert short[0] != short[1] and max(len(n) for n in short) < 33
+    assert short_names([]) == ("", ())

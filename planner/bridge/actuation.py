@@ -48,6 +48,11 @@ def actuation_from_mujoco(model: Any) -> Actuation:
                 tendon_row(model, int(model.actuator_trnid[i, 0]))  # says which, and what to do
             raise ModelError(f"actuator {name!r} drives neither a joint nor a fixed tendon")
         moment[i] = row
+        if int(model.actuator_plugin[i]) >= 0:
+            raise ModelError(
+                f"actuator {name!r} is driven by a plugin, whose force the planner does not know; "
+                "use position servos or motors"
+            )
         law = int(model.actuator_gaintype[i]), int(model.actuator_biastype[i])
         if law[0] != _FIXED_GAIN or law[1] not in (_BIAS_NONE, _BIAS_AFFINE):
             raise ModelError(f"actuator {name!r} is not affine in ctrl, length and velocity")

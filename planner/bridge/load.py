@@ -39,6 +39,12 @@ _MIMIC = re.compile(
 )
 """The joint that follows, and the one that it follows."""
 
+_NOTHING = re.compile(
+    r"<(collision|visual)\b(?:(?!</\1>).)*?\bradius\s*=\s*[\"']0*\.?0*[\"'](?:(?!</\1>).)*</\1>",
+    re.DOTALL,
+)
+_INERTIAL = re.compile(r"<inertial\b[^>]*>((?:(?!</inertial>).)*)</inertial>", re.DOTALL)
+_LEAST = '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>'
 _INCLUDE = re.compile(r"<(?:include|model)\s[^>]*file\s*=\s*[\"']([^\"']+)[\"']")
 
 
@@ -88,15 +94,26 @@ def _is_urdf(text: str) -> bool:
 
 def _parsed(path: Path) -> Any:
     """By MuJoCo, which goes by the suffix and does not know ``.mjcf``."""
-    if path.suffix.lower() != ".mjcf":
+    text = path.read_text(encoding="utf-8", errors="replace")
+    mended = _mended(text) if _is_urdf(text) else text
+    if path.suffix.lower() != ".mjcf" and mended == text:
         return mujoco.MjSpec.from_file(str(path))
     included = [f for f in _included(path) if f.is_file() and f != path]
     spec = mujoco.MjSpec.from_string(
-        path.read_text(encoding="utf-8", errors="replace"),
+        mended,
         include={f.relative_to(path.parent).as_posix(): f.read_bytes() for f in included},
     )
     spec.modelfiledir = str(path.parent.absolute())
     return spec
+
+
+def _mended(urdf: str) -> str:
+    """A URDF that MuJoCo reads: no balls and rods of radius 0, and an inertia beside every mass.
+
+    The inertia is none, which ``give_least_inertias`` replaces.
+    """
+    urdf = _NOTHING.sub("", urdf)
+    return _INERTIAL.sub(lambda m: m[0] if "<inertia " in m[1] else m[0][:-11] + _LEAST, urdf)
 
 
 def _check_joints(urdf: str, path: Path) -> None:

@@ -24,6 +24,9 @@ _QUATERNION = mujoco.mjtOrientation.mjORIENTATION_QUAT
 _JOINT_WRAP = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
+PID = "mujoco.pid"
+"""Name of the plugin of MuJoCo's that is a servo with an integral."""
+
 _USERS = {
     int(mujoco.mjtObj.mjOBJ_JOINT): (
         {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)},
@@ -37,13 +40,16 @@ _USERS = {
 """Kind of a target -> transmissions and the equality that name such targets."""
 
 
-def prepare_spec(spec: Any, description: HandDescription, what: str) -> None:
+def prepare_spec(spec: Any, description: HandDescription, what: str) -> Any:
     """Repair, isolate and name a model as its description asks: all but ``add_described_parts``.
 
     Args:
-        spec: ``mujoco.MjSpec`` as it was read.
+        spec: ``mujoco.MjSpec`` as it was read; it is changed.
         description: Names the base and the repairs.
         what: What the model is called in messages.
+
+    Returns:
+        The spec; another one where the world becomes a body.
 
     Raises:
         NotFoundError: The base, or a part to be repaired, is not there.
@@ -51,9 +57,52 @@ def prepare_spec(spec: Any, description: HandDescription, what: str) -> None:
     if description.repair.angle is not None:
         spec.compiler.degree = description.repair.angle == "degree"
     spec.compiler.balanceinertia |= description.repair.balance_inertia
+    if description.repair.world_body:
+        spec = with_world_body(spec, description.repair.world_body)
     isolate_base(spec, description.base_body, what)
     name_parts(spec)
     repair_spec(spec, description, what)
+    _replace_plugins(spec)
+    for body in spec.bodies:  # whoever drives the hand bears its weight, and once
+        body.gravcomp = 0.0
+    return spec
+
+
+def with_world_body(spec: Any, name: str) -> Any:
+    """A spec whose world holds one body of a name, with all that was fixed to the world of another.
+
+    Free bodies and planes (objects, floors) go; ``spec`` is changed.
+    """
+    for part in (*spec.keys, *spec.cameras, *spec.lights):
+        spec.delete(part)
+    for body in spec.worldbody.bodies:
+        if any(int(joint.type) == _FREE for joint in body.joints):
+            spec.delete(body)
+    for geom in spec.worldbody.geoms:
+        if int(geom.type) == int(mujoco.mjtGeom.mjGEOM_PLANE):
+            spec.delete(geom)
+    out = mujoco.MjSpec()
+    out.modelname, out.option, out.compiler.fusestatic = spec.modelname, spec.option, False
+    out.compiler.balanceinertia = spec.compiler.balanceinertia
+    # MuJoCo warns, at the first compilation, that names without prefix are lost in a saved file
+    out.attach(spec, prefix="", frame=out.worldbody.add_body(name=name).add_frame())
+    return out.copy()
+
+
+def _replace_plugins(spec: Any) -> None:
+    """Let each actuator by MuJoCo's PID plugin be the servo of its kp and kd.
+
+    The planner's law of an actuator is affine in command, length and velocity: ki and the limit on
+    the command's speed have no place in it.
+    """
+    instances = {plugin.name: plugin.config for plugin in spec.plugins}
+    for actuator in spec.actuators:
+        if actuator.plugin.active and actuator.plugin.plugin_name == PID:
+            gains = {**instances.get(actuator.plugin.name, {}), **actuator.plugin.config}
+            actuator.plugin.active, actuator.actdim = False, -1
+            actuator.set_to_position(kp=float(gains["kp"]), kv=float(gains.get("kd", 0.0)))
+    for plugin in [p for p in spec.plugins if p.plugin_name == PID]:
+        spec.delete(plugin)
 
 
 def isolate_base(spec: Any, base_body: str, what: str) -> None:

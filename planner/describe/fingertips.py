@@ -136,6 +136,9 @@ twists or spreads it."""
 ONE_SIDED = 1.25
 """Ratio of the two sides of a joint's range from which on the longer one is the closing side."""
 
+PARALLEL = 0.95
+"""Cosine between the axes of two joints above which they bend a finger in one plane."""
+
 
 class Skeleton:
     """The moving links of an isolated hand: placements at q, geometry by joint.
@@ -229,11 +232,12 @@ def fingertip_of(skeleton: Skeleton, branch: Branch, others: FloatArray | None) 
         if lever >= LEAST_LEVER or joint == branch.joints[0]:
             break
     way /= np.linalg.norm(way)
-    low, high = skeleton.q_lower[joint], skeleton.q_upper[joint]
-    decides = skeleton.is_hinge(joint) and max(abs(low), abs(high)) > ONE_SIDED * min(
-        abs(low), abs(high)
-    )
-    sign = 1.0 if abs(high) >= abs(low) else -1.0
+    sign, decides = _closing_side(skeleton, joint)
+    for other in reversed(branch.joints):  # a joint that bends both ways closes as those before it
+        turn = poses[joint_id].rotation.T @ poses[other + 1].rotation @ skeleton.axis(other)
+        if not decides and skeleton.is_hinge(joint) and abs(turn @ axis) > PARALLEL:
+            side, decides = _closing_side(skeleton, other)
+            sign = side * float(np.sign(turn @ axis))
     if not decides and others is not None:
         toward = poses[joint_id].actInv(others) - end
         sign = 1.0 if toward @ way >= 0 else -1.0
@@ -245,6 +249,13 @@ def fingertip_of(skeleton: Skeleton, branch: Branch, others: FloatArray | None) 
         flexion_joint=joint,
         certain=decides,
     )
+
+
+def _closing_side(skeleton: Skeleton, joint: int) -> tuple[float, bool]:
+    """Sign of the longer side of a hinge's range, and whether it is clearly longer."""
+    low, high = abs(skeleton.q_lower[joint]), abs(skeleton.q_upper[joint])
+    clear = skeleton.is_hinge(joint) and max(low, high) > ONE_SIDED * min(low, high)
+    return (1.0 if high >= low else -1.0), bool(clear)
 
 
 def _bone(

@@ -12,7 +12,7 @@ further than the sphere where the planner's clearance sees them, but not by much
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -103,6 +103,8 @@ def fit_pad(tip: Fingertip, solids: Sequence[ConvexLink]) -> PadFit | None:
             # the ball in a rounded edge is a pad only where no face has room for a larger one
             if face is not None and edge is not None and face.radius <= edge.radius:
                 face = None
+            sides = [_fit_side(tip, solid) for solid in solids if solid.kind == "cylinder"]
+            face = face or max((s for s in sides if s), key=lambda fit: fit.radius, default=None)
         return face or edge
     widest = max(fit.half_angle for fit in round_fits)
     good = [fit for fit in round_fits if fit.half_angle > widest - NEARLY_AS_WIDE]
@@ -137,22 +139,46 @@ def _fit_face(tip: Fingertip, solids: Sequence[ConvexLink]) -> PadFit | None:
     center = solid.center + shift * along[:, main]
     # a ball in the middle of a thick box does not touch the face
     center = center + normal * (float(solid.size[k]) - radius)
+    sheets = tuple(
+        s.name
+        for s in boxes
+        if reach[s.name] > reach[solid.name] + 1e-5 and s.depth(s.center) < SHEET
+    )
+    return replace(_flat(tip, solid, center, radius, normal), sheets=sheets)
+
+
+def _fit_side(tip: Fingertip, solid: ConvexLink) -> PadFit | None:
+    """A pad on the side of a cylinder along the finger, as on a flat face; None if it lies across.
+
+    Inscribed balls all along the axis fit alike, so that the best fit has no reason to be near the
+    tip.
+    """
+    along = solid.rotation[:, 2]
+    across = tip.flexion - along * (along @ tip.flexion)
+    if np.linalg.norm(across) < np.cos(STEEPEST_FACE):
+        return None
+    normal = across / np.linalg.norm(across)
+    radius, half = (float(v) for v in solid.size[:2])
+    shift = np.sign(along @ tip.bone) * min(FACE_SHARE * half, max(half - radius, 0.0))
+    center = solid.center + shift * along
+    return _flat(tip, solid, center, min(radius, half), normal)
+
+
+def _flat(
+    tip: Fingertip, solid: ConvexLink, center: FloatArray, radius: float, normal: FloatArray
+) -> PadFit:
+    """The pad of a ball below a flat face."""
     directions = cone_directions(normal, NARROWEST)
     return PadFit(
         geom=solid.name,
         center=center,
-        radius=radius,
+        radius=solid.depth(center),
         axis=normal,
         half_angle=float(NARROWEST),
         tilt=float(np.arccos(np.clip(normal @ tip.flexion, -1, 1))),
         error=float((solid.support(directions) - directions @ center).max()) - radius,
         exact=False,
         flat=True,
-        sheets=tuple(
-            s.name
-            for s in boxes
-            if reach[s.name] > reach[solid.name] + 1e-5 and s.depth(s.center) < SHEET
-        ),
     )
 
 
@@ -187,19 +213,7 @@ def _fit_hull_face(tip: Fingertip, solid: ConvexLink) -> PadFit | None:
     radius = _tangent_ball(solid, point, normal)
     if radius < SMALLEST_RADIUS:
         return None
-    center = point - radius * normal
-    directions = cone_directions(normal, NARROWEST)
-    return PadFit(
-        geom=solid.name,
-        center=center,
-        radius=solid.depth(center),
-        axis=normal,
-        half_angle=float(NARROWEST),
-        tilt=float(np.arccos(np.clip(normal @ tip.flexion, -1, 1))),
-        error=float((solid.support(directions) - directions @ center).max()) - radius,
-        exact=False,
-        flat=True,
-    )
+    return _flat(tip, solid, point - radius * normal, radius, normal)
 
 
 def _tangent_ball(solid: ConvexLink, point: FloatArray, normal: FloatArray) -> float:

@@ -195,7 +195,9 @@ class PostureSolver:
         active = sorted({int(k) for f in hand.fingers.values() for k in f.q_index})
         self._dependent, self._map, self._offset = _eliminate(matrix, value)
         tied = set(self._dependent)
-        self._free = np.array([k for k in active if k not in tied], dtype=int)
+        # a joint outside of fingers may drive one in a finger
+        drives = [k for k in range(hand.nq) if len(self._map) and self._map[:, k].any()]
+        self._free = np.array(sorted({*active, *drives} - tied), dtype=int)
         self._pads = [f.pad for f in self.fingers]
         self._radii = np.array([p.radius for p in self._pads])
         self._cones = np.array([p.half_angle for p in self._pads])

@@ -147,7 +147,8 @@ class _Proposer:
             )
         pin_model = pinocchio_from_mujoco(model)
         skeleton = Skeleton(structure, pin_model, hand_geometries(model, pin_model))
-        tree = read_tree(structure, description.base_body, self.what)
+        ties = [c.row for c in couplings_from_mujoco(model)]
+        tree = read_tree(structure, description.base_body, self.what, ties)
         fingers = find_fingers(skeleton, tree, self.what, self.notes)
         names = self._names(skeleton, [b for b, _, _ in fingers])
         opposer = find_opposer(skeleton, names, [t for _, t, _ in fingers])
@@ -173,6 +174,8 @@ class _Proposer:
         if wrist:
             self.notes.because("wrist_joints", ", ".join(wrist), "they lie between base and palm")
         for j in tree.others:
+            if any(row[j] for row in ties):
+                continue  # it follows another joint
             self.notes.ask(
                 f"joint {structure.joints[j].name} belongs to no finger: the planner leaves it "
                 "where it is; if it should move, put it into a finger's joints"

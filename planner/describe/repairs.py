@@ -18,12 +18,12 @@ from planner.bridge.numbers import (
     worst_inertia,
 )
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
-from planner.bridge.prepare import name_parts, prepare_spec
+from planner.bridge.prepare import name_parts, prepare_spec, with_world_body
 from planner.bridge.structure import structure_of
 from planner.describe.drive import impossible_couplings
 from planner.describe.overlaps import TOUCHING, placed_geometries, separate_pairs
 from planner.describe.proposal import Notes
-from planner.describe.tree import find_base
+from planner.describe.tree import find_base, fingers_in_world
 from planner.hands.build import build_from_spec
 from planner.hands.hand import Hand
 from planner.joints.description import HandDescription, RepairDescription
@@ -33,15 +33,19 @@ NARROW_HINGE, WIDE_HINGE = 0.1, 20.0
 """Widest range (rad) of all hinges below which a file was written in radians and read in degrees,
 and above which the reverse."""
 
+WORLD_BODY = "world_body"
+"""Name of the body that stands for the world, where fingers start from that."""
+
 OVERLAP_SAMPLES = 60
 """Random configurations at which parts are looked at that always overlap."""
 
-ALWAYS, OFTEN = 0.8, 0.4
-"""Share of configurations in which two links must overlap to do so by construction; and if they do
-at rest, where fingers are stretched and nothing folds."""
+ALWAYS, OFTEN, MOSTLY = 0.8, 0.4, 0.6
+"""Share of configurations in which two links must overlap to do so by construction; if they do at
+rest, where fingers are stretched and nothing folds; and if they are no neighbours but do so."""
 
 NEIGHBOURS = 2
-"""Joints between two links up to which they can overlap by construction; further ones fold."""
+"""Joints between two links up to which they count as neighbours; further ones fold, and overlap by
+construction only if they do at rest and mostly, or always."""
 
 
 def repair_and_base(
@@ -83,11 +87,21 @@ def repair_and_base(
             f"has: {1e6 * LEAST_MASS:g} mg and {LEAST_INERTIA:g} kg m2 stand in for them; give the "
             "true ones in the model"
         )
+    world = ""
+    if base_body is None and fingers_in_world(structure):
+        world = WORLD_BODY
+        raw = with_world_body(raw, world)
+        structure = structure_of(compile_spec(raw, what))
+        notes.because(
+            "repair.world_body",
+            world,
+            "the chains of joints start from the world: what is fixed to it becomes their palm",
+        )
     base, why, questions = find_base(structure, base_body, what)
     notes.because("base_body", base, why)
     for question in questions:
         notes.ask(question)
-    return RepairDescription(angle=angle, balance_inertia=balanced), base
+    return RepairDescription(angle=angle, balance_inertia=balanced, world_body=world), base
 
 
 def with_possible_inertias(
@@ -170,8 +184,7 @@ def prepared_model(spec: Any, description: HandDescription, what: str) -> Any:
         NotFoundError: The base, or a part to be repaired, is not there.
         ModelError: MuJoCo refuses the hand, or a number in it is none of a hand's.
     """
-    spec = spec.copy()
-    prepare_spec(spec, description, what)
+    spec = prepare_spec(spec.copy(), description, what)
     model = compile_spec(spec, what)
     check_numbers(model, what)
     return model
@@ -181,15 +194,19 @@ def _overlapping(hand: Hand) -> tuple[tuple[str, str], ...]:
     """Pairs of bodies with geometries that overlap in nearly all configurations."""
     rng = np.random.default_rng(0)
     samples = rng.uniform(hand.q_lower, hand.q_upper, (OVERLAP_SAMPLES, hand.nq))
+    matrix, value = hand.coupling_matrix
+    if len(value):  # what follows other joints goes with them
+        samples -= (samples @ matrix.T - value) @ np.linalg.pinv(matrix).T
+        samples = np.clip(samples, hand.q_lower, hand.q_upper)
     placed = [placed_geometries(hand, q) for q in (hand.neutral, *samples)]
     out: list[tuple[str, str]] = []
     for i, j in separate_pairs(hand):
         a, b = hand.geometries[i], hand.geometries[j]
-        if _joints_between(hand.pin_model, a.joint_id, b.joint_id) > NEIGHBOURS:
-            continue
         pair = DistancePair(a.geometry, b.geometry)
         apart_at_rest = pair.distance(placed[0][i], placed[0][j]) >= TOUCHING
         share = ALWAYS if apart_at_rest else OFTEN
+        if _joints_between(hand.pin_model, a.joint_id, b.joint_id) > NEIGHBOURS:
+            share = 1.0 if apart_at_rest else MOSTLY
         apart, allowed = 0, int((1 - share) * OVERLAP_SAMPLES)
         for poses in placed[1:]:
             apart += pair.distance(poses[i], poses[j]) >= TOUCHING

@@ -132,6 +132,16 @@ class PostureRow:
     clearance: float
 
 
+SHARE = 0.35
+"""Where the width of an object lies between the widths of the hand's postures pinch and open."""
+
+LEAST, MOST = 0.015, 0.14
+"""Smallest and largest width, m."""
+
+LEAST_HEIGHT = 0.06
+"""Least height (m) of what stands on the table, so that fingers have room beside it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class CheckReport:
     """Result of ``check_hand``."""
@@ -163,3 +173,21 @@ class CheckReport:
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; infinities are None."""
         return {"ok": self.ok, **finite(asdict(self))}
+
+
+def fitting_objects(check: CheckReport) -> list[str]:
+    """Specifications of objects between the pads' widths, the likeliest first, three of a size."""
+    gaps = {row.name: float(row.gap) for row in check.postures}
+    pinch = gaps.get("pinch", LEAST)
+    width = pinch + SHARE * max(0.0, gaps.get("open", pinch) - pinch)
+    width = round(min(max(width, LEAST), MOST), 3)
+    found = []
+    for scale in (1.0, 0.75, 1.2):
+        wide = scale * width
+        tall = max(1.5 * wide, LEAST_HEIGHT)
+        found += [
+            f"cylinder:{wide / 2:.3f}x{tall:.3f}",
+            f"sphere:{wide / 2:.3f}",
+            f"box:{0.85 * wide:.3f}x{0.85 * wide:.3f}x{tall:.3f}",
+        ]
+    return found

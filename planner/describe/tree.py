@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from planner.bridge.structure import ModelStructure
 from planner.errors import HandError, NotFoundError
+from planner.spatial import FloatArray
 
 LONGEST_WRIST = 2
 """Joints between root and palm up to which they are a wrist; more are an arm that carries the hand
@@ -92,8 +93,7 @@ def find_base(
         _refuse_loops(structure, 0, what)
         raise HandError(
             f"nothing in {what} looks like a hand: no body carries {FEWEST_FINGERS} or more chains "
-            "of hinges or slides. If the fingers stand directly in the world, put them into one "
-            "body; if the file is a fragment, describe the file that includes it"
+            "of hinges or slides; if the file is a fragment, describe the file that includes it"
         )
     best = max((p.chains, p.joints) for p in palms)
     first, *rest = [p for p in palms if (p.chains, p.joints) == best]
@@ -121,6 +121,12 @@ def find_base(
     )
 
 
+def fingers_in_world(structure: ModelStructure) -> bool:
+    """Whether the only link that carries chains of joints is the world."""
+    chains = [child for child in structure.children(0) if _is_chain(structure, child)]
+    return len(chains) >= FEWEST_FINGERS and not _palms(structure)
+
+
 def _refuse_loops(structure: ModelStructure, base: int, what: str) -> None:
     """Say so where links below a body are tied into loops, as in fingers that rods drive.
 
@@ -146,8 +152,18 @@ def _refuse_loops(structure: ModelStructure, base: int, what: str) -> None:
         )
 
 
-def read_tree(structure: ModelStructure, base_body: str, what: str) -> HandTree:
+def read_tree(
+    structure: ModelStructure, base_body: str, what: str, ties: Sequence[FloatArray] = ()
+) -> HandTree:
     """Palm, wrist and fingers of a hand whose base is ``base_body`` (fixed to the world).
+
+    A chain of which every joint follows one of a longer chain is a rod or a cover, no finger.
+
+    Args:
+        structure: The hand.
+        base_body: Its base.
+        what: What the model is called in messages.
+        ties: Rows (nv,) of couplings that hold always.
 
     Raises:
         HandError: No link below the base carries two chains.
@@ -165,7 +181,8 @@ def read_tree(structure: ModelStructure, base_body: str, what: str) -> HandTree:
     while link:
         wrist = structure.joints_of(link) + wrist
         link = structure.bodies[structure.bodies[link].parent].link
-    branches = tuple(_branch(structure, child) for child in structure.children(palm))
+    chains = [_branch(structure, child) for child in structure.children(palm)]
+    branches = tuple(c for c in chains if not _follows(c, chains, ties))
     used = {*wrist, *(j for b in branches for j in b.joints)}
     return HandTree(
         palm=palm,
@@ -217,6 +234,12 @@ def _root(structure: ModelStructure, body: int) -> int:
     while structure.bodies[body].parent:
         body = structure.bodies[body].parent
     return body
+
+
+def _follows(chain: Branch, chains: Sequence[Branch], ties: Sequence[FloatArray]) -> bool:
+    """Whether every joint of a chain is tied to one of a longer chain."""
+    longer = [j for c in chains if len(c.joints) > len(chain.joints) for j in c.joints]
+    return all(any(row[j] and row[longer].any() for row in ties) for j in chain.joints)
 
 
 def _is_below(structure: ModelStructure, body: int, above: int) -> bool:

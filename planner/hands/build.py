@@ -88,7 +88,7 @@ def build_hand(
         ModelError: The model is not usable.
         HandError: Description and model do not fit.
     """
-    prepare_spec(spec, description, model)
+    spec = prepare_spec(spec, description, model)
     if mirror_axis is not None:
         from planner.bridge import mirror_spec
 

@@ -242,6 +242,8 @@ class RepairDescription(StrictData):
             mean, as MuJoCo's ``balanceinertia`` does.
         inertia_from_geometry: Bodies whose inertia no body of their mass and size can have: they
             get that of a uniform solid of their mass and shape about their centre of mass.
+        world_body: Name of a body made of all that is fixed to the world, which carries the
+            fingers of a model without a palm; "" for none.
         drop_collision: Geoms that only look: they collide with nothing.
         drop_couplings: Tendons and equalities that are wrong, by name; equalities and actuators on
             such a tendon go with it.
@@ -251,17 +253,17 @@ class RepairDescription(StrictData):
     angle: Literal["radian", "degree"] | None = None
     balance_inertia: bool = False
     inertia_from_geometry: tuple[str, ...] = ()
+    world_body: str = ""
     drop_collision: tuple[str, ...] = ()
     drop_couplings: tuple[str, ...] = ()
     exclude: tuple[tuple[str, str], ...] = ()
 
     @model_serializer(mode="wrap")
-    def _without_no_inertias(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_newer_lines(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """No line where there is none: digests of hands without one stay as they were."""
+        newer = ("inertia_from_geometry", "world_body")
         data: dict[str, Any] = dump(self)
-        if not data.get("inertia_from_geometry", True):
-            del data["inertia_from_geometry"]
-        return data
+        return {key: value for key, value in data.items() if value or key not in newer}
 
 
 class JointDefaults(StrictData):

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 
-from planner.arrays import without_prefix
+from planner.arrays import short_names
 from planner.describe import CheckReport
 from planner.hands.hand import Hand
 from planner.joints.couplings import nearest_on_couplings
@@ -190,7 +190,7 @@ def _extra(
             "q": [float(v) for v in q],
             "postures": {name: [float(v) for v in value] for name, value in postures.items()},
             "groups": _groups(hand),
-            "labels": list(without_prefix(hand.joint_names)[1]),
+            "labels": list(short_names(hand.joint_names)[1]),
             "lines": [asdict(line) for line in described_lines(hand, reasons)],
             "questions": list(questions),
             "findings": [

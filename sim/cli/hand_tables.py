@@ -6,6 +6,7 @@ Behind ``opposable hands NAME`` and ``opposable hands NAME --check``.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from planner.arrays import without_prefix
+from planner.arrays import short_names
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
@@ -118,6 +119,10 @@ WORDS = (
 def hand_tables(hand: Hand) -> list[Table]:
     """The same for people, lengths in mm and angles in degrees."""
     data = inspect_hand(hand)
+    prefix, labels = short_names(hand.joint_names)
+    label = {name: escape(short) for name, short in zip(hand.joint_names, labels, strict=True)}
+    _, pads = short_names([f["pad_geometry"] for f in data["fingers"]], GEOM_WIDTH)
+    _, servos = short_names(hand.actuation.names)
     joints = table(
         f"{data['name']}: {data['joints']} joints, {data['actuators']} actuators, "
         f"{data['mass_kg']:.2f} kg",
@@ -125,7 +130,7 @@ def hand_tables(hand: Hand) -> list[Table]:
         (
             (
                 finger["name"] if k == 0 else "",
-                joint["name"],
+                label[joint["name"]],
                 str(joint["index"]),
                 f"{np.rad2deg(joint['lower']):.1f}",
                 f"{np.rad2deg(joint['upper']):.1f}",
@@ -134,6 +139,7 @@ def hand_tables(hand: Hand) -> list[Table]:
             for finger in [*data["other_joints"], *data["fingers"]]
             for k, joint in enumerate(finger["joints"])
         ),
+        caption=_shortened(prefix, (*labels, *pads, *servos)),
         left=WORDS,
     )
     tips = table(
@@ -144,11 +150,11 @@ def hand_tables(hand: Hand) -> list[Table]:
                 finger["name"],
                 finger["tip_frame"],
                 *(f"{1e3 * v:.1f}" for v in finger["tip_at_zero_base_m"]),
-                finger["pad_geometry"],
+                escape(pad),
                 f"{1e3 * finger['pad_radius_m']:.1f}",
                 f"{1e3 * finger['mass_kg']:.0f}",
             )
-            for finger in data["fingers"]
+            for finger, pad in zip(data["fingers"], pads, strict=True)
         ),
         left=WORDS,
     )
@@ -157,12 +163,12 @@ def hand_tables(hand: Hand) -> list[Table]:
         ("actuator", "drives", "force range", "ctrl range"),
         (
             (
-                actuator["name"],
-                ", ".join(actuator["joints"]),
+                escape(servo),
+                ", ".join(label[joint] for joint in actuator["joints"]),
                 "[{:g}, {:g}]".format(*actuator["force_range"]),
                 "[{:.3g}, {:.3g}]".format(*actuator["ctrl_range"]),
             )
-            for actuator in data["actuator_table"]
+            for actuator, servo in zip(data["actuator_table"], servos, strict=True)
         ),
         left=WORDS,
     )
@@ -172,7 +178,7 @@ def hand_tables(hand: Hand) -> list[Table]:
         (
             (
                 c["name"],
-                f"{' '.join(f'{v:+g} {j}' for j, v in c['joints'].items())} "
+                f"{' '.join(f'{v:+g} {label[j]}' for j, v in c['joints'].items())} "
                 f"{'>=' if c['one_sided'] else '='} {c['value']:g}",
                 "stop: can only push the left side up" if c["one_sided"] else "two-sided",
             )
@@ -183,17 +189,30 @@ def hand_tables(hand: Hand) -> list[Table]:
     return [joints, tips, actuators, *([couplings] if data["couplings"] else [])]
 
 
+GEOM_WIDTH = 12
+"""Characters of a geom's name, in tables of many columns."""
+
+
+def _shortened(prefix: str, labels: Sequence[str], more: str = "") -> str | None:
+    """What tables leave out of names; None if nothing."""
+    parts = [f"without {prefix!r} before each name{more}"] * bool(prefix)
+    if any("…" in text for text in labels):
+        parts.append("long names are cut (…), whole with --json")
+    return escape(", ".join(parts)) or None
+
+
 STYLES = {"error": "bold red", "warning": "bold yellow", "note": "bold"}
 """Of the levels of findings."""
 
 
 def print_check(report: CheckReport, console: Console) -> None:
     """What was found out about a hand: the tables, and the findings last."""
-    prefix, names = without_prefix([j.name for j in report.joints])
+    prefix, names = short_names([j.name for j in report.joints])
     own = Counter(name for j in report.joints for name in j.actuators)
     short = bool(prefix) and all(
         len(j.actuators) == 1 and all(own[name] == 1 for name in j.actuators) for j in report.joints
     )
+    _, geoms = short_names([p.geom for p in report.pads], GEOM_WIDTH)
     each = ", each with its own actuator" * short
     columns = ("joint", "of", "q", "qpos", "range", "torque N m", "actuators")
     joints = table(
@@ -211,10 +230,9 @@ def print_check(report: CheckReport, console: Console) -> None:
             )
             for j, name in zip(report.joints, names, strict=True)
         ),
-        caption=escape(f"without {prefix!r} before each name{each}") if prefix else None,
+        caption=_shortened(prefix, (*names, *geoms), each),
         left=WORDS,
     )
-    _, geoms = without_prefix([p.geom for p in report.pads])
     pads = table(
         "pads",
         ("finger", "geom", "radius mm", "cone deg", "stands out mm", "presses N", "taxels"),

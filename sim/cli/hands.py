@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
@@ -19,6 +21,9 @@ from sim.cli.common import (
     tell,
 )
 from sim.cli.options import JsonOption, argument, command, flag, option
+
+if TYPE_CHECKING:
+    from planner.hands.hand import Hand
 
 DESCRIBING = {"output", "base_body", "force"}
 """Parameters of ``--describe`` alone."""
@@ -103,17 +108,42 @@ def _inspect(hand: str, as_json: bool) -> None:
 def _check(hand: str, as_json: bool) -> None:
     """What the planner sees of a hand."""
     from planner.describe import check_hand
+    from planner.describe.report import fitting_objects
     from planner.hand_loading import load_hand
     from sim.cli.hand_tables import print_check
 
     with err.status(f"checking {escape(hand)} ..."):
-        report = check_hand(load_hand(hand))
+        loaded = load_hand(hand)
+        report = check_hand(loaded)
+        fits = _graspable(loaded, fitting_objects(report)) if report.ok else []
     if as_json:
-        print_json(report.to_dict())
+        print_json({**report.to_dict(), "fits": fits})
     else:
         print_check(report, out)
+        for item in fits:
+            say(out, f"a grasp is found: opposable run {escape(hand)} {item}")
     if not report.ok:
         raise typer.Exit(EXIT_NO)
+
+
+ATTEMPTS = 100
+"""Attempts at a grasp of an object that may fit, as those of ``opposable run``."""
+
+
+def _graspable(hand: Hand, objects: Sequence[str]) -> list[str]:
+    """The first object of each shape of which a grasp is found."""
+    from planner.errors import NoGraspFoundError
+    from planner.search.grasp import plan_grasp
+    from planner.task import GraspTask
+
+    found: dict[str, str] = {}
+    for item in objects:
+        shape = item.partition(":")[0]
+        if shape not in found:
+            with suppress(NoGraspFoundError):
+                plan_grasp(GraspTask.create(hand, item), seed=0, max_attempts=ATTEMPTS)
+                found[shape] = item
+    return list(found.values())
 
 
 def _describe(model: str, output: Path | None, base_body: str | None, force: bool) -> None:
