@@ -25,7 +25,7 @@ NORMAL_ERROR, DISTANCE_ERROR = 0.1, 0.0007
 """Largest errors of the smooth distance: of its normals (rad) near edges, and of its values (m) on
 the surface."""
 
-STEEP = 0.93
+STEEP = 0.96
 """Least slope (-) of the smooth distance at a contact that is on no edge. The slope is the length
 of the mean normal within the radius of smoothing: 1 on flat and evenly round places, 0.75 on a
 right-angled edge."""
