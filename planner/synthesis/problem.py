@@ -40,8 +40,8 @@ from planner.synthesis.field_points import Field
 from planner.synthesis.formulation import Formulation, formulate
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.room import table_room
 from planner.synthesis.residuals import Residuals
+from planner.synthesis.room import table_room
 from planner.synthesis.symbols import obstacles_in_object, table_in_object
 from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.term import Term, WrittenTerm, table_of

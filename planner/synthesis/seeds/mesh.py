@@ -250,6 +250,21 @@ class TurningSeeder(MeshSeeder):
         super()._prepare()
         self.skin = 0.0  # motions are planned on the surface itself
 
+    def _places_of(
+        self, pads: FloatArray, facing: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The nearest points of the smooth surface: contacts of a motion move on."""
+        found = self._mesh.field().taylor(pads.reshape(-1, 3), 1)
+        steep = np.maximum(np.linalg.norm(found[:, 1:4], axis=1), TINY)
+        outward = found[:, 1:4] / steep[:, None]
+        points = pads.reshape(-1, 3) - found[:, :1] * outward
+        return points.reshape(pads.shape), outward.reshape(pads.shape), np.zeros(pads.shape[:2])
+
+    def _first_contacts(
+        self, pads: FloatArray, facing: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        return self._mesh.closest_point(pads)
+
 
 TINY = 1e-9
 """A gradient shorter than this has no direction."""
