@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
 
 from benchmarks.bench import HandOptions, ObjectsOption
 from benchmarks.common import PRIMITIVES, Setting, cells_of, task_of
@@ -13,9 +16,20 @@ from planner.errors import NoGraspFoundError
 from planner.search.grasp import plan_grasp
 from planner.synthesis.problem_cache import problems_for
 from sim.cli.execution import physics_of, reality_of
-from sim.cli.options import MassOption, PhysicsOption, RealityOption, SimMuOption, TypeOption
+from sim.cli.options import (
+    MassOption,
+    PhysicsOption,
+    RealityOption,
+    SimMuOption,
+    TypeOption,
+    flag,
+)
+from sim.scene.carrier import Timeline
 from sim.tables import Row
 from sim.trial import simulate
+
+CARRIED = Timeline(lift_height=0.2, hold=5.0, turn=np.deg2rad(45.0), tilt=np.deg2rad(20.0))
+"""What is asked of an object between two hands."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +42,10 @@ class Options(HandOptions):
     reality: RealityOption = "ideal"
     type: TypeOption = None
     mass: MassOption = None
+    carry: Annotated[
+        bool,
+        flag("--carry", "Lift by 0.2 m, turn by 45 degrees, tilt by 20, and hold for 5 s."),
+    ] = False
 
 
 def cases(options: Options) -> Iterator[Row]:
@@ -36,7 +54,8 @@ def cases(options: Options) -> Iterator[Row]:
     setting = Setting(
         joint_error=reality.encoder_offset, grasp_type=options.type, mass=options.mass
     )
-    given = {"physics": physics_of(options.physics, options.sim_mu)}
+    physics = physics_of(options.physics, options.sim_mu)
+    given = {"physics": physics, "timeline": CARRIED if options.carry else Timeline()}
     for cell in cells_of(options.hand_names, options.objects):
         for seed in range(options.seed, options.seed + options.n):
             yield {**cell, "seed": seed, **given, "reality": reality, "setting": setting}
@@ -56,7 +75,8 @@ def measure(case: Row) -> Row:
     except NoGraspFoundError as error:
         cpu_s = sum(a.cpu_s for a in error.attempts)
         return row | {"attempts": len(error.attempts), "cpu_s": cpu_s, "reason": str(error)}
-    report = simulate(plan, physics=case["physics"], reality=case["reality"].seeded(case["seed"]))
+    reality = case["reality"].seeded(case["seed"])
+    report = simulate(plan, physics=case["physics"], reality=reality, timeline=case["timeline"])
     slip_mm, slip_deg = report.largest_slip
     off = report.comparison  # a finger that lost its contact has no error
     return row | {
