@@ -54,7 +54,7 @@ def table_room(task: GraspTask) -> float:
     up = task.T_world_object.rotation[2]
     top = task.T_world_object.translation[2] + task.object.shape.support(up)
     radius = max(f.pad.radius for f in task.fingers)
-    return max(LEAST_ROOM, (top - task.table_height - EDGE_RADIUS - radius) / 2)
+    return float(max(LEAST_ROOM, (top - task.table_height - EDGE_RADIUS - radius) / 2))
 
 
 @lru_cache(maxsize=8)
