@@ -52,11 +52,7 @@ class MeshSource:
 
 
 THIN = 0.006
-"""Thickness (m) below which walls are thin: of half of the surface, straight through the body."""
-
-CHORDS = 200
-"""Surface points from which the thickness is measured straight through the body. A wall is as thick
-as ``wall_thickness``; of a bar that is half its width."""
+"""Thickness (m) below which the walls of a mesh are thin."""
 
 OPPOSITE = -0.5
 """Cosine between opposite normals, at most: 120 degrees."""
@@ -249,15 +245,10 @@ class Mesh(Shape):
         """Twice the volume by the area, m: on an object of thin walls, how thick they are."""
         return 2 * self.volume / float(self._surface.areas.sum())
 
-    @cached_property
+    @property
     def thin_walled(self) -> bool:
-        """Whether it is made of walls thinner than ``THIN``; a bar of 10 mm is none."""
-        if self.wall_thickness >= THIN:
-            return False
-        points, normals = self.surface_samples(CHORDS, np.random.default_rng(0))
-        ray, depth, _ = self.pierced(points, -normals)
-        first = np.flatnonzero(np.diff(ray, prepend=-1))
-        return bool(np.median(depth[first]) < THIN)
+        """Whether walls are thinner than ``THIN``, or the solid is small: a cube of 18 mm."""
+        return self.wall_thickness < THIN
 
     def inertia(self, mass: float) -> FloatArray:
         """By the divergence theorem, exact for the polyhedron; (3, 3), kg m2."""
