@@ -297,11 +297,13 @@ def without_prefix(names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
 
 
 def short_names(names: Sequence[str], width: int = 20) -> tuple[str, tuple[str, ...]]:
-    """As ``without_prefix``, and the middle of a longer name is an ellipsis.
+    """As ``without_prefix`` where a name is longer; then the middle of one is an ellipsis.
 
     Names that differ stay different: where ``width`` characters are too few, all get more.
     """
-    prefix, rest = without_prefix(names)
+    prefix, rest = "", tuple(names)
+    if max(map(len, rest), default=0) > width:
+        prefix, rest = without_prefix(names)
     while True:
         tail = width // 2
         short = tuple(

@@ -362,6 +362,7 @@ def test_ctrl_c_keeps_what_was_planned(reference: GraspSet, tmp_path: Path) -> N
 
 
 @pytest.mark.filterwarnings("ignore:.*tasks which were still being processed:UserWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # loky's own
 @pytest.mark.parametrize("backend", ["fork", "loky"])
 def test_ctrl_c_while_workers_are_begun_or_sent_jobs_is_heard(
     backend: str, monkeypatch: pytest.MonkeyPatch

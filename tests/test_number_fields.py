@@ -140,7 +140,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
         },
     ),
     (CommandLimits(rate=1.0), {"rate": POSITIVE_OR_INFINITE}),
-    (Timeline(), {"close_wait": NOT_NEGATIVE, "": POSITIVE}),
+    (Timeline(), {"close_wait": NOT_NEGATIVE, "turn": SIGNED, "tilt": SIGNED, "": POSITIVE}),
     (Thresholds(), {"": POSITIVE_OR_INFINITE}),
     (DropCriteria(), {"fewest": NOT_NEGATIVE, "": POSITIVE_OR_INFINITE}),
     *((k.from_sizes(k.default_sizes), {"": POSITIVE}) for k in SIZED_SHAPES.values()),

@@ -202,6 +202,7 @@ def pair_description(pair: PairDescription, hands: Sequence[Hand]) -> HandDescri
         name=pair.name,
         model=", ".join(hand.name for hand in hands),
         summary=pair.summary,
+        source="; ".join(dict.fromkeys(hand.description.source for hand in hands)),
         base_body=PAIR,
         palm_body=f"{pair.hands[0].name}/{first.palm_body}",
         palm_normal=first.palm_normal,
