@@ -44,7 +44,7 @@ def load_hand(name_or_path: str | Path, *, download: bool = True) -> Hand:
         if mount is not None:
             return hand_on_arm(load_hand(mount.hand_path), mount, reference)
         if is_pair(path):
-            from planner.hands.pair import read_pair, two_hands  # here: few hands are two
+            from planner.hands.two_hands import read_pair, two_hands  # here: few hands are two
 
             pair = read_pair(path)
             hands = [load_hand(path.parent / held.hand) for held in pair.hands]

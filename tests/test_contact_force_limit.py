@@ -55,22 +55,5 @@ def test_what_blocks_a_finger_is_pushed_lightly_and_the_wrist_is_stiff(
     ctrl = held + sign * 0.4 / hand.actuation.gain
     limited = ContactForceLimit(hand).commands(ctrl, hand.neutral, still, weight)
     more = pushed(hand, limited, still) - pushed(hand, held, still)
-    # what the dry friction of a standing joint takes reaches nothing
-    _, stiction = joint_drag(hand)
-    lightly = CONTACT_TORQUE + np.abs(hand.actuation.moment) @ stiction
-    expected = np.where(of_fingers(hand), lightly, 0.4) * sign
+    expected = np.where(of_fingers(hand), CONTACT_TORQUE, 0.4) * sign
     np.testing.assert_allclose(more, expected, atol=1e-9)
-
-
-def test_a_joint_with_much_drag_may_be_left_to_it(hand: Hand) -> None:
-    # it is to stop: the torque that its drag took so far is withdrawn, and some more
-    v, weight = np.full(hand.nq, 0.8), weight_of(hand)
-    drag, stiction = joint_drag(hand)
-    still = np.zeros(hand.nq)
-    borne = pushed(hand, hand.actuation.commands(hand.neutral, still, weight), still)
-    ctrl = hand.actuation.commands(hand.neutral, v, weight) - 5.0 / hand.actuation.gain
-    limited = ContactForceLimit(hand).commands(ctrl, hand.neutral, v, weight)
-    mine = of_fingers(hand)
-    less = (pushed(hand, limited, v) - borne)[mine]
-    np.testing.assert_allclose(less, -CONTACT_TORQUE, atol=1e-9)
-    assert (np.abs(hand.actuation.moment) @ (drag * v + stiction))[mine].all()

@@ -25,8 +25,8 @@ from planner.motion.search import check_task
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.synthesis.seeds.facing_palms import carriage_joints
 from planner.synthesis.seeds.mesh import seeder_for
-from planner.synthesis.seeds.pair import carriage_joints
 from planner.system.package import models_dir
 from sim import Timeline, simulate
 from sim.protocols.dexgraspbench import unsuitable_for_dexgraspbench

@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -39,12 +40,7 @@ _MIMIC = re.compile(
 )
 """The joint that follows, and the one that it follows."""
 
-_NOTHING = re.compile(
-    r"<(collision|visual)\b(?:(?!</\1>).)*?\bradius\s*=\s*[\"']0*\.?0*[\"'](?:(?!</\1>).)*</\1>",
-    re.DOTALL,
-)
-_INERTIAL = re.compile(r"<inertial\b[^>]*>((?:(?!</inertial>).)*)</inertial>", re.DOTALL)
-_LEAST = '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>'
+_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _INCLUDE = re.compile(r"<(?:include|model)\s[^>]*file\s*=\s*[\"']([^\"']+)[\"']")
 
 
@@ -110,10 +106,31 @@ def _parsed(path: Path) -> Any:
 def _mended(urdf: str) -> str:
     """A URDF that MuJoCo reads: no balls and rods of radius 0, and an inertia beside every mass.
 
-    The inertia is none, which ``give_least_inertias`` replaces.
+    The inertia is none, which ``give_least_inertias`` replaces. A file without such faults, or that
+    is no XML, stays as it is.
     """
-    urdf = _NOTHING.sub("", urdf)
-    return _INERTIAL.sub(lambda m: m[0] if "<inertia " in m[1] else m[0][:-11] + _LEAST, urdf)
+    try:
+        root = ElementTree.fromstring(urdf)
+    except (ElementTree.ParseError, ValueError):  # ValueError: two encodings
+        return urdf
+    changed = False
+    for link in root.iter("link"):
+        for part in [p for kind in ("collision", "visual") for p in link.findall(kind)]:
+            if any(_is_zero(e.get("radius")) for e in part.iter()):
+                link.remove(part)
+                changed = True
+        for inertial in link.findall("inertial"):
+            if inertial.find("inertia") is None:
+                ElementTree.SubElement(inertial, "inertia", dict.fromkeys(_MOMENTS, "0"))
+                changed = True
+    return ElementTree.tostring(root, encoding="unicode") if changed else urdf
+
+
+def _is_zero(radius: str | None) -> bool:
+    try:
+        return radius is not None and float(radius) == 0.0
+    except ValueError:
+        return False  # MuJoCo says what is wrong with it
 
 
 def _check_joints(urdf: str, path: Path) -> None:

@@ -95,7 +95,7 @@ def repair_and_base(
         notes.because(
             "repair.world_body",
             world,
-            "the chains of joints start from the world: what is fixed to it becomes their palm",
+            "the chains of joints start from the world: all parts fixed to it become their palm",
         )
     base, why, questions = find_base(structure, base_body, what)
     notes.because("base_body", base, why)

@@ -239,7 +239,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def is_pair(path: Path) -> bool:
-    """Whether a description file is one of two hands (``planner.hands.pair``).
+    """Whether a description file is one of two hands (``planner.hands.two_hands``).
 
     Raises:
         HandError: It is not TOML.

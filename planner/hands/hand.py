@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from planner.bridge import LinkGeometry
 from planner.errors import HandError, NotFoundError, TaskError, shown
 from planner.hands.arm import Arm
-from planner.hands.fingers import Finger, Pad, Side
+from planner.hands.fingers import Finger, Side
 from planner.joints.actuation import Actuation
 from planner.joints.couplings import Coupling, nearest_on_couplings
 from planner.joints.description import HandDescription
 from planner.showing import in_notebook
-from planner.spatial import SE3, FloatArray, IntArray, fixed_array
+from planner.spatial import FloatArray, IntArray, fixed_array
 
 __all__ = ["Hand"]
 
@@ -69,7 +69,7 @@ class Hand:
         couplings: Kinematic couplings that hold in a grasp.
         arm: What carries the hand: its joints are part of q, and the base is its root, which stands
             fixed; None for a hand alone.
-        pair: The two hands that this is (``planner.hands.pair``); empty for one hand.
+        pair: The two hands that this is (``planner.hands.two_hands``); empty for one hand.
         rolls: Whether its pads have the cones within which contacts may roll (``rolling``).
     """
 
@@ -183,25 +183,6 @@ class Hand:
         """
         if self.pair:
             raise TaskError(f"{what} takes one hand, and {self.name} is two; load one of them")
-
-    @cached_property
-    def _at_rest(self) -> Any:
-        """``pinocchio.Data`` with all joints at rest; for two hands."""
-        data = self.pin_model.createData()
-        pin.framesForwardKinematics(self.pin_model, data, self.neutral)
-        return data
-
-    def T_base_palm(self, side: Side) -> SE3:
-        """Pose of a palm in the base, all joints at rest."""
-        return SE3(self._at_rest.oMf[self.pin_model.getBodyId(side.palm_body)])
-
-    def T_base_palm_joint(self, pad: Pad) -> SE3:
-        """Pose of the joint that a pad moves with in the base, all joints at rest."""
-        return SE3(self._at_rest.oMi[pad.joint_id])
-
-    def carriage_root(self, side: Side) -> SE3:
-        """Pose of a carriage in the base, all joints at rest."""
-        return SE3(self._at_rest.oMi[int(side.carriage[-1]) + 1])
 
     @cached_property
     def carriage_index(self) -> IntArray:

@@ -231,7 +231,8 @@ def plan_command(plan: GraspPlan) -> str:
     task, record, shape = plan.task, plan.record, plan.task.object.shape
     if task.hand.reference is None or task.hand.rolls or record.objective == "task":
         return ""
-    if not task.is_of_fingertips:  # it may be one of the sets of a type, found in turns
+    # it may be one of the sets of a type, found in turns
+    if task.hand.pair or not task.is_of_fingertips:
         return ""
     if isinstance(shape, Mesh) and shape.source is None:
         return ""

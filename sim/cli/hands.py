@@ -115,7 +115,9 @@ def _check(hand: str, as_json: bool) -> None:
     with err.status(f"checking {escape(hand)} ..."):
         loaded = load_hand(hand)
         report = check_hand(loaded)
-        fits = _graspable(loaded, fitting_objects(report)) if report.ok else []
+        # the objects are of the size of one hand
+        tried = report.ok and not loaded.pair
+        fits = _graspable(loaded, fitting_objects(report)) if tried else []
     if as_json:
         print_json({**report.to_dict(), "fits": fits})
     else:
@@ -131,8 +133,8 @@ ATTEMPTS = 100
 
 
 def _graspable(hand: Hand, objects: Sequence[str]) -> list[str]:
-    """The first object of each shape of which a grasp is found."""
-    from planner.errors import NoGraspFoundError
+    """The first object of each shape of which a grasp is found; others are refused or not found."""
+    from planner.errors import NoGraspFoundError, TaskError
     from planner.search.grasp import plan_grasp
     from planner.task import GraspTask
 
@@ -140,7 +142,7 @@ def _graspable(hand: Hand, objects: Sequence[str]) -> list[str]:
     for item in objects:
         shape = item.partition(":")[0]
         if shape not in found:
-            with suppress(NoGraspFoundError):
+            with suppress(NoGraspFoundError, TaskError):
                 plan_grasp(GraspTask.create(hand, item), seed=0, max_attempts=ATTEMPTS)
                 found[shape] = item
     return list(found.values())

@@ -221,16 +221,11 @@ class ContactForceLimit(FreeFingers):
             weight: Joint torques (nq,) that hold the hand's weight, N m.
         """
         gain, law = self._actuation.gain, self._law(q, v)
-        free, sign = self._free(q, v, weight)
+        free, _ = self._free(q, v, weight)
         beyond = gain * ctrl + law - free
         if (np.abs(beyond) <= self._most).all():
             return ctrl
-        # the dry friction of a joint that stands takes its part either way, and one that moves may
-        # be left to its drag, which brakes it
-        most = self._most + np.abs(self._actuation.moment) @ (self._stiction * (1.0 - np.abs(sign)))
-        still = self._actuation.split_torque(q, weight)[0] - free
-        low, high = np.minimum(still, 0.0) - most, np.maximum(still, 0.0) + most
-        return np.asarray((free + np.clip(beyond, low, high) - law) / gain)
+        return np.asarray((free + np.clip(beyond, -self._most, self._most) - law) / gain)
 
 
 FAST = 0.3

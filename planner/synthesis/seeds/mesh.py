@@ -216,7 +216,7 @@ TINY = 1e-9
 def seeder_for(task: GraspTask) -> Seeder:
     """The source of starts that suits the task's contacts and object."""
     if task.hand.pair:
-        from planner.synthesis.seeds.pair import PairSeeder  # here: few hands are two
+        from planner.synthesis.seeds.facing_palms import PairSeeder  # here: few hands are two
 
         return PairSeeder(task)
     if not task.is_of_fingertips:

@@ -37,15 +37,41 @@ class PairSeeder(EnvelopingSeeder):
     """Draws starts in which two palms face each other across the object."""
 
     def _prepare(self) -> None:
+        """Find where the hands are at rest, and what they face.
+
+        Raises:
+            TaskError: The object is too heavy, out of reach, or turns no side to the hands.
+        """
         super()._prepare()
-        hand, pose = self.task.hand, self.task.T_world_object.inverse() * self.task.T_world_base
-        self._rest = [pose * hand.T_base_palm_joint(palm.pad) for palm in self._palms]
-        self._roots = [pose * hand.carriage_root(palm.side) for palm in self._palms]
-        first, second = (T.translation for T in self._rest)
-        apart = first - second
+        task, hand = self.task, self.task.hand
+        pose = task.T_world_object.inverse() * task.T_world_base
+        at_rest = moving_hand(hand).move(hand.neutral)
+        self._rest = [pose * at_rest.joint_pose(palm.pad.joint_id) for palm in self._palms]
+        last = [int(palm.side.carriage[-1]) + 1 for palm in self._palms]
+        self._roots = [pose * at_rest.joint_pose(joint) for joint in last]
+        self._tips = [self._tips_of(palm) for palm in self._palms]
+        apart = self._rest[0].translation - self._rest[1].translation
         self._from = apart / np.linalg.norm(apart)
+        self._faces = self._faces_towards_hands()
         self._check_reach()
         self._check_weight()
+
+    def _faces_towards_hands(self) -> list[FloatArray]:
+        """Normals (3,) of the flat sides that look to the first hand; none of a round object.
+
+        Raises:
+            TaskError: A shape of flat sides turns none of them.
+        """
+        sides = self.task.object.shape.flat_sides
+        if sides is None:
+            return []
+        faces = [side for side in sides if side @ self._from > LEAST_OPPOSED]
+        if not faces:
+            raise TaskError(
+                "no side of the object looks towards the hands; turn it (T_world_object), or the "
+                "pair (T_world_base)"
+            )
+        return faces
 
     def _check_reach(self) -> None:
         """Refuse an object whose sides are beyond what the carriages reach.
@@ -80,10 +106,11 @@ class PairSeeder(EnvelopingSeeder):
             float(limits[palm.side.carriage[:3]] @ np.abs(root.rotation.T @ up))
             for palm, root in zip(self._palms, self._roots, strict=True)
         )
-        own = pull * float(np.sum(hand.mj_model.body_mass))
+        roots = [hand.mj_model.body(f"{palm.side.name}/carriage").id for palm in self._palms]
+        own = pull * float(hand.mj_model.body_subtreemass[roots].sum())
         weight = pull * task.object.mass
         if weight > most - own:
-            names = ", ".join(hand.joint_names[p.side.carriage[2]] for p in self._palms)
+            names = ", ".join(palm.side.name for palm in self._palms)
             raise TaskError(
                 f"the object weighs {weight:.0f} N, and the carriages of {hand.name} carry "
                 f"{most:.0f} N ({names}), of which the hands themselves take {own:.0f} N; "
@@ -102,39 +129,25 @@ class PairSeeder(EnvelopingSeeder):
     def _drawn_pair(self, T_object_base: SE3, rng: np.random.Generator) -> FloatArray:
         """Joints (nq,) of both hands, closed."""
         q, outward = self._with_noise(self.open, rng), self._drawn_direction(rng)
-        for palm, rest, root, sign in zip(
-            self._palms, self._rest, self._roots, (1.0, -1.0), strict=True
-        ):
-            q[palm.side.carriage] = self._carriage(palm, rest, root, sign * outward, rng)
+        for i, (palm, sign) in enumerate(zip(self._palms, (1.0, -1.0), strict=True)):
+            q[palm.side.carriage] = self._carriage(i, sign * outward, rng)
         return self._closed(T_object_base, q, rng)
 
     def _drawn_direction(self, rng: np.random.Generator) -> FloatArray:
-        """Unit direction (3,) from which the first hand comes, object frame.
+        """Unit direction (3,) from which the first hand comes, object frame."""
+        if self._faces:
+            return np.asarray(self._faces[rng.integers(len(self._faces))])
+        noisy = self._from + rng.normal(0.0, SIDE_NOISE, 3)
+        return np.asarray(noisy / np.linalg.norm(noisy))
 
-        Raises:
-            TaskError: No flat side of the object looks towards a hand.
-        """
-        sides = self.task.object.shape.flat_sides
-        if sides is None:
-            noisy = self._from + rng.normal(0.0, SIDE_NOISE, 3)
-            return np.asarray(noisy / np.linalg.norm(noisy))
-        faces = [s for s in sides if s @ self._from > LEAST_OPPOSED]
-        if not faces:
-            raise TaskError(
-                "no side of the object looks towards the hands; turn it (T_world_object), or the "
-                "pair (T_world_base)"
-            )
-        return np.asarray(faces[rng.integers(len(faces))])
-
-    def _carriage(
-        self, palm: Palm, rest: SE3, root: SE3, outward: FloatArray, rng: np.random.Generator
-    ) -> FloatArray:
-        """Joints (6,) of a carriage that lay the palm on the side of the object that looks so."""
-        hand = self.task.hand
-        low, high = hand.q_lower[palm.side.carriage], hand.q_upper[palm.side.carriage]
+    def _carriage(self, i: int, outward: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Joints (6,) of carriage i that lay its palm on the side of the object that looks so."""
+        hand, rest, root = self.task.hand, self._rest[i], self._roots[i]
+        mine = self._palms[i].side.carriage
+        low, high = hand.q_lower[mine], hand.q_upper[mine]
         best, least = np.zeros(6), np.inf
         for _ in range(PLACED_DRAWS):
-            pose = self._drawn_pose(palm, rest.rotation, outward, rng)
+            pose = self._drawn_pose(i, outward, rng)
             wanted = carriage_joints(root.inverse() * pose * rest.inverse() * root)
             beyond = float(np.maximum(low - wanted, wanted - high).max())
             if beyond < least:
@@ -143,11 +156,9 @@ class PairSeeder(EnvelopingSeeder):
                 break
         return best
 
-    def _drawn_pose(
-        self, palm: Palm, rest: FloatArray, outward: FloatArray, rng: np.random.Generator
-    ) -> SE3:
-        """Pose of a palm's joint on or before the side of the object that looks so."""
-        shape = self.task.object.shape
+    def _drawn_pose(self, i: int, outward: FloatArray, rng: np.random.Generator) -> SE3:
+        """Pose of the joint of palm i, on or before the side of the object that looks so."""
+        palm, rest, shape = self._palms[i], self._rest[i].rotation, self.task.object.shape
         onto = pin.Quaternion.FromTwoVectors(rest @ palm.pad.axis, -outward).matrix() @ rest
         most = np.pi if self.task.table_height is None else TURN_OVER_TABLE
         turn = pin.exp3(outward * rng.uniform(-most, most)) @ onto
@@ -157,10 +168,10 @@ class PairSeeder(EnvelopingSeeder):
         turn = pin.Quaternion.FromTwoVectors(outward, normal).matrix() @ turn
         if not palm.touches:
             gap = rng.uniform(*TIPS_GAP)
-            return laid(palm, self._tips(palm), points[0] + gap * normal, turn)
+            return laid(palm, self._tips[i], points[0] + gap * normal, turn)
         return laid(palm, self._shares(palm, rng), points[0], turn)
 
-    def _tips(self, palm: Palm) -> FloatArray:
+    def _tips_of(self, palm: Palm) -> FloatArray:
         """Middle of the tips of half closed fingers along the palm, (3,), m, from its middle."""
         hand = self.task.hand
         state = moving_hand(hand).move((self.open + self._flexed) / 2.0)

@@ -96,7 +96,6 @@ CARRIAGE_RADIUS = 0.04
 HALF_TURN = float(np.pi)
 """How far (rad) the first hinge turns to either side."""
 
-
 CARRIED_ARM = 0.1
 """Radius of gyration (m) of carriage, hand and their share of an object about the palm, for the
 damping of the hinges."""
@@ -137,9 +136,10 @@ def two_hands(pair: PairDescription, hands: Sequence[Hand], path: Path, referenc
         if hand.arm is not None or hand.pair:
             what = "is on an arm" if hand.arm is not None else "is two hands itself"
             raise HandError(f"{path}: hands names {hand.name}, which {what}; name a hand alone")
+    _check_faces(path, pair, hands)
     spec = pair_spec(pair, hands)
     content = b"".join(hand.digest.encode() for hand in hands) + path.read_bytes()
-    whole = hand_of_model(
+    return hand_of_model(
         spec,
         compile_spec(spec, str(path)),
         pair_description(pair, hands),
@@ -149,8 +149,6 @@ def two_hands(pair: PairDescription, hands: Sequence[Hand], path: Path, referenc
         digest=hashlib.sha256(content).hexdigest(),
         sides=lambda joint_names: sides_of(pair, hands, joint_names),
     )
-    _check_faces(path, whole)
-    return whole
 
 
 def pair_spec(pair: PairDescription, hands: Sequence[Hand]) -> Any:
@@ -228,18 +226,18 @@ def pair_description(pair: PairDescription, hands: Sequence[Hand]) -> HandDescri
     )
 
 
-def _check_faces(path: Path, whole: Hand) -> None:
+def _check_faces(path: Path, pair: PairDescription, hands: Sequence[Hand]) -> None:
     """Refuse palms that look away from each other at rest.
 
     Raises:
         HandError: One looks away.
     """
-    poses = [whole.T_base_palm(side) for side in whole.sides]
-    way = poses[1].translation - poses[0].translation
-    for side, T, toward in zip(whole.sides, poses, (way, -way), strict=True):
-        if not T.rotation @ side.palm_normal @ toward > 0.0:
+    rests = [_at_rest(held, hand)[0] for held, hand in zip(pair.hands, hands, strict=True)]
+    way = rests[1].translation - rests[0].translation
+    for held, rest, toward in zip(pair.hands, rests, (way, -way), strict=True):
+        if not rest.rotation[:, 0] @ toward > 0.0:
             raise HandError(
-                f"{path}: at rest the palm of {side.name!r} does not look towards the other hand; "
+                f"{path}: at rest the palm of {held.name!r} does not look towards the other hand; "
                 "turn it by its quaternion_wxyz, or exchange the positions"
             )
 
@@ -280,7 +278,7 @@ def _finger(held: HeldHand, finger: FingerDescription) -> FingerDescription:
 
 
 def _at_rest(held: HeldHand, hand: Hand) -> tuple[SE3, SE3]:
-    """Pose of the carriage in the pair, and of the hand's base in the carriage."""
+    """Pose of the carriage in the pair, x along the palm's normal, and of the base on it."""
     data = hand.pin_model.createData()
     pin.framesForwardKinematics(hand.pin_model, data, hand.neutral)
     T_base_palm = data.oMf[hand.palm_frame_id]
