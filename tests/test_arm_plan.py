@@ -366,6 +366,9 @@ def test_the_arm_holds_the_object_up(plan: GraspPlan) -> None:
 def test_a_lift_that_was_not_planned_is_refused(plan: GraspPlan) -> None:
     with pytest.raises(TaskError, match=r"lifts by 0\.2 m; with an arm a plan lifts by 0\.1 m"):
         Trial(plan, timeline=Timeline(lift_height=0.2))
+    for turned in (Timeline(turn=0.1), Timeline(tilt=0.1)):
+        with pytest.raises(TaskError, match="lifts without turning"):
+            Trial(plan, timeline=turned)
 
 
 # --- turned in the hand -------------------------------------------------------------------------

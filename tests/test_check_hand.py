@@ -26,6 +26,7 @@ from planner.task import GraspTask
 from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT, EXIT_NO
 from sim.cli.hand_tables import inspect_hand
+from sim.cli.hands import _graspable
 
 EditHand = Callable[..., Path]
 
@@ -392,3 +393,16 @@ def test_an_overlap_on_the_way_to_the_pinch_alone_is_found(edit_hand: EditHand) 
     assert touching[-1] and not touching[: len(shares) // 2].any()
     found = [set(overlap.bodies) for overlap in frequent_overlaps(hand)]
     assert {"index_proximal", "index_distal"} in found
+
+
+def test_the_objects_that_are_named_are_those_of_one_hand(allegro: Hand) -> None:
+    # one that no posture opens for, and one that is found
+    assert _graspable(allegro, ["box:0.5x0.5x0.5", "sphere:0.03"]) == ["sphere:0.03"]
+
+
+def test_two_hands_are_checked_and_no_small_object_is_tried(runner: CliRunner) -> None:
+    told = runner.invoke(app, ["hands", "--check", "two_allegro_hands", "--json"])
+    assert told.exit_code == 0, told.output
+    read = json.loads(told.output)
+    assert read["fits"] == []
+    assert {j["belongs_to"] for j in read["joints"] if "carriage" in j["name"]} == {"carriage"}

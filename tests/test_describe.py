@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -469,6 +470,16 @@ def test_a_weld_within_one_link_closes_no_loop(proposed_claw: Proposal, tmp_path
     proposal = propose(written(tmp_path, text))
     assert proposal.description.fingers == proposed_claw.description.fingers
     assert not hand_from_spec(load_spec(tmp_path / "claw.xml"), proposal.description).couplings
+
+
+@pytest.mark.parametrize("tag", ["<collision ", '<visual radius="0" ', "<inertial>"])
+def test_a_broken_urdf_is_refused_at_once(tag: str, tmp_path: Path) -> None:
+    path = tmp_path / "hand.urdf"
+    path.write_text("<robot>" + tag * 20_000, encoding="utf-8")
+    begin = time.process_time()
+    with pytest.raises(ModelError):
+        load_hand(path)
+    assert time.process_time() - begin < 2.0
 
 
 def test_a_mass_without_inertia_and_a_ball_of_no_size_are_read(tmp_path: Path) -> None:
