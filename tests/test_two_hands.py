@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from planner import GraspTask, plan_grasp
 from planner.collision.moving_hand import moving_hand
+from planner.collision.pad_contact import pad_contacts
 from planner.errors import HandError, PlannerError, TaskError
 from planner.failure import Failure
 from planner.files import read_plan
@@ -28,6 +29,7 @@ from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.synthesis.seeds.facing_palms import carriage_joints
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.system.package import models_dir
+from planner.verification.grasp import GAP_TOL, project_onto_surface
 from sim import Timeline, simulate
 from sim.protocols.dexgraspbench import unsuitable_for_dexgraspbench
 from sim.protocols.drake import unsuitable_for_drake
@@ -44,6 +46,10 @@ def pair() -> Hand:
 
 def heavy(spec: str, mass: float) -> GraspObject:
     return replace(parse_object(spec), mass=mass)
+
+
+def refused(word: str) -> pytest.RaisesExc[PlannerError]:
+    return pytest.raises(PlannerError, match=word)
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +84,10 @@ def test_palms_look_at_each_other_half_a_metre_apart(name: str) -> None:
     single = load_hand(name.replace("two_", "").replace("hands", "hand"))
     assert hand.nq == 2 * (single.nq + 6)
     assert len(hand.fingers) == 2 * len(single.fingers)
+    most = [0.4, 0.4, 0.4, np.pi, 1.2, 1.2]
+    for side in hand.sides:
+        assert hand.q_upper[side.carriage] == pytest.approx(most)
+        assert hand.q_lower[side.carriage] == pytest.approx([-m for m in most])
 
 
 small, wide = st.floats(-1.1, 1.1), st.floats(-3.1, 3.1)
@@ -195,6 +205,43 @@ def test_starts_lay_palms_on_the_sides_that_they_look_at(pair: Hand) -> None:
             assert pose.rotation @ pad.axis == pytest.approx([0, -np.sign(y), 0], abs=1e-9)
 
 
+def test_hands_whose_tips_touch_stay_before_the_object(pair: Hand) -> None:
+    task = GraspTask.create(pair, heavy("box:0.2x0.3x0.25", 1.0), grasp_type="fingertip")
+    seeder = seeder_for(task)
+    for seed in range(5):
+        start = seeder.draw(np.random.default_rng(seed))
+        assert not isinstance(start, Failure)
+        state = moving_hand(pair).move(start.q)
+        for side, away in zip(pair.sides, (-1.0, 1.0), strict=True):
+            pad = pair.contact_parts[side.palm_body].pad
+            face = (start.T_object_base * state.joint_pose(pad.joint_id)).act(
+                pad.center + pad.radius * pad.axis
+            )
+            assert 0.03 - 1e-9 <= away * face[1] - 0.15 <= 0.09 + 1e-9
+
+
+def test_tips_are_put_onto_the_surface_by_the_carriage(pair: Hand) -> None:
+    task = GraspTask.create(pair, heavy("sphere:0.125", 1.0), grasp_type="fingertip")
+    found = plan_grasp(task, seed=0)
+    off = found.q.copy()
+    off[pair.sides[0].carriage[0]] -= 2e-4  # back along the palm's normal, 0.2 mm
+    q = project_onto_surface(found.task, found.T_world_base, off)
+    gaps = [touch.pad_gap for touch in pad_contacts(found.task, found.T_world_base, q)]
+    assert np.abs(gaps).max() <= GAP_TOL
+    fingers = np.setdiff1d(np.arange(pair.nq), pair.carriage_index)
+    # fingers alone would have to bend by 0.2 mm in some 50 mm
+    assert np.abs(q - off)[fingers].max() < 1e-3
+
+
+def test_carriages_carry_their_force_less_the_weight_of_hand_and_carriage(pair: Hand) -> None:
+    roots = [pair.mj_model.body(f"{side.name}/carriage").id for side in pair.sides]
+    most = (2 * 100.0) / GRAVITY - float(pair.mj_model.body_subtreemass[roots].sum())
+    cube = "box:0.3x0.3x0.3"
+    seeder_for(GraspTask.create(pair, heavy(cube, 0.999 * most), grasp_type="palms"))
+    with refused("carriages of two_allegro_hands carry 200 N"):
+        seeder_for(GraspTask.create(pair, heavy(cube, 1.001 * most), grasp_type="palms"))
+
+
 @pytest.mark.slow
 def test_what_two_hands_hold_is_lifted_turned_and_tilted(plan: GraspPlan) -> None:
     turn, tilt = np.deg2rad(45.0), np.deg2rad(20.0)
@@ -206,10 +253,6 @@ def test_what_two_hands_hold_is_lifted_turned_and_tilted(plan: GraspPlan) -> Non
     wanted = pin.utils.rotate("x", tilt) @ pin.utils.rotate("z", turn)
     off = pin.log3(end.rotation @ begin.rotation.T @ wanted.T)
     assert float(np.linalg.norm(off)) < np.deg2rad(1.0)
-
-
-def refused(word: str) -> pytest.RaisesExc[PlannerError]:
-    return pytest.raises(PlannerError, match=word)
 
 
 def test_what_two_hands_cannot_do_is_refused_by_name(pair: Hand, plan: GraspPlan) -> None:
