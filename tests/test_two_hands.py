@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner import GraspTask, plan_grasp
+from planner.approach.pregrasp_ik import OPENED_SHARE
 from planner.collision.moving_hand import moving_hand
 from planner.collision.pad_contact import pad_contacts
 from planner.errors import HandError, PlannerError, TaskError
@@ -167,6 +168,15 @@ def test_a_carriage_bears_what_its_hand_presses_with_and_weighs(plan: GraspPlan)
         rest = body_pose(placed(hand, hand.neutral), f"{side.name}/carriage").rotation
         assert rest @ torques[side.carriage[:3]] == pytest.approx(wanted, abs=1e-3)
     assert data.qpos == pytest.approx(plan.q)
+
+
+def test_every_contact_opens_along_its_normal(plan: GraspPlan) -> None:
+    state = moving_hand(plan.task.hand)
+    at, before = (state.move(q).pads(plan.task.fingers)[1] for q in (plan.q, plan.q_pregrasp))
+    inward = plan.contacts.normals @ plan.T_world_base.rotation
+    back = -((before - at) * inward).sum(axis=1)
+    assert (back >= OPENED_SHARE * plan.pregrasp_distance - 1e-6).all()
+    assert plan.T_world_base_start.homogeneous == pytest.approx(plan.T_world_base.homogeneous)
 
 
 def test_a_plan_file_keeps_the_pair(plan: GraspPlan, tmp_path: Path) -> None:
