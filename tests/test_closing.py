@@ -21,7 +21,6 @@ from planner.task import GraspTask
 from sim.controllers.closing import (
     CAREFUL_SPEED,
     EARLY,
-    LONGEST_WAIT,
     SEARCH_REACH,
     SEARCH_SPEED,
     GuardedClosing,
@@ -123,20 +122,6 @@ def test_a_late_finger_searches_slowly_then_faster_and_not_for_ever(plan: GraspP
     assert gone[0] == pytest.approx(EARLY, rel=0.2)
     assert gone[1] == pytest.approx(SEARCH_REACH, rel=0.2)
     assert gone[2] == pytest.approx(gone[1], abs=2e-4)
-
-
-def test_fingers_that_have_arrived_wait_for_one_under_way(plan: GraspPlan) -> None:
-    closing = GuardedClosing(plan)
-    close(closing, plan, range(STEPS + 1))
-    slow = plan.q.copy()
-    mine = plan.task.fingers[0].q_index
-    slow[mine] = plan.q_pregrasp[mine]
-    waiting = close(closing, plan, range(STEPS, STEPS + 200), q=slow)
-    assert closing.waits
-    np.testing.assert_allclose(pads(plan, waiting[-1]), pads(plan, plan.q), atol=1e-9)
-    # not for ever: a finger may be blocked
-    close(closing, plan, range(STEPS, STEPS + round(LONGEST_WAIT / DT)), q=slow)
-    assert not closing.waits
 
 
 BOTH = "allegro_hand", "shadow_hand"

@@ -230,6 +230,23 @@ def test_hands_whose_tips_touch_stay_before_the_object(pair: Hand) -> None:
             assert 0.03 - 1e-9 <= away * face[1] - 0.15 <= 0.09 + 1e-9
 
 
+def test_palms_far_from_the_middle_of_all_contacts_touch_at_places_that_are_numbers(
+    pair: Hand,
+) -> None:
+    """The end of a tilted palm that touches may be much farther from the middle than the other."""
+    task = GraspTask.create(pair, heavy("box:0.8x1.29x0.8", 1.0), grasp_type="palms")
+    seeder = seeder_for(task)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        start = seeder.draw(rng)
+        assert not isinstance(start, Failure)
+        q = start.q.copy()
+        q[pair.sides[0].carriage[4:]] += np.random.default_rng(seed).uniform(-0.6, 0.6, 2)
+        with np.errstate(over="raise", invalid="raise"):
+            touches = pad_contacts(task, task.T_world_base, q)
+        assert np.isfinite([touch.point for touch in touches]).all()
+
+
 def test_tips_are_put_onto_the_surface_by_the_carriage(pair: Hand) -> None:
     task = GraspTask.create(pair, heavy("sphere:0.125", 1.0), grasp_type="fingertip")
     found = plan_grasp(task, seed=0)

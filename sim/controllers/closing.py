@@ -96,10 +96,6 @@ SEARCH_REACH = 0.02
 of 0.1 + 0.06 + 0.03 m of joints that are off by 3 degrees each are 12 mm, and the object is off as
 well."""
 
-LONGEST_WAIT = 1.5
-"""Time (s) for which fingers that have arrived wait for those under way, before they search: a
-joint of 0.05 kg m2, pushed as lightly as an object allows, takes as long for 0.5 rad."""
-
 LEAST_GAP = 0.002
 """Distance (m) from its neighbour, by the joints, within which a finger does not search towards it:
 what plans leave between fingers."""
@@ -125,7 +121,6 @@ class GuardedClosing:
 
     Attributes:
         careful: Whether a touch was too early for a calibrated hand.
-        waits: Whether a finger is still under way, behind its reference, since its joints are slow.
     """
 
     def __init__(self, plan: GraspPlan) -> None:
@@ -148,8 +143,7 @@ class GuardedClosing:
         self._touched: NDArray[np.bool_] = np.zeros(n, dtype=bool)
         self._held: dict[int, FloatArray] = {}
         self._neighbours = Neighbours(plan.task.hand, self._fingers)
-        self._waited = 0.0
-        self.careful = self.waits = False
+        self.careful = False
 
     def step(self, elapsed: float, observation: Observation) -> FloatArray:
         """Reference posture (nq,); advances every finger that does not touch."""
@@ -158,17 +152,11 @@ class GuardedClosing:
         free = observation.normal_forces < TOUCH_FORCE
         self._notice(~free & ~self._touched, observation.q)
         arrived = self._share >= 1.0
-        left = (self._along * (plan.q - observation.q)).sum(axis=1)  # to the planned contact, m
-        late = bool((arrived & free & ~self._touched & (left > EARLY)).any())
-        self._waited += elapsed * late
-        # joints that are off do not tell how far a finger is
-        self.waits = late and not self.careful and self._waited <= LONGEST_WAIT
         rate = self._careful_rate if self.careful else CLOSE_RATE
         self._share[free] = np.minimum(goal, self._share + rate * elapsed)[free]
         off = self.careful | (self._reach >= EARLY)
         speed = np.where(off, CAREFUL_SPEED, SEARCH_SPEED)
-        searching = free & arrived & self._searches & (not self.waits)
-        for i in np.flatnonzero(searching).tolist():
+        for i in np.flatnonzero(free & arrived & self._searches).tolist():
             self._go_on(i, speed[i] * elapsed, observation.q)
         q = plan.q_pregrasp + goal * (plan.q - plan.q_pregrasp)
         for i in self._outermost_first:  # links have the last word on their finger's inner joints

@@ -80,17 +80,12 @@ class Reclosing:
         """Whether a touch came too early for exact joints."""
         return self._closing.careful
 
-    @property
-    def goes_on(self) -> bool:
-        """Whether fingers are still under way, or close a second time."""
-        return self.busy or self._closing.waits
-
     def step(self, elapsed: float, observation: Observation) -> FloatArray:
         """Reference posture (nq,)."""
         if self.again:
             return self._second(elapsed, observation)
         arrived = observation.progress >= 1.0
-        self._arrived += elapsed * (arrived and not self._closing.waits)
+        self._arrived += elapsed * arrived
         touching = int((observation.normal_forces >= TOUCH_FORCE).sum())
         late = self._arrived > LONGEST - OPEN_TIME and touching >= LEAST_TOUCHING
         if not self._compared and ((arrived and observation.all_touch) or late):
@@ -231,7 +226,7 @@ class GraspController:
     @property
     def closing(self) -> bool:
         """Whether the closing goes on though all fingers touch."""
-        return self._closing.goes_on
+        return self._closing.busy
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
