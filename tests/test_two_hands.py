@@ -27,7 +27,7 @@ from planner.motion.search import check_task
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
-from planner.synthesis.seeds.facing_palms import carriage_joints
+from planner.synthesis.seeds.facing_palms import PairSeeder, carriage_joints
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.system.package import models_dir
 from planner.verification.grasp import GAP_TOL, project_onto_surface
@@ -228,6 +228,19 @@ def test_hands_whose_tips_touch_stay_before_the_object(pair: Hand) -> None:
                 pad.center + pad.radius * pad.axis
             )
             assert 0.03 - 1e-9 <= away * face[1] - 0.1 <= 0.09 + 1e-9
+
+
+def test_carriages_stay_while_the_fingers_of_a_start_close(pair: Hand) -> None:
+    """Also where nothing is there to stop them."""
+    task = GraspTask.create(pair, heavy("sphere:0.05", 1.0), grasp_type="fingertip")
+    seeder = seeder_for(task)
+    assert isinstance(seeder, PairSeeder) and task.T_world_base is not None
+    q = pair.posture("open")
+    q[pair.carriage_index] = 0.1
+    T_object_base = task.T_world_object.inverse() * task.T_world_base
+    closed = seeder._closed(T_object_base, q, np.random.default_rng(0))
+    assert closed[pair.carriage_index] == pytest.approx(0.1)
+    assert np.abs(closed - q).max() > 0.5  # fingers do close
 
 
 def test_palms_far_from_the_middle_of_all_contacts_touch_at_places_that_are_numbers(
