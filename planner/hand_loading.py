@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from planner.bridge import load_spec
+from planner.errors import HandError
 from planner.hands.arm import read_mount
 from planner.hands.build import build_from_spec, build_hand, hand_on_arm
-from planner.hands.catalog import find_hand, hand_reference
+from planner.hands.catalog import find_hand, hand_reference, joined_names
 from planner.hands.description_toml import DescribedHand, is_pair, read_description
 from planner.hands.hand import Hand
 from planner.joints.description import HandDescription
@@ -27,7 +28,8 @@ def load_hand(name_or_path: str | Path, *, download: bool = True) -> Hand:
         name_or_path: A shipped hand (``catalog.hand_names()``), a description (``hand.toml``)
             or its folder; or a model, which is then described by its structure alone: a file
             (MJCF, URDF), ``PACKAGE:NAME`` out of ``catalog.FOREIGN_HANDS``,
-            ``menagerie:NAME``, ``robot_descriptions:ID`` or ``package:PACKAGE/PATH``.
+            ``menagerie:NAME``, ``robot_descriptions:ID`` or ``package:PACKAGE/PATH``. Two of them
+            with a plus between are two hands, palm to palm.
         download: Whether models of ``menagerie:`` and ``robot_descriptions:`` may be fetched
             where they are not cached. Readers of files say no: a file is not to make this
             machine fetch anything.
@@ -37,6 +39,13 @@ def load_hand(name_or_path: str | Path, *, download: bool = True) -> Hand:
         ModelError: The model file is missing or not usable.
         HandError: Description and model do not fit.
     """
+    if names := joined_names(name_or_path):
+        from planner.hands.two_hands import joined_hands  # here: few hands are two
+
+        if "" in names:
+            raise HandError(f"{name_or_path}: a hand is missing beside the plus; give one+other")
+        both = [load_hand(name, download=download) for name in names]
+        return joined_hands(both, hand_reference(name_or_path))
     path = find_hand(name_or_path, download=download)
     reference = hand_reference(name_or_path)
     if path.suffix == ".toml":
@@ -44,7 +53,7 @@ def load_hand(name_or_path: str | Path, *, download: bool = True) -> Hand:
         if mount is not None:
             return hand_on_arm(load_hand(mount.hand_path), mount, reference)
         if is_pair(path):
-            from planner.hands.two_hands import read_pair, two_hands  # here: few hands are two
+            from planner.hands.two_hands import read_pair, two_hands
 
             pair = read_pair(path)
             hands = [load_hand(path.parent / held.hand) for held in pair.hands]

@@ -34,6 +34,7 @@ __all__ = [
     "foreign_hand_names",
     "hand_names",
     "hand_reference",
+    "joined_names",
     "model_file",
 ]
 
@@ -41,6 +42,9 @@ DESCRIPTION_FILE = "hand.toml"
 
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Suffixes of model files, as opposed to descriptions."""
+
+JOIN = "+"
+"""Between the names of two hands that are to be one (``planner.hands.two_hands``)."""
 
 PACKAGE_SCHEME = "package:"
 """``package:PACKAGE/PATH`` is a file inside an installed Python package."""
@@ -151,9 +155,19 @@ def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
     raise NotFoundError("hand", text, names, hint)
 
 
+def joined_names(name_or_path: str | Path) -> tuple[str, ...]:
+    """The names in "ONE+OTHER", which are two hands; none where it is one hand or a path."""
+    text = str(name_or_path)
+    if JOIN not in text or os.path.exists(text):
+        return ()
+    return tuple(name.strip() for name in text.split(JOIN))
+
+
 def hand_reference(name_or_path: str | Path) -> str:
     """Reference to the same hand from any folder: the name, or the absolute path."""
     text = str(name_or_path)
+    if names := joined_names(name_or_path):
+        return JOIN.join(hand_reference(name) for name in names)
     is_name = text in hand_names() or (
         not os.path.exists(text) and (":" in text or text in FOREIGN_HANDS)
     )

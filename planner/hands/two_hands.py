@@ -27,8 +27,9 @@ from planner.hands.description_toml import read_toml, validated
 from planner.hands.fingers import Side
 from planner.hands.hand import Hand
 from planner.joints.description import FingerDescription, Finite, HandDescription, Positive, Vector
+from planner.kinematics.state import HandState
 from planner.schema import StrictData
-from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 
 PAIR = "pair"
 """Name of the root body, which the gantry carries."""
@@ -90,11 +91,18 @@ class PairDescription(StrictData):
     carriage: CarriageDescription = CarriageDescription()
 
 
+JOINED_NAMES = ("first", "second")
+"""What two hands are called that no file names."""
+
 CARRIAGE_RADIUS = 0.04
 """Radius (m) of the ball whose moment of inertia a carriage has: a wrist's."""
 
 HALF_TURN = float(np.pi)
 """How far (rad) the first hinge turns to either side."""
+
+HALF_APART = 0.25
+"""Distance (m) of a palm at rest from the middle of two hands that are named as ``ONE+OTHER``: room
+for an object as wide as a person takes between both hands."""
 
 CARRIED_ARM = 0.1
 """Radius of gyration (m) of carriage, hand and their share of an object about the palm, for the
@@ -119,31 +127,76 @@ def read_pair(path: Path) -> PairDescription:
     return found
 
 
-def two_hands(pair: PairDescription, hands: Sequence[Hand], path: Path, reference: str) -> Hand:
+def joined_hands(hands: Sequence[Hand], reference: str) -> Hand:
+    """Two hands as one that no file describes: palm to palm, fingers up, on the usual carriages.
+
+    Args:
+        hands: Both hands, each alone.
+        reference: What ``load_hand`` takes to get the same again: "ONE+OTHER".
+
+    Raises:
+        HandError: There are not two, or one is on an arm or two hands itself.
+    """
+    if len(hands) != len(JOINED_NAMES):
+        raise HandError(f"{reference} names {len(hands)} hands; join two, as in one+other")
+    held = [
+        HeldHand(
+            name=name,
+            hand=hand.reference or hand.name,
+            position=(0.0, -sign * HALF_APART, 0.0),
+            quaternion_wxyz=_facing(hand, np.array([0.0, sign, 0.0])),
+        )
+        for name, hand, sign in zip(JOINED_NAMES, hands, (1.0, -1.0), strict=True)
+    ]
+    pair = PairDescription(schema=1, name=reference, hands=(held[0], held[1]))
+    return two_hands(pair, hands, None, reference)
+
+
+def _facing(hand: Hand, direction: FloatArray) -> tuple[float, float, float, float]:
+    """Quaternion of a base at which the palm faces a horizontal direction (3,), fingers up."""
+    state = HandState(hand, hand.neutral)
+    palm = state.T_base_palm
+    facing = palm.rotation @ hand.palm_normal
+    ways = [state.pad_center(f) - palm.translation for f in hand.choose_fingers()]
+    ways = [way - facing * (facing @ way) for way in ways]
+    units = np.array([way / max(float(np.linalg.norm(way)), 1e-9) for way in ways])
+    along = units[int(np.argmax(np.sum(units @ units.T, axis=1)))]  # a thumb points elsewhere
+    up = np.array([0.0, 0.0, 1.0])
+    before = np.column_stack([facing, along, np.cross(facing, along)])
+    after = np.column_stack([direction, up, np.cross(direction, up)])
+    w, x, y, z = pose_to_wxyz(SE3(after @ before.T, np.zeros(3)))[1]
+    return float(w), float(x), float(y), float(z)
+
+
+def two_hands(
+    pair: PairDescription, hands: Sequence[Hand], path: Path | None, reference: str
+) -> Hand:
     """Two hands on carriages as one.
 
     Args:
         pair: The description.
         hands: Both hands, each alone.
-        path: Its file.
+        path: Its file; None if there is none.
         reference: What ``load_hand`` takes to get the same again.
 
     Raises:
         HandError: A hand is on an arm or a pair itself, or they do not fit.
         ModelError: MuJoCo refuses the whole.
     """
+    where = reference if path is None else str(path)
     for hand in hands:
         if hand.arm is not None or hand.pair:
             what = "is on an arm" if hand.arm is not None else "is two hands itself"
-            raise HandError(f"{path}: hands names {hand.name}, which {what}; name a hand alone")
-    _check_faces(path, pair, hands)
+            raise HandError(f"{where}: hands names {hand.name}, which {what}; name a hand alone")
+    _check_faces(where, pair, hands)
     spec = pair_spec(pair, hands)
-    content = b"".join(hand.digest.encode() for hand in hands) + path.read_bytes()
+    written = pair.model_dump_json().encode() if path is None else path.read_bytes()
+    content = b"".join(hand.digest.encode() for hand in hands) + written
     return hand_of_model(
         spec,
-        compile_spec(spec, str(path)),
+        compile_spec(spec, where),
         pair_description(pair, hands),
-        where=str(path),
+        where=where,
         path=path,
         reference=reference,
         digest=hashlib.sha256(content).hexdigest(),
@@ -226,7 +279,7 @@ def pair_description(pair: PairDescription, hands: Sequence[Hand]) -> HandDescri
     )
 
 
-def _check_faces(path: Path, pair: PairDescription, hands: Sequence[Hand]) -> None:
+def _check_faces(where: str, pair: PairDescription, hands: Sequence[Hand]) -> None:
     """Refuse palms that look away from each other at rest.
 
     Raises:
@@ -237,7 +290,7 @@ def _check_faces(path: Path, pair: PairDescription, hands: Sequence[Hand]) -> No
     for held, rest, toward in zip(pair.hands, rests, (way, -way), strict=True):
         if not rest.rotation[:, 0] @ toward > 0.0:
             raise HandError(
-                f"{path}: at rest the palm of {held.name!r} does not look towards the other hand; "
+                f"{where}: at rest the palm of {held.name!r} does not look towards the other hand; "
                 "turn it by its quaternion_wxyz, or exchange the positions"
             )
 
@@ -255,6 +308,7 @@ def sides_of(
             palm_normal=hand.palm_normal,
             carriage=np.array([joint_names.index(f"{held.name}/carriage_{a}") for a in AXES]),
             fingers=tuple(_called(held, name) for name in hand.fingers),
+            alone=hand,
         )
         for held, hand in zip(pair.hands, hands, strict=True)
     )
@@ -291,3 +345,14 @@ def _at_rest(held: HeldHand, hand: Hand) -> tuple[SE3, SE3]:
     axes: FloatArray = np.column_stack([facing, np.cross(across, facing), across])
     rest = SE3(axes, np.array(held.position))
     return rest, rest.inverse() * T_pair_palm * T_base_palm.inverse()
+
+
+def carriage_joints(moved: SE3) -> FloatArray:
+    """Joints (6,), m and rad, of a carriage that has moved so in its axes at rest.
+
+    moved = Trans(x, y, z) Rx Ry Rz.
+    """
+    R = moved.rotation
+    ry = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
+    rx, rz = np.arctan2(-R[1, 2], R[2, 2]), np.arctan2(-R[0, 1], R[0, 0])
+    return np.array([*moved.translation, rx, ry, rz])

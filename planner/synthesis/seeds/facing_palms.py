@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
+from planner.hands.two_hands import carriage_joints
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.seeds.enveloping import FAR, HANDS, EnvelopingSeeder, Palm, laid
 
@@ -178,14 +179,3 @@ class PairSeeder(EnvelopingSeeder):
         tips = np.mean([state.pad_center(hand.fingers[f]) for f in palm.side.fingers], axis=0)
         off = state.joint_pose(palm.pad.joint_id).actInv(tips) - palm.pad.center
         return np.asarray(off - palm.pad.axis * (palm.pad.axis @ off))
-
-
-def carriage_joints(moved: SE3) -> FloatArray:
-    """Joints (6,), m and rad, of a carriage that has moved so in its axes at rest.
-
-    moved = Trans(x, y, z) Rx Ry Rz.
-    """
-    R = moved.rotation
-    ry = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
-    rx, rz = np.arctan2(-R[1, 2], R[2, 2]), np.arctan2(-R[0, 1], R[0, 0])
-    return np.array([*moved.translation, rx, ry, rz])
