@@ -127,7 +127,11 @@ class SampleRecorder:
 
     def mark_reference(self) -> None:
         """From now on movement in the palm counts from how the object lies there now."""
-        self._reference = self._simulation.T_palm_object
+        self._reference = self._held_at()
+
+    def _held_at(self) -> SE3:
+        """Pose of the object where it is held: in the palm."""
+        return self._simulation.T_palm_object
 
     def _take(self, phase: str, row: dict[str, Any]) -> None:
         """Keep the state and the contacts of now, and a row of a table."""
@@ -180,7 +184,7 @@ class Recorder(SampleRecorder):
         with interrupts_wait():
             self._take(simulation.phase, row)
             self._poses.append(simulation.T_world_object)
-            self._in_palm.append((self._reference, simulation.T_palm_object))
+            self._in_palm.append((self._reference, self._held_at()))
             self._samples = None
 
     def samples(self) -> Samples:
@@ -270,7 +274,7 @@ class Recorder(SampleRecorder):
         """Movement (mm) and rotation (degrees) in the palm since the reference; NaN before."""
         if self._reference is None:
             return NAN, NAN
-        return pose_change(self._reference, self._simulation.T_palm_object)
+        return pose_change(self._reference, self._held_at())
 
 
 _ROW = ("time", "phase", "saturated")

@@ -191,10 +191,7 @@ class Trial:
             simulation.show()
         interrupted = False
         try:
-            for phase in PHASES:
-                if not run_grasp_phase(simulation, self.recorder, self.timeline, phase):
-                    self._not_lifted = phase == "lift"
-                    break
+            self.perform()
         except KeyboardInterrupt:
             interrupted = True
         finally:
@@ -218,6 +215,13 @@ class Trial:
             drawn=str(drawn),
         )
 
+    def perform(self) -> None:
+        """Run all phases, or up to the one after which going on makes no sense."""
+        for phase in PHASES:
+            if not run_grasp_phase(self.simulation, self.recorder, self.timeline, phase):
+                self._not_lifted = phase == "lift"
+                break
+
     def judged(self, begin: float, *, interrupted: bool = False) -> TrialReport:
         """The verdict on what was recorded so far, and its report.
 
@@ -225,9 +229,17 @@ class Trial:
             begin: When the run began, ``time.perf_counter()``, s.
             interrupted: Whether Ctrl-C ended it.
         """
+        compared = self._comparison()
+        return self._report(self._verdict(compared, interrupted), begin, compared)
+
+    def _comparison(self) -> tuple[FingerComparison, ...]:
+        """Planned against measured contacts while holding."""
+        return self.recorder.comparison()
+
+    def _verdict(self, compared: tuple[FingerComparison, ...], interrupted: bool) -> Verdict:
+        """The verdict on what was recorded so far."""
         simulation = self.simulation
-        compared = self.recorder.comparison()
-        verdict = judge(
+        return judge(
             self.recorder.samples(),
             fingers=self.plan.task.finger_names,
             needed=self.plan.task.fingers_needed,
@@ -239,7 +251,6 @@ class Trial:
             not_lifted="it was felt by too few fingers to be lifted" if self._not_lifted else "",
             contacts_off_mm={c.finger: c.position_error_mm for c in compared},
         )
-        return self._report(verdict, begin, compared)
 
     def _report(
         self, verdict: Verdict, begin: float, compared: tuple[FingerComparison, ...] = ()

@@ -249,29 +249,17 @@ def judge(
         contacts_off_mm: Finger -> distance of its mean contact in the hold from its planned one,
             mm; NaN without contact, which ``needed`` judges.
     """
+    if early := ended_early(samples, interrupted=interrupted, stopped=stopped, diverged=diverged):
+        return Verdict(early)
     end = float(samples.time[-1]) if len(samples) else 0.0
-    if diverged:
-        return Verdict(Fault(reason="diverged", detail=diverged, time=end))
-    if stopped:
-        detail = f"stopped by the caller after {end:.2f} s of simulated time: {stopped}"
-        return Verdict(Fault(reason="stopped", detail=detail, time=end))
-    early = Verdict(
-        Fault(
-            reason="interrupted",
-            detail=f"ended after {end:.2f} s of simulated time, before the hold was over",
-            time=end,
-        )
-    )
-    if interrupted:
-        return early
     faults = [
         fault
         for fault in (
             first_collision(
                 samples.time, samples.collision_N, samples.collision, thresholds.collision_N
             ),
-            _tipped(samples, thresholds),
-            _no_contact(samples, fingers, needed),
+            tipped(samples, thresholds),
+            no_contact(samples, fingers, needed),
             _lost(samples, fingers, needed, lift_mm, thresholds),
         )
         if fault is not None
@@ -280,17 +268,41 @@ def judge(
         return Verdict(Fault(reason="no contact", detail=not_lifted, time=end))
     if not faults:
         if not len(samples.during("hold")):
-            return early
-        return Verdict(other_grasp=_other_grasp(contacts_off_mm or {}, thresholds.contact_mm))
+            return Verdict(ended_early(samples, interrupted=True))
+        return Verdict(other_grasp=other_grasp(contacts_off_mm or {}, thresholds.contact_mm))
+    return Verdict(first_fault(faults, samples, thresholds))
+
+
+def ended_early(
+    samples: Samples, *, interrupted: bool = False, stopped: str = "", diverged: str = ""
+) -> Fault | None:
+    """Why a trial ended before its end; None if it did not. Arguments as in ``judge``."""
+    end = float(samples.time[-1]) if len(samples) else 0.0
+    if diverged:
+        return Fault(reason="diverged", detail=diverged, time=end)
+    if stopped:
+        detail = f"stopped by the caller after {end:.2f} s of simulated time: {stopped}"
+        return Fault(reason="stopped", detail=detail, time=end)
+    if interrupted:
+        detail = f"ended after {end:.2f} s of simulated time, before the hold was over"
+        return Fault(reason="interrupted", detail=detail, time=end)
+    return None
+
+
+def first_fault(faults: Sequence[Fault], samples: Samples, thresholds: Thresholds) -> Fault:
+    """The first of several faults, put down to actuators at their limits if they were."""
     first = min(faults, key=lambda fault: fault.time)
     if first.reason == "hand collided":
-        return Verdict(first)
-    under_load = samples.during("squeeze", "settle", "lift", "hold")
-    looks = [samples.saturated[i] for i in under_load if samples.time[i] <= first.time]
-    return Verdict(put_down_to_actuators(first, looks, thresholds.saturated_share))
+        return first
+    looks = [
+        names
+        for phase, time, names in zip(samples.phase, samples.time, samples.saturated, strict=True)
+        if phase not in ("approach", "close") and time <= first.time
+    ]
+    return put_down_to_actuators(first, looks, thresholds.saturated_share)
 
 
-def _other_grasp(off_mm: Mapping[str, float], limit_mm: float) -> str:
+def other_grasp(off_mm: Mapping[str, float], limit_mm: float) -> str:
     """The finger furthest from its planned contact, if that is beyond the limit; "" if none is."""
     far = {finger: mm for finger, mm in off_mm.items() if mm > limit_mm}
     if not far:
@@ -321,7 +333,8 @@ def first_collision(
     return Fault(reason="hand collided", detail=detail, time=float(time[i]))
 
 
-def _tipped(samples: Samples, thresholds: Thresholds) -> Fault | None:
+def tipped(samples: Samples, thresholds: Thresholds) -> Fault | None:
+    """An object that moved before the lift; None if it did not."""
     before = np.isin(np.array(samples.phase), ("approach", "close", "squeeze", "settle"))
     far = samples.moved_mm > thresholds.disturbed_mm
     far |= samples.turned_deg > thresholds.disturbed_deg
@@ -332,20 +345,37 @@ def _tipped(samples: Samples, thresholds: Thresholds) -> Fault | None:
         f"the object moved {samples.moved_mm[i]:.0f} mm and turned {samples.turned_deg[i]:.0f} "
         f"degrees before the lift, in phase {samples.phase[i]}"
     )
-    return _fault(samples, i, "tipped", detail)
+    return fault_at(samples, i, "tipped", detail)
 
 
-def _no_contact(samples: Samples, fingers: tuple[str, ...], needed: int) -> Fault | None:
-    index = samples.during("squeeze", "settle")
+def no_contact(
+    samples: Samples,
+    fingers: tuple[str, ...],
+    needed: int,
+    phases: tuple[str, ...] = ("squeeze", "settle"),
+    columns: slice = slice(None),
+) -> Fault | None:
+    """Too few fingers on the object at the end of phases; None if there are enough.
+
+    Args:
+        samples: What was recorded.
+        fingers: Names of the fingers that count.
+        needed: Fewest that can hold the object.
+        phases: At the end of which it counts.
+        columns: Where these fingers stand among those recorded.
+    """
+    index = samples.during(*phases)
     if len(index) == 0:
         return None
     i = int(index[-1])
-    touching = samples.contacts[i] > 0
+    touching = samples.contacts[i, columns] > 0
     if int(touching.sum()) >= needed:
         return None
     missing = [f for f, touches in zip(fingers, touching, strict=True) if not touches]
-    detail = f"after the squeeze {', '.join(missing)} did not touch; {needed} fingers are needed"
-    return _fault(samples, i, "no contact", detail)
+    detail = (
+        f"after the {phases[0]} {', '.join(missing)} did not touch; {needed} fingers are needed"
+    )
+    return fault_at(samples, i, "no contact", detail)
 
 
 def _lost(
@@ -370,7 +400,7 @@ def _lost(
             f"at the end {touching[last]} of {len(fingers)} fingers touched, and the object had "
             f"risen {samples.lift_mm[last]:.0f} of {lift_mm:.0f} mm"
         )
-        return _fault(samples, loose[0] if loose else last, "dropped", detail)
+        return fault_at(samples, loose[0] if loose else last, "dropped", detail)
     moved = [
         int(i)
         for i in index
@@ -382,10 +412,11 @@ def _lost(
         f"the object moved up to {largest(samples.slip_mm):.1f} mm and "
         f"{largest(samples.slip_deg):.1f} degrees in the hand, and ended {short:.1f} mm low"
     )
-    return _fault(samples, moved[0] if moved else last, "slipped", detail)
+    return fault_at(samples, moved[0] if moved else last, "slipped", detail)
 
 
-def _fault(samples: Samples, i: int, reason: Reason, detail: str) -> Fault:
+def fault_at(samples: Samples, i: int, reason: Reason, detail: str) -> Fault:
+    """A fault at the time of a sample."""
     return Fault(reason=reason, detail=detail, time=float(samples.time[i]))
 
 

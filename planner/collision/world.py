@@ -6,6 +6,7 @@ Which pairs there are is in ``planner.collision.pair_table``, how they are measu
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Collection
 
 import numpy as np
@@ -73,11 +74,21 @@ class CollisionWorld:
         self._all = np.ones(len(table.pairs), dtype=bool)
         self._queries: dict[tuple[int, int], DistancePair | MeshPair] = {}
         self._allowed: dict[frozenset[str], NDArray[np.bool_]] = {}
+        self._moving: dict[frozenset[str], NDArray[np.bool_]] = {}
         shape = task.object.shape
         hull = hull_pairs(hand, shape) if isinstance(shape, Mesh) else None
         self._sweep = Sweep(pairs.geometries, table, bounds, pairs.mesh, hull)
         self._around = np.flatnonzero(table.hand_environment_pairs)
         self._apart = np.flatnonzero(table.hand_environment_pairs | table.finger_pairs)
+
+    def of(self, task: GraspTask) -> CollisionWorld:
+        """The same geometry for other fingers, or another place of the base, of the same world.
+
+        Both are asked in turns; hand, object, its pose and the surroundings are the same.
+        """
+        other = copy.copy(self)
+        other.task = task
+        return other
 
     def distances(self, T_world_base: SE3, q: FloatArray) -> list[Clearance]:
         """Signed distance of every pair at base pose and q (nq,).
@@ -180,6 +191,20 @@ class CollisionWorld:
         moving = self._table.hand_environment_pairs | self._table.of_arm
         held = self._table.on_object & ~self._table.of_arm
         return self._nearest(moving if T_world_object is None else moving & ~held)
+
+    def nearest_of(self, T_world_base: SE3, q: FloatArray, moving: frozenset[str]) -> Clearance:
+        """The pair of smallest signed distance of which one of these geometries and another is.
+
+        Args:
+            T_world_base: Base pose.
+            q: Joints (nq,).
+            moving: Names of geometries, such as those of one hand of two.
+        """
+        if moving not in self._moving:
+            named = self._table.named
+            self._moving[moving] = np.array([(a in moving) != (b in moving) for a, b in named])
+        self._pairs.place(T_world_base, q)
+        return self._nearest(self._moving[moving])
 
     def swept_clearance_violation(
         self, T_world_base: SE3, q: FloatArray, way: FloatArray, clearance: float

@@ -35,6 +35,7 @@ from planner.files.data import (
     ArmData,
     ContactData,
     GraspData,
+    HandData,
     NotNegative,
     PlanFile,
     PoseData,
@@ -325,7 +326,19 @@ def pose_of_plan(path: Path | str) -> tuple[GraspTask, SE3, FloatArray]:
 def _with_hand(data: dict[str, Any], source: str, hand: Hand | None) -> tuple[PlanFile, Hand]:
     """A plan's data after the checks of its form, and the hand that they are for."""
     file = checked_file(PlanFile, data, source)
-    given = file.task.hand
+    hand = given_hand(file.task.hand, source, hand)
+    if list(hand.joint_names) != file.grasp.joint_names:
+        raise FileFormatError(f"{source} has other joints than {hand.name}; it is damaged")
+    return file, hand
+
+
+def given_hand(given: HandData, source: str, hand: Hand | None = None) -> Hand:
+    """The hand that a file names, or one that is to be the same.
+
+    Raises:
+        FileFormatError: It is another one.
+        PlannerError: It cannot be loaded.
+    """
     hand = hand or load_hand(given.description_path or given.name, download=False)
     hand = hand.rolling if given.rolling else hand
     if hand.digest != given.sha256:
@@ -334,9 +347,7 @@ def _with_hand(data: dict[str, Any], source: str, hand: Hand | None) -> tuple[Pl
             f"{hand.reference or hand.name}: the files have changed since; plan again, or give the "
             "hand that it was planned for"
         )
-    if list(hand.joint_names) != file.grasp.joint_names:
-        raise FileFormatError(f"{source} has other joints than {hand.name}; it is damaged")
-    return file, hand
+    return hand
 
 
 def _rebuild(file: PlanFile, hand: Hand, source: str) -> GraspPlan:

@@ -46,6 +46,9 @@ MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
 JOIN = "+"
 """Between the names of two hands that are to be one (``planner.hands.two_hands``)."""
 
+JOINED_NAMES = ("first", "second")
+"""What the two are called in the whole, which no file names."""
+
 PACKAGE_SCHEME = "package:"
 """``package:PACKAGE/PATH`` is a file inside an installed Python package."""
 
@@ -171,7 +174,14 @@ def hand_reference(name_or_path: str | Path) -> str:
     is_name = text in hand_names() or (
         not os.path.exists(text) and (":" in text or text in FOREIGN_HANDS)
     )
-    return text if is_name else str(Path(name_or_path).absolute())
+    if is_name:
+        return text
+    path = Path(name_or_path).absolute()
+    shipped = (models_dir() / "hands").resolve()
+    inside = path.resolve()
+    if inside.parent.parent == shipped and inside.name == DESCRIPTION_FILE:
+        return inside.parent.name
+    return str(path)
 
 
 def model_file(model: str, folder: Path) -> Path:

@@ -23,6 +23,7 @@ from planner.bridge import compile_spec
 from planner.bridge.edit import Carried, JointServo, carried_spec
 from planner.errors import HandError
 from planner.hands.build import hand_of_model
+from planner.hands.catalog import JOINED_NAMES
 from planner.hands.description_toml import read_toml, validated
 from planner.hands.fingers import Side
 from planner.hands.hand import Hand
@@ -90,9 +91,6 @@ class PairDescription(StrictData):
     hands: tuple[HeldHand, HeldHand]
     carriage: CarriageDescription = CarriageDescription()
 
-
-JOINED_NAMES = ("first", "second")
-"""What two hands are called that no file names."""
 
 CARRIAGE_RADIUS = 0.04
 """Radius (m) of the ball whose moment of inertia a carriage has: a wrist's."""

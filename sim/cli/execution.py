@@ -26,7 +26,6 @@ from sim.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from planner.plan import GraspPlan
     from sim.report import TrialReport
 
 POLICY = "policy:"
@@ -194,8 +193,11 @@ class TrialOptions(ExecutionOptions):
         if report.drawn and (self.verbose or self.video or picture):
             tell(report.drawn)
 
-    def trial(self) -> Callable[[GraspPlan, Path | None], TrialReport]:
+    def trial(self, *, handover: bool = False) -> Callable[[Any, Path | None], TrialReport]:
         """What executes a plan, with a progress bar on stderr, and draws it.
+
+        Args:
+            handover: Whether the plans are of handovers, not of grasps.
 
         Raises:
             PlannerError: A controller or physics that there is not, no display to view on, or a
@@ -205,17 +207,23 @@ class TrialOptions(ExecutionOptions):
 
         from sim.trial import simulate
 
-        parts = self.parts()
+        parts, simulated = self.parts(), simulate
+        if handover:
+            from sim.handover import hand_over
+
+            simulated = hand_over
+            if self.controller == ExecutionOptions.controller:
+                parts["controller"] = None  # its own
         if self.view:
             from sim.show.window import check_display
 
             check_display()
         check_films(self.video)
 
-        def execute(plan: GraspPlan, picture: Path | None) -> TrialReport:
+        def execute(plan: Any, picture: Path | None) -> TrialReport:
             with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
                 bar = progress.add_task("simulating", total=1.0)
-                return simulate(
+                return simulated(
                     plan,
                     **parts,
                     progress=lambda share: progress.update(bar, completed=share),

@@ -41,6 +41,10 @@ def run(
     out_dir: Annotated[
         Path | None, option("Folder for plan, report, its page and picture.", None, None, "--out")
     ] = None,
+    handover_to: Annotated[
+        str | None,
+        option("Then hand it over: a hand's name, or that of a pair's other hand.", "HAND", None),
+    ] = None,
     *,
     request: BestOptions,
     trial: TrialOptions,
@@ -51,28 +55,34 @@ def run(
     Files: plan.json, report.json, held.png, and report.html, to open in any browser: the motion,
     the forces over time, the numbers.
     """
-    from planner.files import plain_name, plan_to_dict, write_plan
+    from planner.files import plain_name, read_json, write_plan
     from planner.objects import parse_object
     from sim.report_file import write_report
 
     if out_dir is not None:
         make_folder(out_dir)
-    execute = trial.trial()
+    execute = trial.trial(handover=handover_to is not None)
     trial.check_policy(hand, lambda: parse_object(object, **request.told_of_object()), None)
-    plan = trial.reckoned(request).plan(hand, object)
+    request, plan, write = trial.reckoned(request), None, write_plan
+    if handover_to is None:
+        plan = request.plan(hand, object)
+    else:
+        from planner.files import write_handover
+
+        plan, write = request.handover(hand, object, handover_to), write_handover
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
     make_folder(folder)
     for old in ("report.json", "report.html", "held.png", "held-end.png"):  # of an earlier plan
         (folder / old).unlink(missing_ok=True)
-    write_plan(plan, folder / "plan.json")
+    write(plan, folder / "plan.json")
     if not as_json and trial.verbose:
         tell(str(plan))
     report = replace(execute(plan, folder / "held.png"), command=told_command(context))
     write_report(report.to_dict(), folder / "report.json")
     report.save_html(folder / "report.html")
     if as_json:
-        print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
+        print_json({"plan": read_json(folder / "plan.json"), "report": report.to_dict()})
     else:
         trial.show(report)
         picture = "held.png" if report.picture else f"no picture: {report.picture_reason}"

@@ -25,12 +25,31 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from planner.errors import NoGraspFoundError
+    from planner.motion.handover import HandoverPlan
     from planner.plan import GraspPlan
     from planner.search.grasp import Attempt
     from planner.synthesis.options import SynthesisOptions
     from planner.task import GraspTask
 
     Progress = Callable[[Attempt[GraspPlan]], bool]
+
+
+NOT_OF_HANDOVERS = (
+    "max_attempts",
+    "max_cpu_s",
+    "objective",
+    "task_wrench",
+    "rounds",
+    "best_of",
+    "keep",
+    "metric",
+    "fingers",
+    "type",
+    "grip_force",
+    "base",
+    "wrist",
+)
+"""Options of the search for one grasp, which ``--handover-to`` does not go with."""
 
 
 def _refuse_our_file(object: str) -> None:
@@ -122,6 +141,39 @@ class BestOptions(PlanOptions):
             "options": options,
             "progress": progress,
         }
+
+    def handover(self, hand: str, object: str, to: str) -> HandoverPlan:
+        """Plan a handover, with a spinner on stderr.
+
+        Args:
+            hand: The hand that grasps, or two hands.
+            object: What.
+            to: The hand that takes it, or the name of that one of two hands.
+
+        Raises:
+            PlannerError: Bad input, options that a handover does not have, or nothing was found.
+        """
+        from planner.errors import TaskError
+        from planner.hand_loading import load_hand
+        from planner.hands.catalog import JOINED_NAMES
+        from planner.motion.handover import plan_handover
+
+        _refuse_our_file(object)
+        unused = [
+            f"--{name.replace('_', '-')}"
+            for name in NOT_OF_HANDOVERS
+            if getattr(self, name) != getattr(type(self), name)
+        ]
+        if unused:
+            raise TaskError(
+                f"{', '.join(unused)} is for one grasp, and a handover has three; leave it out"
+            )
+        pair = load_hand(hand)
+        if not pair.pair:
+            pair, to = load_hand(f"{hand}+{to}"), JOINED_NAMES[-1]
+        task = self.task(pair, object)
+        with heeding_ctrl_c(at_once=True), err.status(f"handing over {task.object.name}"):
+            return plan_handover(task, to=to, seed=self.seed)
 
     def plan(self, hand: str, object: str) -> GraspPlan:
         """Plan with a spinner that counts attempts, and tells the best value, on stderr.

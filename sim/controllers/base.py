@@ -135,8 +135,11 @@ Phase: TypeAlias = Literal[
     "release",
     "open",
     "retreat",
+    "reach",
+    "take",
+    "transfer",
 ]
-"""A phase of a trial or a manipulation."""
+"""A phase of a trial, a manipulation or a handover."""
 
 PHASES: tuple[Phase, ...] = ("approach", "close", "squeeze", "settle", "lift", "hold")
 """Phases of a trial in order. A manipulation (``sim.manipulation``) turns the object in the hand,

@@ -156,6 +156,7 @@ class GraspController:
         q_ref: Posture (nq,) around which the hand is held at present, as encoders read it.
         calibration: Encoder offsets that the first touch found.
         friction: Dry friction of the joints that was felt before the first touch.
+        share: Share (-) of the planned forces that it presses with at present; may be set.
     """
 
     needs: tuple[Sense, ...] = ("touch", "object_pose")
@@ -186,6 +187,7 @@ class GraspController:
         self._torque = np.zeros(self._hand.nq)
         self._latched = False
         self._time = 0.0
+        self.share = 1.0
         self.q_ref = plan.q_pregrasp.copy()
         self._law_q = self.q_ref
 
@@ -203,7 +205,7 @@ class GraspController:
                 self._latched = True
                 self._servo.rest()
                 self.q_ref = observation.q.copy()
-            pressing = self._pressing_torque(observation)
+            pressing = self.share * self._pressing_torque(observation)
             if observation.phase == "squeeze":
                 ramp = float(minimum_jerk(np.asarray(observation.progress)))
                 pressing *= FIRST_SHARE + (1.0 - FIRST_SHARE) * ramp

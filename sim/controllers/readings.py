@@ -164,6 +164,15 @@ class PadReading:
             sliding=none.copy(),
         )
 
+    def of(self, rows: slice) -> PadReading:
+        """What some of the pads feel."""
+        vectors = ("normal_force", "force", "position", "normal", "sliding")
+        chosen = {name: getattr(self, name)[rows] for name in vectors}
+        if self.spin.shape == self.normal_force.shape:
+            chosen["spin"] = self.spin[rows]
+        slipping = None if self.slipping is None else self.slipping[rows]
+        return replace(self, **chosen, slipping=slipping)
+
     def moved(self, moves: Sequence[SE3]) -> PadReading:
         """The same with the vectors of each of the n pads moved."""
         turns = np.array([move.rotation for move in moves])
