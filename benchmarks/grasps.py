@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
@@ -13,8 +14,10 @@ from benchmarks.bench import HandOptions, ObjectsOption
 from benchmarks.common import PRIMITIVES, Setting, cells_of, task_of
 from benchmarks.summary import Columns, of, share, summary
 from planner.errors import NoGraspFoundError
+from planner.motion.handover import plan_handover
 from planner.search.grasp import plan_grasp
 from planner.synthesis.problem_cache import problems_for
+from planner.task import GraspTask
 from sim.cli.execution import physics_of, reality_of
 from sim.cli.options import (
     MassOption,
@@ -24,6 +27,8 @@ from sim.cli.options import (
     TypeOption,
     flag,
 )
+from sim.handover import hand_over
+from sim.report import TrialReport
 from sim.scene.carrier import Timeline
 from sim.tables import Row
 from sim.trial import simulate
@@ -46,6 +51,9 @@ class Options(HandOptions):
         bool,
         flag("--carry", "Lift by 0.2 m, turn by 45 degrees, tilt by 20, and hold for 5 s."),
     ] = False
+    handover: Annotated[
+        bool, flag("--handover", "The first of two hands hands each object to the second.")
+    ] = False
 
 
 def cases(options: Options) -> Iterator[Row]:
@@ -55,7 +63,11 @@ def cases(options: Options) -> Iterator[Row]:
         joint_error=reality.encoder_offset, grasp_type=options.type, mass=options.mass
     )
     physics = physics_of(options.physics, options.sim_mu)
-    given = {"physics": physics, "timeline": CARRIED if options.carry else Timeline()}
+    given = {
+        "physics": physics,
+        "timeline": CARRIED if options.carry else Timeline(),
+        "handover": options.handover,
+    }
     for cell in cells_of(options.hand_names, options.objects):
         for seed in range(options.seed, options.seed + options.n):
             yield {**cell, "seed": seed, **given, "reality": reality, "setting": setting}
@@ -69,6 +81,8 @@ def measure(case: Row) -> Row:
     force, per finger.
     """
     task = task_of(case["hand"], case["spec"], case["setting"])
+    if case["handover"]:
+        return _handed_over(task, case)
     row: Row = {"build_s": problems_for(task).build_s, "found": False}
     try:
         plan = plan_grasp(task, seed=case["seed"])
@@ -77,13 +91,29 @@ def measure(case: Row) -> Row:
         return row | {"attempts": len(error.attempts), "cpu_s": cpu_s, "reason": str(error)}
     reality = case["reality"].seeded(case["seed"])
     report = simulate(plan, physics=case["physics"], reality=reality, timeline=case["timeline"])
+    row |= {"attempts": plan.record.attempts, "cpu_s": plan.record.cpu_s}
+    return row | _told(report) | {"epsilon": plan.quality.epsilon}
+
+
+def _handed_over(task: GraspTask, case: Row) -> Row:
+    """The same of a handover; its CPU time is all of planning, with building."""
+    begin = time.process_time()
+    try:
+        plan = plan_handover(task, seed=case["seed"])
+    except NoGraspFoundError as error:
+        row: Row = {"found": False, "attempts": len(error.attempts), "reason": str(error)}
+        return row | {"cpu_s": time.process_time() - begin}
+    row = {"attempts": 1 + plan.take.record.attempt, "cpu_s": time.process_time() - begin}
+    row["epsilon"] = plan.both.quality.epsilon
+    return row | _told(hand_over(plan, physics=case["physics"]))
+
+
+def _told(report: TrialReport) -> Row:
+    """What a trial tells of a grasp that was found."""
     slip_mm, slip_deg = report.largest_slip
     off = report.comparison  # a finger that lost its contact has no error
-    return row | {
+    return {
         "found": True,
-        "attempts": plan.record.attempts,
-        "cpu_s": plan.record.cpu_s,
-        "epsilon": plan.quality.epsilon,
         "held": report.success,
         "reason": report.reason,
         "slip_mm": slip_mm,

@@ -18,6 +18,7 @@ from planner.system.package import lazy_names
 if TYPE_CHECKING:
     from sim.contacts import contacts_from_mujoco
     from sim.controllers import Controller, GraspController, ObjectImpedance, Observation
+    from sim.handover import HandoverTimeline, hand_over
     from sim.manipulation import ManipulationReport, ManipulationTimeline, manipulate
     from sim.protocols import ProtocolReport, run_protocol
     from sim.report import TrialReport
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Controller",
     "GraspController",
+    "HandoverTimeline",
     "ManipulationReport",
     "ManipulationTimeline",
     "ObjectImpedance",
@@ -45,6 +47,7 @@ __all__ = [
     "TrialOptions",
     "TrialReport",
     "contacts_from_mujoco",
+    "hand_over",
     "manipulate",
     "run_protocol",
     "simulate",
@@ -53,6 +56,7 @@ __all__ = [
 _HOMES = {
     "Controller": "sim.controllers",
     "GraspController": "sim.controllers",
+    "HandoverTimeline": "sim.handover",
     "ManipulationReport": "sim.manipulation",
     "ManipulationTimeline": "sim.manipulation",
     "ObjectImpedance": "sim.controllers",
@@ -67,6 +71,7 @@ _HOMES = {
     "TrialOptions": "sim.trial",
     "TrialReport": "sim.report",
     "contacts_from_mujoco": "sim.contacts",
+    "hand_over": "sim.handover",
     "manipulate": "sim.manipulation",
     "run_protocol": "sim.protocols",
     "simulate": "sim.trial",

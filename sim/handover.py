@@ -213,6 +213,7 @@ class HandoverTrial(Trial):
             raise TaskError("a handover has more phases than a trial; give a HandoverTimeline")
         timeline = replace(timeline, lift_height=handover.lift_height)
         self.handover = handover
+        self._not_taken = False
         self._controller = HandoverController(handover)
         super().__init__(
             executed(handover), replace(asked, timeline=timeline, controller=self._controller)
@@ -231,7 +232,8 @@ class HandoverTrial(Trial):
                 going_on = run_grasp_phase(simulation, self.recorder, self.timeline, phase)
             else:
                 going_on = self._run(simulation.run(phase, getattr(self.timeline, phase)))
-            if not going_on or (phase == "take" and not self._felt_enough()):
+            self._not_taken = going_on and phase == "take" and not self._felt_enough()
+            if not going_on or self._not_taken:
                 break
 
     def _felt_enough(self) -> bool:
@@ -275,6 +277,10 @@ class HandoverTrial(Trial):
         if early is not None:
             return Verdict(early)
         fault = judge_handover(samples, self.handover, self.thresholds)
+        if self._not_taken and (fault is None or fault.reason == "interrupted"):
+            taker = self.handover.taker
+            detail = f"too few fingers of {taker} felt the object to take it"
+            fault = Fault(reason="no contact", detail=detail, time=float(samples.time[-1]))
         if fault is not None:
             return Verdict(fault)
         off = {c.finger: c.position_error_mm for c in compared}

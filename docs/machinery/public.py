@@ -57,6 +57,7 @@ GROUPS: dict[str, list[str]] = {
     ],
     "Motions, gaits and manipulation": [
         "planner.motion",
+        "sim.handover",
         "sim.manipulation",
         "sim.learning",
     ],

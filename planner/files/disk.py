@@ -37,6 +37,9 @@ LONGEST_NAME = 100
 PART = re.compile(r"\.[0-9a-f]{16}\.part")
 """Name of a file that is being written, or was when its process was killed."""
 
+HANDOVER_FORMAT = "opposable-handover"
+"""Format of plans in which one hand gives the object to another."""
+
 MOVEMENT_FORMATS = (
     "opposable-movement",
     "opposable-motion",

@@ -8,12 +8,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import Field
+
 from planner.errors import FileFormatError
 from planner.failure import Failure
 from planner.files.data import TaskData, task_data, task_from_data
 from planner.files.disk import checked_file, read_json, write_json
 from planner.files.plans import given_hand, plan_from_dict, plan_to_dict
-from planner.joints.description import Positive
 from planner.motion.handover import HandoverPlan, put_together
 from planner.schema import StrictData
 from planner.version import written_by
@@ -27,7 +28,7 @@ class HandoverFile(StrictData):
     written_by: str
     task: TaskData
     to: str
-    lift_height_m: Positive
+    lift_height_m: float = Field(gt=0, allow_inf_nan=False)
     give: dict[str, Any]
     take: dict[str, Any]
 
@@ -58,7 +59,11 @@ def read_handover(path: Path | str) -> HandoverPlan:
         FileFormatError: Damaged, of another version, for other hands, or no handover.
         PlannerError: A hand or the object cannot be loaded.
     """
-    data, source = read_json(path, "handover file"), str(path)
+    return handover_from_dict(read_json(path, "handover file"), str(path))
+
+
+def handover_from_dict(data: dict[str, Any], source: str) -> HandoverPlan:
+    """The handover that plain data hold, checked like a file; errors as ``read_handover``."""
     file = checked_file(HandoverFile, data, source)
     task = task_from_data(file.task, given_hand(file.task.hand, source))
     give, take = (

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import coal
 import numpy as np
@@ -22,9 +22,6 @@ from planner.joints.couplings import Coupling, check_couplings, independent_coup
 from planner.joints.description import FingerDescription, HandDescription
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from planner.hands.hand import Hand
 
 __all__ = ["Finger", "Pad", "Resolver", "Side"]
 
@@ -118,7 +115,7 @@ class Side:
         palm_normal: Direction the palm faces (3,), unit, in that body's frame.
         carriage: Where the joints of its carriage stand in q (6,); empty for the only one.
         fingers: Names of its fingers.
-        alone: The hand alone, of two; None of the only one.
+        alone: The ``Hand`` alone, of two; None of the only one.
     """
 
     name: str
@@ -126,7 +123,7 @@ class Side:
     palm_normal: FloatArray
     carriage: IntArray
     fingers: tuple[str, ...]
-    alone: Hand | None = None
+    alone: Any = None
 
 
 class Resolver:

@@ -28,7 +28,6 @@ from planner.hands.description_toml import read_toml, validated
 from planner.hands.fingers import Side
 from planner.hands.hand import Hand
 from planner.joints.description import FingerDescription, Finite, HandDescription, Positive, Vector
-from planner.kinematics.state import HandState
 from planner.schema import StrictData
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 
@@ -152,10 +151,12 @@ def joined_hands(hands: Sequence[Hand], reference: str) -> Hand:
 
 def _facing(hand: Hand, direction: FloatArray) -> tuple[float, float, float, float]:
     """Quaternion of a base at which the palm faces a horizontal direction (3,), fingers up."""
-    state = HandState(hand, hand.neutral)
-    palm = state.T_base_palm
+    data = hand.pin_model.createData()
+    pin.framesForwardKinematics(hand.pin_model, data, hand.neutral)
+    palm = data.oMf[hand.palm_frame_id]
     facing = palm.rotation @ hand.palm_normal
-    ways = [state.pad_center(f) - palm.translation for f in hand.choose_fingers()]
+    tips = [data.oMf[f.tip_frame_id].translation for f in hand.choose_fingers()]
+    ways = [tip - palm.translation for tip in tips]
     ways = [way - facing * (facing @ way) for way in ways]
     units = np.array([way / max(float(np.linalg.norm(way)), 1e-9) for way in ways])
     along = units[int(np.argmax(np.sum(units @ units.T, axis=1)))]  # a thumb points elsewhere

@@ -8,6 +8,7 @@
 
 from planner.motion.ending import Rests, planned_ending
 from planner.motion.gait import plan_gait
+from planner.motion.handover import HandoverPlan, plan_handover
 from planner.motion.manipulation import manipulation_of, plan_manipulation, plan_regrasping
 from planner.motion.order import Lift, NoOrder, Order, find_order
 from planner.motion.path import ObjectPath
@@ -31,6 +32,7 @@ from planner.motion.task import manipulation_task, on_stand
 __all__ = [
     "Ending",
     "GaitPlan",
+    "HandoverPlan",
     "Knot",
     "Lift",
     "Limit",
@@ -53,6 +55,7 @@ __all__ = [
     "on_stand",
     "plan_back",
     "plan_gait",
+    "plan_handover",
     "plan_manipulation",
     "plan_motion",
     "plan_others",

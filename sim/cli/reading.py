@@ -124,12 +124,12 @@ def one_plan(path: Path) -> GraspPlan:
     """The plan of a file, or of a folder that holds one.
 
     Raises:
-        TaskError: The folder holds several, or the file is the plan of a movement.
+        TaskError: The folder holds several, or the file is the plan of a movement or a handover.
         FileFormatError: It holds none, or the file is none.
     """
     from planner.errors import TaskError, few_of, shown
     from planner.files import format_told, read_plan
-    from planner.files.disk import MOVEMENT_FORMATS
+    from planner.files.disk import HANDOVER_FORMAT, MOVEMENT_FORMATS
 
     files = listed_plans([path])
     if len(files) > 1:
@@ -143,6 +143,11 @@ def one_plan(path: Path) -> GraspPlan:
             f"{files[0]} is of the format {shown(kind)}, and the plan of a grasp is taken; "
             f"opposable manipulate --plan {files[0]} executes it in simulation, and opposable "
             "export --to ros2-trajectory writes its joints over time"
+        )
+    if kind == HANDOVER_FORMAT:
+        raise TaskError(
+            f"{files[0]} is the plan of a handover, and that of one grasp is taken; opposable test "
+            f"{files[0]} executes it"
         )
     return read_plan(files[0])
 

@@ -167,6 +167,8 @@ def _hold(
 ) -> None:
     """Execute each plan as it is; files belong to a single one."""
     from planner.errors import TaskError
+    from planner.files import format_told, read_handover
+    from planner.files.disk import HANDOVER_FORMAT
     from sim.report_file import PAGE_SUFFIXES, write_report
 
     check_folder(output, picture)
@@ -177,12 +179,16 @@ def _hold(
             "out, or give one plan"
         )
     keep_inputs(output, *files)
-    loaded = [one_plan(file) for file in files]
+    handed = [format_told(file) == HANDOVER_FORMAT for file in files]
+    loaded: list[Any] = [
+        read_handover(file) if is_handover else one_plan(file)
+        for file, is_handover in zip(files, handed, strict=True)
+    ]
     for plan in loaded:
         trial.check_policy(plan.task.hand, partial(getattr, plan.task, "object"), None)
-    execute = trial.trial()
     reports = []
-    for file, plan in zip(files, loaded, strict=True):
+    for file, plan, is_handover in zip(files, loaded, handed, strict=True):
+        execute = trial.trial(handover=is_handover)
         report = replace(execute(plan, picture), command=command)
         reports.append(report)
         page = None if output is None else output.with_suffix(".html")

@@ -6,7 +6,7 @@ from importlib import import_module
 
 from planner.errors import NoGraspFoundError
 from planner.files import plan_from_dict
-from planner.files.disk import MOVEMENT_FORMATS
+from planner.files.disk import HANDOVER_FORMAT, MOVEMENT_FORMATS
 from planner.files.movements import movement_from_dict
 from planner.pages.motion_page import motion_page
 from planner.pages.page import Page
@@ -52,6 +52,21 @@ PLAN = Kind(
     recognises=lambda target: target.format == FORMAT,
     shown=_plan,
     takes=frozenset({"alternatives"}),
+)
+"""See ``sim.show.targets``."""
+
+
+def _handover(target: Target, options: ViewOptions) -> Page:
+    from planner.files.handovers import handover_from_dict  # here: most files are none
+
+    assert target.data is not None
+    return plan_page(handover_from_dict(target.data, str(target.path)).both)
+
+
+HANDOVER = Kind(
+    name="a plan of a handover: the moment in which both hands hold",
+    recognises=lambda target: target.format == HANDOVER_FORMAT,
+    shown=_handover,
 )
 """See ``sim.show.targets``."""
 

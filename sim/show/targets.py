@@ -67,6 +67,7 @@ OURS = (
     "things:MESH",
     "reports:PLAN",
     "reports:MOTION",
+    "reports:HANDOVER",
     "reports:REPORT",
     "dataset:DATASET",
     "reports:PAGE",

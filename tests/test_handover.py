@@ -1,0 +1,292 @@
+"""Handing an object from one hand to the other: three grasps, the ways between, the trial."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planner import GraspTask, load_hand
+from planner.collision.world import CollisionWorld
+from planner.errors import FileFormatError, NoGraspFoundError, PlannerError
+from planner.files import read_handover, write_handover
+from planner.motion.handover import HandoverPlan, plan_handover
+from planner.spatial import SE3, FloatArray
+from sim import Timeline
+from sim.cli.reading import one_plan
+from sim.handover import HANDOVER_PHASES, HandoverTimeline, HandoverTrial, hand_over, judge_handover
+from sim.report import TrialReport
+from sim.verdict import Thresholds
+
+GRAVITY = 9.81
+QUICK = HandoverTimeline.quick(lift=1.0, reach=0.8, transfer=0.5, open=0.3, retreat=0.6, hold=0.5)
+
+
+def refused(word: str) -> pytest.RaisesExc[PlannerError]:
+    return pytest.raises(PlannerError, match=word)
+
+
+@pytest.fixture(scope="module")
+def plan() -> HandoverPlan:
+    return plan_handover(GraspTask.create("two_allegro_hands", "box:0.06x0.06x0.16"), seed=0)
+
+
+@pytest.fixture(scope="module")
+def report(plan: HandoverPlan) -> TrialReport:
+    return hand_over(plan, timeline=QUICK)
+
+
+class Pair:
+    """MuJoCo's own model of a pair, its base at a pose."""
+
+    def __init__(self, plan: HandoverPlan) -> None:
+        """Load it."""
+        self.model = plan.task.hand.mj_model
+        self.data = mujoco.MjData(self.model)
+        self._pose = plan.give.T_world_base
+
+    def put(self, q: FloatArray) -> None:
+        self.data.qpos[:] = q
+        mujoco.mj_forward(self.model, self.data)
+
+    def body(self, name: str) -> SE3:
+        body = self.data.body(name)
+        return self._pose * SE3(body.xmat.reshape(3, 3).copy(), body.xpos.copy())
+
+    def geoms(self, side: str) -> list[int]:
+        return [
+            i
+            for i in range(self.model.ngeom)
+            if self.model.geom(i).name.startswith(f"{side}/") and self.model.geom_contype[i]
+        ]
+
+    def apart(self, side: str, other: str) -> float:
+        """Least distance (m) of two hands, by MuJoCo."""
+        return min(
+            mujoco.mj_geomDistance(self.model, self.data, a, b, 0.05, None)
+            for a in self.geoms(side)
+            for b in self.geoms(other)
+        )
+
+
+def test_carriages_bring_both_hands_where_they_grasp_alone(plan: HandoverPlan) -> None:
+    pair = Pair(plan)
+    pair.put(plan.both.q)
+    for side, alone in zip((plan.giver, plan.taker), plan.alone, strict=True):
+        base = alone.task.hand.description.base_body
+        off = pair.body(f"{side}/{base}").actInv(alone.T_world_base)
+        assert np.allclose(off.homogeneous, np.eye(4), atol=1e-8)
+
+
+def test_each_hand_holds_alone_and_any_blend_of_their_forces_holds(plan: HandoverPlan) -> None:
+    give, take = plan.give.contacts, plan.take.contacts
+    weight = plan.task.object.mass * GRAVITY
+    center = plan.task.T_world_object.translation
+    for share in np.linspace(0.0, 1.0, 6):
+        total = np.zeros(6)
+        for contacts, part in ((give, 1.0 - share), (take, share)):
+            forces = part * contacts.forces_in_axes()
+            arms = contacts.positions - center
+            total[:3] += forces.sum(axis=0)
+            total[3:] += np.cross(arms, forces).sum(axis=0)
+            normal = (forces * contacts.normals).sum(axis=1)
+            along = np.linalg.norm(forces - normal[:, None] * contacts.normals, axis=1)
+            assert (along <= plan.task.mu * normal + 1e-9).all()
+        assert np.allclose(total, [0, 0, weight, 0, 0, 0], atol=1e-6)
+
+
+def test_motors_bear_the_forces_of_both(plan: HandoverPlan) -> None:
+    """By MuJoCo's Jacobians: torques J^T f and the hands' weight, within the actuators' limits."""
+    pair, hand = Pair(plan), plan.task.hand
+    model, data = pair.model, pair.data
+    pair.put(plan.take.q)
+    turn = plan.give.T_world_base.rotation
+    low, high = hand.actuation.torque_limits(plan.take.q).T
+    for share in (0.0, 0.5, 1.0):
+        torque = np.zeros(hand.nq)
+        for grasp, part in ((plan.give, 1.0 - share), (plan.take, share)):
+            points = grasp.contacts.positions - plan.give.T_world_base.translation
+            for finger, point, force in zip(
+                grasp.task.fingers, points @ turn, grasp.contacts.forces_in_axes(), strict=True
+            ):
+                jacobian = np.zeros((3, model.nv))
+                body = int(model.geom(finger.pad.geom).bodyid[0])
+                mujoco.mj_jac(model, data, jacobian, None, point, body)
+                torque += part * jacobian.T @ (turn.T @ force)
+        for body in range(1, model.nbody):
+            jacobian = np.zeros((3, model.nv))
+            mujoco.mj_jacBodyCom(model, data, jacobian, None, body)
+            torque += model.body_mass[body] * GRAVITY * jacobian.T @ turn.T @ [0.0, 0.0, 1.0]
+        assert (torque >= low - 1e-6).all()
+        assert (torque <= high + 1e-6).all()
+
+
+def test_hands_keep_apart_on_their_ways(plan: HandoverPlan) -> None:
+    """By MuJoCo's distances; the ways are straight between their points."""
+    pair = Pair(plan)
+    for way in (plan.way_in, np.vstack([plan.take.q, plan.way_out])):
+        for begin, end in pairwise(way):
+            for share in np.linspace(0.0, 1.0, 9):
+                pair.put(begin + share * (end - begin))
+                assert pair.apart(plan.giver, plan.taker) > 5e-4
+
+
+def test_the_taking_hand_waits_above_the_table(plan: HandoverPlan) -> None:
+    world = CollisionWorld(plan.give.task)
+    names = frozenset(g.name for g in plan.task.hand.geometries if g.name.startswith("left/"))
+    for pose in (plan.give.T_world_base, plan.give.T_world_base_start):
+        assert world.nearest_of(pose, plan.give.q, names).distance >= 0.01
+
+
+def test_an_object_is_handed_over(plan: HandoverPlan, report: TrialReport) -> None:
+    assert report.verdict.outcome == "held", report.verdict
+    samples, n = report.samples, len(plan.give.task.finger_names)
+    assert tuple(dict.fromkeys(samples.phase)) == HANDOVER_PHASES
+    end, held = samples.during("hold"), samples.during("reach")
+    planned = plan.take.contacts.forces[:, 0]
+    assert np.allclose(samples.normal_force[end][:, n:].mean(axis=0), planned, rtol=0.1)
+    assert not samples.normal_force[end][:, :n].any()
+    assert not samples.normal_force[held][:, n:].any()
+    assert abs(samples.lift_mm[end[-1]] - 1e3 * plan.lift_height) < 1.0
+    assert samples.slip_mm[end].max() < 2.0
+    assert [c.finger for c in report.comparison] == list(plan.take.task.finger_names)
+
+
+def test_forces_go_from_one_hand_to_the_other_along_a_ramp(
+    plan: HandoverPlan, report: TrialReport
+) -> None:
+    samples, n = report.samples, len(plan.give.task.finger_names)
+    moments = samples.during("transfer")
+    given, taken = samples.normal_force[moments][:, :n], samples.normal_force[moments][:, n:]
+    middle = len(moments) // 2
+    full = plan.give.contacts.forces[:, 0].sum(), plan.take.contacts.forces[:, 0].sum()
+    assert given[middle].sum() == pytest.approx(full[0] / 2, rel=0.25)
+    assert taken[middle].sum() == pytest.approx(full[1] / 2, rel=0.3)
+    assert (np.diff(given.sum(axis=1)) < 0.05 * full[0]).all()
+    assert (np.diff(taken.sum(axis=1)) > -0.05 * full[1]).all()
+
+
+def test_what_goes_wrong_is_named(plan: HandoverPlan, report: TrialReport) -> None:
+    samples, n = report.samples, len(plan.give.task.finger_names)
+    hold, open_, reach = (samples.during(phase) for phase in ("hold", "open", "reach"))
+
+    def reason(**changes: FloatArray) -> str:
+        fault = judge_handover(replace(samples, **changes), plan, Thresholds())
+        return "" if fault is None else f"{fault.reason}: {fault.detail}"
+
+    assert reason() == ""
+    contacts = samples.contacts.copy()
+    contacts[hold[-1], 0] = 1
+    assert "right still touched" in reason(contacts=contacts)
+    contacts = samples.contacts.copy()
+    contacts[open_[0], n:] = 0
+    assert reason(contacts=contacts).startswith("dropped")
+    contacts = samples.contacts.copy()
+    contacts[reach[0], :n] = 0
+    assert reason(contacts=contacts).startswith("dropped")
+    contacts = samples.contacts.copy()
+    contacts[samples.during("take", "transfer"), n] = 0
+    contacts[samples.during("take", "transfer"), n + 1] = 0
+    assert reason(contacts=contacts).startswith("no contact: after the take")
+    slip = samples.slip_mm.copy()
+    slip[hold[0]] = 6.0
+    assert reason(slip_mm=slip).startswith("slipped")
+    force = samples.collision_N.copy()
+    force[reach[0]] = 2.0
+    assert reason(collision_N=force).startswith("hand collided")
+
+
+def test_a_hand_that_feels_nothing_takes_nothing(
+    plan: HandoverPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = plan.give.task.finger_names
+    monkeypatch.setattr("sim.handover.felt_by", lambda simulation: names)
+    trial = HandoverTrial(plan, timeline=QUICK)
+    report = trial.run()
+    assert "too few fingers of left felt" in report.verdict.detail
+    assert report.samples.phase[-1] == "take"
+    assert (report.samples.contacts[-1, : len(names)] > 0).all()  # still held
+
+
+def test_a_file_holds_it_and_is_checked(plan: HandoverPlan, tmp_path: Path) -> None:
+    file = tmp_path / "plan.json"
+    write_handover(plan, file)
+    again = read_handover(file)
+    assert np.allclose(again.both.q, plan.both.q, atol=1e-9)
+    assert np.allclose(again.way_in, plan.way_in, atol=1e-9)
+    with refused(f"opposable test {file} executes it"):
+        one_plan(file)
+    data = json.loads(file.read_text())
+    data["take"]["grasp"]["q_rad"][3] += 0.2
+    file.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="take"):
+        read_handover(file)
+    data["lift_height_m"] = -1.0
+    file.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="lift_height_m"):
+        read_handover(file)
+
+
+def test_what_cannot_be_handed_over_is_said(plan: HandoverPlan) -> None:
+    with refused("takes two hands"):
+        plan_handover(GraspTask.create("allegro_hand", "box"))
+    task = GraspTask.create("two_allegro_hands", "box")
+    with refused("no hand to take the object is called 'leff'"):
+        plan_handover(task, to="leff")
+    with refused("lift_height"):
+        plan_handover(task, lift_height=0.0)
+    with refused("its own controller"):
+        HandoverTrial(plan, controller="feedforward")
+    with refused("HandoverTimeline"):
+        HandoverTrial(plan, timeline=Timeline())
+    small = GraspTask.create("two_allegro_hands", "box:0.025x0.025x0.025")
+    with pytest.raises(NoGraspFoundError, match="room for both hands"):
+        plan_handover(small, rounds=1)
+
+
+def test_two_hands_by_their_names() -> None:
+    hand = load_hand("shadow_hand+allegro_hand_left")
+    assert hand.reference == "shadow_hand+allegro_hand_left"
+    assert [side.name for side in hand.sides] == ["first", "second"]
+    data = mujoco.MjData(hand.mj_model)
+    data.qpos[:] = hand.neutral
+    mujoco.mj_kinematics(hand.mj_model, data)
+    palms = [data.body(side.palm_body) for side in hand.sides]
+    looks = [
+        palm.xmat.reshape(3, 3) @ side.palm_normal
+        for palm, side in zip(palms, hand.sides, strict=True)
+    ]
+    assert np.allclose(looks[0], [0, 1, 0], atol=1e-9)
+    assert np.allclose(looks[1], [0, -1, 0], atol=1e-9)
+    assert np.allclose([palm.xpos for palm in palms], [[0, -0.25, 0], [0, 0.25, 0]], atol=1e-9)
+    up = [data.site(hand.fingers[f"{side.name}_index"].tip_frame).xpos[2] for side in hand.sides]
+    assert min(up) > 0.05
+    for name, word in (
+        ("allegro_hand+", "missing beside the plus"),
+        ("allegro_hand+nobody", "nobody"),
+        ("allegro_hand+allegro_hand+allegro_hand", "names 3 hands"),
+        ("allegro_hand+two_allegro_hands", "is two hands itself"),
+    ):
+        with refused(word):
+            load_hand(name)
+
+
+@settings(max_examples=3, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_the_nearest_of_one_hand_is_the_least_of_its_distances(seed: int) -> None:
+    hand = load_hand("two_allegro_hands")
+    task = GraspTask.create(hand, "box:0.2x0.2x0.2")
+    world, rng = CollisionWorld(task), np.random.default_rng(seed)
+    q = hand.q_lower + rng.uniform(0.2, 0.8, hand.nq) * (hand.q_upper - hand.q_lower)
+    mine = frozenset(g.name for g in hand.geometries if g.name.startswith("left/"))
+    assert task.T_world_base is not None
+    pairs = world.distances(task.T_world_base, q)
+    expected = min(c.distance for c in pairs if (c.first in mine) != (c.second in mine))
+    assert world.nearest_of(task.T_world_base, q, mine).distance == pytest.approx(expected)
