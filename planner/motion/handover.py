@@ -49,7 +49,7 @@ from planner.verification.grasp import no_closure, no_forces, plan_forces, verif
 
 __all__ = ["HandoverPlan", "plan_handover", "put_together"]
 
-ROUNDS = 12
+ROUNDS = 20
 """Rounds of a search, each of which adds one grasp to give with and ``TAKES`` to take with."""
 
 TAKES = 6
@@ -64,6 +64,13 @@ SPINS = 24
 LEAST_OPPOSED = float(np.cos(np.deg2rad(40.0)))
 """Cosine between the directions in which both palms look from which on both hands would come from
 one side: carriages tilt by 69 degrees."""
+
+LEAST_APART = 0.012
+"""Distance (m) of a contact of one hand from one of the other below which their tips would meet:
+less than the diameter of the thinnest fingertip."""
+
+WORTH_APART = 0.03
+"""Distance (m) of contacts that is worth as much as palms that look at right angles, not alike."""
 
 BACK = (0.0, 0.08, 0.16, 0.24)
 """Distances (m) beyond the begin of its way in at which the taking hand may wait, tried so."""
@@ -159,7 +166,7 @@ def plan_handover(
         pairs = [(g, t) for g in mine for t in more]
         pairs += [(g, t) for g in new for t in (*others, *more)]
         mine, others = mine + new, others + more
-        for give, take in sorted(pairs, key=_alike):
+        for give, take in sorted(pairs, key=_order):
             begin = planning_time()
             found = meeting.plan(give, take)
             index, used = len(made), planning_time() - begin
@@ -245,9 +252,20 @@ def _looks(plan: GraspPlan) -> FloatArray:
     return np.asarray(plan.T_world_palm.rotation @ plan.task.hand.palm_normal)
 
 
-def _alike(pair: tuple[GraspPlan, GraspPlan]) -> float:
-    """How much two palms look in one direction (-): opposed ones are tried first."""
-    return float(_looks(pair[0]) @ _looks(pair[1]))
+def _alike(give: GraspPlan, take: GraspPlan) -> float:
+    """How much two palms look in one direction (-)."""
+    return float(_looks(give) @ _looks(take))
+
+
+def _apart(give: GraspPlan, take: GraspPlan) -> float:
+    """Least distance (m) of a contact of one hand from one of the other."""
+    ways = give.contacts.positions[:, None] - take.contacts.positions[None]
+    return float(np.linalg.norm(ways, axis=2).min())
+
+
+def _order(pair: tuple[GraspPlan, GraspPlan]) -> float:
+    """The smaller, the earlier a pair is tried: palms opposed, contacts apart."""
+    return _alike(*pair) - _apart(*pair) / WORTH_APART
 
 
 class _Carried:
@@ -306,8 +324,10 @@ class _Meeting:
 
     def plan(self, give: GraspPlan, take: GraspPlan) -> HandoverPlan | Failure:
         """A handover with these grasps, or why it is none."""
-        if _alike((give, take)) > LEAST_OPPOSED:
+        if _alike(give, take) > LEAST_OPPOSED:
             return Failure(kind="one_side", text="both hands would come from one side")
+        if _apart(give, take) < LEAST_APART:
+            return Failure(kind="contacts_meet", text="both hands would touch at one place")
         pair = self._placed(give, take)
         if pair is None:
             return Failure(kind="carriage_reach", text="the carriages do not reach both grasps")
