@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -70,7 +71,7 @@ class Pair:
     def apart(self, side: str, other: str) -> float:
         """Least distance (m) of two hands, by MuJoCo."""
         return min(
-            mujoco.mj_geomDistance(self.model, self.data, a, b, 0.05, None)
+            float(mujoco.mj_geomDistance(self.model, self.data, a, b, 0.05, None))
             for a in self.geoms(side)
             for b in self.geoms(other)
         )
@@ -177,7 +178,7 @@ def test_what_goes_wrong_is_named(plan: HandoverPlan, report: TrialReport) -> No
     samples, n = report.samples, len(plan.give.task.finger_names)
     hold, open_, reach = (samples.during(phase) for phase in ("hold", "open", "reach"))
 
-    def reason(**changes: FloatArray) -> str:
+    def reason(**changes: Any) -> str:
         fault = judge_handover(replace(samples, **changes), plan, Thresholds())
         return "" if fault is None else f"{fault.reason}: {fault.detail}"
 

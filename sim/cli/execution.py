@@ -207,7 +207,8 @@ class TrialOptions(ExecutionOptions):
 
         from sim.trial import simulate
 
-        parts, simulated = self.parts(), simulate
+        parts = self.parts()
+        simulated: Callable[..., TrialReport] = simulate
         if handover:
             from sim.handover import hand_over
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -63,9 +63,9 @@ def run(
         make_folder(out_dir)
     execute = trial.trial(handover=handover_to is not None)
     trial.check_policy(hand, lambda: parse_object(object, **request.told_of_object()), None)
-    request, plan, write = trial.reckoned(request), None, write_plan
+    request, write = trial.reckoned(request), cast(Any, write_plan)
     if handover_to is None:
-        plan = request.plan(hand, object)
+        plan: Any = request.plan(hand, object)
     else:
         from planner.files import write_handover
 
@@ -82,7 +82,9 @@ def run(
     write_report(report.to_dict(), folder / "report.json")
     report.save_html(folder / "report.html")
     if as_json:
-        print_json({"plan": read_json(folder / "plan.json"), "report": report.to_dict()})
+        print_json(
+            {"plan": read_json(folder / "plan.json", "plan file"), "report": report.to_dict()}
+        )
     else:
         trial.show(report)
         picture = "held.png" if report.picture else f"no picture: {report.picture_reason}"
