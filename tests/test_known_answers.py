@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import math
+import re
+from dataclasses import fields
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.optimize import lsq_linear
 
 from planner.describe.report import LEAST_HEIGHT, fitting_objects
+from planner.failure import Failure
 from planner.objects import parse_object
 from planner.synthesis.link_capsules import closest_on_segments
 from planner.synthesis.terms.fingers import nearest
+from planner.spatial import SE3
+from planner.task import GraspTask
+from sim.manipulation.run import ManipulationRun
+from sim.sensing.reality import REALITIES
 from sim.sensing.touch.estimate import GRID, ContactEstimate, TaxelFrictionEstimator
 
 
@@ -66,3 +76,89 @@ def test_objects_that_fit_a_hand_are_half_as_tall_again_as_wide() -> None:
         np.testing.assert_allclose(cylinder, [scale * width, scale * width, tall], atol=2e-3)
         np.testing.assert_allclose(sphere, scale * width, atol=2e-3)
         np.testing.assert_allclose(box, [0.85 * scale * width] * 2 + [tall], atol=2e-3)
+
+
+SENSORS_PAGE = Path(__file__).parents[1] / "docs" / "how" / "sensors.md"
+
+ROWS = {
+    "joint offset": "encoder_offset",
+    "joint scale": "encoder_scale",
+    "joint reading, joint velocity": "encoder_noise rate_noise",
+    "joint resolution": "encoder_step",
+    "backlash between servo and joint": "backlash",
+    "dry friction per joint, beyond the model's": "dry_friction",
+    "actuator force": "torque_constant",
+    "commands: delay, rate": "command_delay command_rate",
+    "object pose, white noise": "pose_noise turn_noise",
+    "object pose, drift over 1 s": "pose_drift turn_drift",
+    "object pose: rate, delay": "pose_rate pose_delay",
+    "dropouts: probability per pose, duration": "dropout dropout_time",
+    "touch: force, sliding velocity": "touch_noise sliding_noise",
+    "touch: force scale, per finger": "touch_scale",
+    "touch: position on the pad, drift over 1 s": "touch_place",
+    "touch: resolution, threshold": "touch_step touch_threshold",
+    "touch: rate, delay": "touch_rate touch_delay",
+    "object size": "object_size",
+    "object mass": "object_mass",
+    "centre of mass, share of half the extents": "object_center",
+    "object friction": "object_friction",
+}
+"""Rows of the page's table of presets and the fields of ``Reality`` that they tell."""
+
+UNITS = {"°": math.pi / 180, "%": 0.01, "mm": 1e-3, "ms": 1e-3, "mm/s": 1e-3}
+"""Others are those of the fields."""
+
+
+@pytest.mark.parametrize(("name", "column"), [("lab", 2), ("rough", 3)])
+def test_presets_of_sensor_errors_are_those_of_the_page(name: str, column: int) -> None:
+    lines = SENSORS_PAGE.read_text(encoding="utf-8").splitlines()
+    cells = [[c.strip() for c in line.strip("| ").split(" | ")] for line in lines]
+    told = {row[0]: row[column] for row in cells if len(row) == 4 and row[0] in ROWS}
+    assert set(told) == set(ROWS)
+    preset = REALITIES[name]
+    for row, names in ROWS.items():
+        values = told[row].split(", ")
+        for field, value in zip(names.split(), values * len(names.split()), strict=False):
+            number, unit = re.fullmatch(r"([\d.]+)\s*(.*)", value).groups()  # type: ignore[union-attr]
+            known = getattr(preset, field)
+            if known != np.inf and not (known == 0.0 and field.endswith(("_time", "_rate"))):
+                assert known == pytest.approx(float(number) * UNITS.get(unit, 1.0), rel=2e-3), field
+    told_fields = set(" ".join(ROWS.values()).split())
+    numbers = {f.name for f in fields(preset) if f.type == "float"}
+    assert numbers - told_fields <= {"pose_bias", "turn_bias", "drift_time"}
+
+
+@pytest.mark.parametrize("strokes", [1, 2])
+def test_half_a_turn_that_would_fall_goes_back_by_one_stroke_alone(strokes: int) -> None:
+    """A gait cannot be reversed: fingers stand elsewhere. A stroke is, to where it began."""
+    task = GraspTask.create("allegro_hand", "box:0.05x0.05x0.08")
+    first = task.T_world_object
+    tilted = SE3(pin.exp3(0.4 * np.eye(3)[1]), np.array([0.01, 0.02, 0.1]))
+    grasp: Any = SimpleNamespace(
+        task=task, q_pregrasp=task.hand.neutral, pregrasp_distance=0.0, T_world_base_start=first,
+        arm=None,
+    )  # fmt: skip
+    plan: Any = SimpleNamespace(
+        path=SimpleNamespace(axis=np.eye(3)[1]),
+        ending=SimpleNamespace(back=""),
+        cycles=strokes,
+        task=task,
+        grasp=grasp,
+    )
+    run: Any = SimpleNamespace(
+        plan=plan,
+        sim=SimpleNamespace(
+            simulation=SimpleNamespace(plan=grasp),
+            reading=SimpleNamespace(T_world_object=lambda: tilted),
+        ),
+    )
+    ending = ManipulationRun.put_down(run)
+    if strokes > 1:
+        assert isinstance(ending, Failure) and ending.kind == "falls"
+    else:
+        assert not isinstance(ending, Failure)
+        assert ending.back == "half-way it does not stand"
+        np.testing.assert_allclose(ending.T_world_target.rotation, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(
+            ending.T_world_target.translation, [0.01, 0.02, first.translation[2]], atol=1e-12
+        )
