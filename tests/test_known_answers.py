@@ -17,9 +17,9 @@ from scipy.optimize import lsq_linear
 from planner.describe.report import LEAST_HEIGHT, fitting_objects
 from planner.failure import Failure
 from planner.objects import parse_object
+from planner.spatial import SE3
 from planner.synthesis.link_capsules import closest_on_segments
 from planner.synthesis.terms.fingers import nearest
-from planner.spatial import SE3
 from planner.task import GraspTask
 from sim.manipulation.run import ManipulationRun
 from sim.sensing.reality import REALITIES
