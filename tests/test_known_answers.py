@@ -21,6 +21,7 @@ from planner.spatial import SE3
 from planner.synthesis.link_capsules import closest_on_segments
 from planner.synthesis.terms.fingers import nearest
 from planner.task import GraspTask
+from sim.crosscheck import reader
 from sim.manipulation.run import ManipulationRun
 from sim.sensing.reality import REALITIES
 from sim.sensing.touch.estimate import GRID, ContactEstimate, TaxelFrictionEstimator
@@ -162,3 +163,7 @@ def test_half_a_turn_that_would_fall_goes_back_by_one_stroke_alone(strokes: int)
         np.testing.assert_allclose(
             ending.T_world_target.translation, [0.01, 0.02, first.translation[2]], atol=1e-12
         )
+
+
+def test_the_child_that_reads_models_finds_this_package() -> None:
+    assert reader.PACKAGES / "sim" / "crosscheck" / "reader.py" == Path(reader.__file__).resolve()
