@@ -15,8 +15,12 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from planner.describe.report import LEAST_HEIGHT, fitting_objects
+from planner.errors import HandError
 from planner.failure import Failure
+from planner.hand_loading import load_hand
+from planner.hands.two_hands import _check_faces
 from planner.objects import parse_object
+from planner.shapes import Mesh
 from planner.spatial import SE3
 from planner.synthesis.link_capsules import closest_on_segments
 from planner.synthesis.terms.fingers import nearest
@@ -166,4 +170,34 @@ def test_half_a_turn_that_would_fall_goes_back_by_one_stroke_alone(strokes: int)
 
 
 def test_the_child_that_reads_models_finds_this_package() -> None:
-    assert reader.PACKAGES / "sim" / "crosscheck" / "reader.py" == Path(reader.__file__).resolve()
+    assert Path(reader.__file__).resolve() == reader.PACKAGES / "sim" / "crosscheck" / "reader.py"
+
+
+@pytest.mark.parametrize(("order", "fits"), [((0, 1), True), ((1, 0), False)])
+@pytest.mark.parametrize("middle", [0.0, 1.0, -1.0])
+def test_two_palms_look_at_each_other_wherever_the_pair_stands(
+    middle: float, order: tuple[int, int], fits: bool
+) -> None:
+    places = [(0.0, middle - 0.25, 0.0), (0.0, middle + 0.25, 0.0)]
+    half = math.sqrt(0.5)
+    held: Any = [
+        SimpleNamespace(name=name, position=places[k], quaternion_wxyz=(half, 0.0, 0.0, turn))
+        for name, k, turn in (("right", order[0], half), ("left", order[1], -half))
+    ]
+    hands = [load_hand("allegro_hand"), load_hand("allegro_hand_left")]
+    pair: Any = SimpleNamespace(hands=held)
+    if fits:
+        _check_faces(Path("pair.toml"), pair, hands)
+    else:
+        with pytest.raises(HandError, match="'right' does not look towards the other hand"):
+            _check_faces(Path("pair.toml"), pair, hands)
+
+
+@pytest.mark.parametrize("radius", [0.03, 0.05])
+def test_a_teacups_handle_stands_off_by_three_quarters_of_its_radius(radius: float) -> None:
+    cup = parse_object(f"teacup:{radius}x0.09x0.002").shape
+    assert isinstance(cup, Mesh)
+    long, wide, high = np.ptp(cup.vertices, axis=0)
+    assert (wide, high) == pytest.approx((2 * radius, 0.09))
+    thick = long - 2 * radius - 0.75 * radius  # half the handle's thickness
+    assert 0.002 < thick < 0.006
