@@ -14,13 +14,16 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import lsq_linear
 
+from planner.bridge.structure import JointPart
 from planner.describe.report import LEAST_HEIGHT, fitting_objects
+from planner.describe.servos import missing_servos
 from planner.errors import HandError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.two_hands import _check_faces
 from planner.objects import parse_object
 from planner.shapes import Mesh
+from planner.shapes.field.mesh_field import _one_of_each_cube
 from planner.spatial import SE3
 from planner.synthesis.link_capsules import closest_on_segments
 from planner.synthesis.terms.fingers import nearest
@@ -201,3 +204,34 @@ def test_a_teacups_handle_stands_off_by_three_quarters_of_its_radius(radius: flo
     assert (wide, high) == pytest.approx((2 * radius, 0.09))
     thick = long - 2 * radius - 0.75 * radius  # half the handle's thickness
     assert 0.002 < thick < 0.006
+
+
+@pytest.mark.parametrize(("kind", "believed", "filler", "usual"), [
+    ("hinge", 5.0, 5.1, 0.7), ("slide", 500.0, 510.0, 20.0),
+])  # fmt: skip
+def test_efforts_that_no_finger_has_are_not_proposed(
+    kind: str, believed: float, filler: float, usual: float
+) -> None:
+    """URDF files hold 30, 100 or 1000 where nobody knew."""
+    efforts = (believed, filler, math.inf, 0.0)
+    joints = [
+        JointPart(name=str(k), body=k, kind=kind, limits=None, damping=0.0, frictionloss=0.0,
+                  armature=0.0, effort=effort)
+        for k, effort in enumerate(efforts)
+    ]  # fmt: skip
+    asked: list[str] = []
+    notes: Any = SimpleNamespace(because=lambda *_: None, ask=asked.append)
+    structure: Any = SimpleNamespace(joints=joints)
+    servos = missing_servos(structure, [], range(4), np.full(4, 1e-5), notes)
+    force = {name: servo.force_limit for servo in servos for name in servo.joints}
+    assert force == {"0": believed, "1": usual, "2": usual, "3": usual}
+    assert f"up to {filler:g} N m on 1, 3" in asked[0]
+
+
+@pytest.mark.parametrize("shape", [(2, 7, 3), (7, 2, 3), (3, 5, 9)])
+def test_one_point_of_each_cube_is_kept(shape: tuple[int, int, int]) -> None:
+    grid = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    points = np.concatenate([0.01 * grid, 0.01 * grid + 0.004])
+    kept = _one_of_each_cube(points, 0.01 - 1e-9)
+    assert len(kept) == len(grid)
+    assert len({tuple(c) for c in np.floor(points[kept] / 0.01 + 1e-6).astype(int)}) == len(grid)
