@@ -34,7 +34,7 @@ from planner.quality.cones import contact_wrenches
 from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.mesh_surface import surface_of
-from planner.verification.geometry import EDGE_RADIUS, EDGE_SPREAD
+from planner.tolerances import EDGE_RADIUS, EDGE_SPREAD
 from sim.cli.options import MuOption
 from sim.tables import Row, number
 

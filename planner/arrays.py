@@ -13,16 +13,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from math import isfinite, isnan
 from numbers import Integral
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from planner.errors import ContactError, PlannerError, TaskError, shown
 from planner.spatial import FloatArray
 
+T = TypeVar("T")
+
 __all__ = [
     "check_fields",
     "checked_count",
+    "checked_kind",
     "checked_number",
     "finite",
     "finite_array",
@@ -172,6 +175,17 @@ def checked_count(
     if not whole or not least <= int(value) <= most:
         raise error(f"{what} is {shown(value)}; give a whole number from {least} to {most}")
     return int(value)
+
+
+def checked_kind(name: str, value: Any, kind: type[T], error: type[PlannerError] = TaskError) -> T:
+    """Something of a class.
+
+    Raises:
+        TaskError: It is of another; ``error`` if given.
+    """
+    if not isinstance(value, kind):
+        raise error(f"{name} is {shown(value)}; give a {kind.__name__}")
+    return value
 
 
 def check_fields(

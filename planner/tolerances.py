@@ -7,11 +7,15 @@ shares and margins without unit.
 
 from __future__ import annotations
 
+import math
+
 __all__ = [
     "ANGLE_TOL",
     "CLOSURE_EDGES",
     "CLOSURE_MARGIN",
     "DEFAULT_MU",
+    "EDGE_RADIUS",
+    "EDGE_SPREAD",
     "FLAT_ANGLE_TOL",
     "FRICTION_SHARE",
     "JOINT_TOL",
@@ -34,6 +38,13 @@ ANGLE_TOL = 1e-3
 
 FLAT_ANGLE_TOL = 0.15
 """The same where the pad's sphere approximates a box or a hull: its normals differ by that much."""
+
+EDGE_RADIUS = 0.002
+"""How far (m) around a contact normals are looked at: what a pad creeps and rolls in a grasp. On an
+edge a pad that creeps by a millimetre meets another normal."""
+
+EDGE_SPREAD = math.radians(25.0)
+"""Largest dispersion of normals there (rad); it is 45 degrees on a right-angled edge."""
 
 JOINT_TOL = 1e-6
 """How far (rad) couplings and joint limits may be violated: the solver's accuracy."""

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 
-from planner.arrays import checked_number
+from planner.arrays import checked_kind, checked_number
 from planner.errors import TaskError
 from planner.files import given_plan
 from planner.plan import GraspPlan
@@ -89,11 +89,15 @@ class TrialOptions:
     estimator: AnyEstimator | None = None
 
     def __post_init__(self) -> None:
-        """Check the time between samples.
+        """Check the time between samples, timeline and thresholds.
 
         Raises:
-            TaskError: It is out of range.
+            TaskError: The time is out of range, or one of the others is something else.
         """
+        if self.timeline is not None:
+            checked_kind("timeline", self.timeline, Timeline)
+        if self.thresholds is not None:
+            checked_kind("thresholds", self.thresholds, Thresholds)
         checked_number(
             "record_every, which is what the verdict sees,", self.record_every, above=0.0,
             most=LONGEST_PERIOD, unit="s", error=TaskError,

@@ -21,6 +21,7 @@ from planner.proximity.convex import DistancePair
 from planner.shapes import Box, LBracket, Mesh, Mug, Sphere, Torus
 from planner.shapes.field.distance_field import DistanceField
 from planner.shapes.field.mesh_field import SMOOTHED_MOST, fit_mesh_field
+from planner.shapes.mesh import THIN
 from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.triangles import COVERED, cover, nearest_on_triangles, winding_number
 from planner.spatial import SE3, FloatArray
@@ -319,6 +320,13 @@ def test_the_thickness_of_walls() -> None:
     # an L-bracket's own size of that name is another one
     bracket = LBracket()
     assert bracket.wall_thickness < 0.9 * bracket.thickness
+
+
+def test_a_narrow_bar_is_no_thin_wall() -> None:
+    bar, plate = box_mesh((0.012, 0.012, 0.06)), box_mesh((0.05, 0.05, 0.004))
+    assert max(bar.wall_thickness, plate.wall_thickness) < THIN
+    assert plate.thin_walled
+    assert not bar.thin_walled
 
 
 # --- the field ------------------------------------------------------------------------------------

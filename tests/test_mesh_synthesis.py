@@ -45,7 +45,7 @@ from planner.synthesis.terms.clearance import PRESSED
 from planner.synthesis.terms.contact import EDGE
 from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask
-from planner.tolerances import TOUCH_TOL
+from planner.tolerances import EDGE_RADIUS, EDGE_SPREAD, TOUCH_TOL
 from planner.verification.geometry import edge_failures, verify_geometry
 from planner.verification.grasp import GAP_TOL, project_onto_surface
 
@@ -413,3 +413,26 @@ def test_a_pad_in_a_corner_stands_in_neither_face(blocks: GraspTask) -> None:
         apart = shape.signed_distance(centers @ base.rotation.T + base.translation)
         assert (apart > radii - PRESSED - 0.001).all()
     assert solved > 20
+
+
+def test_pads_start_off_edges_facing_the_surface(blocks: GraspTask) -> None:
+    seeder, shape = seeder_for(blocks), blocks.object.shape
+    askew = []
+    for k in range(20):
+        start = seeder.draw(np.random.default_rng(k))
+        assert isinstance(start, Start)
+        normals = shape.closest_point(start.points)[1]
+        assert (
+            shape.normal_dispersion(start.points, EDGE_RADIUS, facing=normals) < EDGE_SPREAD
+        ).all()
+        state = HandState(blocks.hand, start.q)
+        axes = np.array([start.T_object_base.rotation @ state.pad_axis(f) for f in blocks.fingers])
+        rims = np.cos([f.pad.half_angle for f in blocks.fingers])
+        askew.append(rims + (axes * normals).sum(axis=1) > 0.0)
+    assert np.mean(askew) < 0.2
+
+
+def test_blocks_of_15_mm_are_grasped_by_small_fingertips() -> None:
+    item = GraspObject(name="small", shape=blocks_mesh(BLOCKS, 0.015))
+    made = islice(attempts(GraspTask.create("shadow_hand", item), seed=0), 30)
+    assert sum(a.plan is not None for a in made) >= 10

@@ -36,7 +36,7 @@ from sim.datasets.reset_states.starts import Draws, StatesAsked
 from sim.learning.policy import PolicyFor
 from sim.learning.training import Course
 from sim.learning.trials import Conditions, TurnTask
-from sim.manipulation.simulation import Push
+from sim.manipulation.simulation import ManipulationOptions, Push
 from sim.manipulation.timeline import ManipulationTimeline, SuccessCriteria
 from sim.protocols.disturbance import Settings
 from sim.protocols.shake_pushes import Push as PushOfProtocol
@@ -396,3 +396,24 @@ def test_a_mesh_refuses_faces_that_are_no_indices_of_its_vertices(faces: Any) ->
     for make in (Mesh, Mesh.from_triangles):
         with pytest.raises(ObjectError, match="faces"):
             make(CORNERS, faces)
+
+
+@pytest.mark.parametrize("given", [-1, "x", [], np.zeros(2)], ids=str)
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        (TrialOptions, "timeline"),
+        (TrialOptions, "thresholds"),
+        (ManipulationOptions, "timeline"),
+        (ManipulationOptions, "criteria"),
+        (ManipulationOptions, "push"),
+        (ManipulationOptions, "true_task"),
+        (Safety, "stop"),
+    ],
+)
+def test_options_of_a_class_refuse_what_is_none_of_it(
+    options: Any, name: str, given: object
+) -> None:
+    """An empty list was taken for the defaults, and a number was an AttributeError."""
+    with pytest.raises(TaskError, match=f"^{name} is .*; give a"):
+        options(**{name: given})

@@ -8,6 +8,7 @@ from itertools import combinations
 import mujoco
 import numpy as np
 import pytest
+from conftest import box_mesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,11 +17,12 @@ from planner.hand_loading import load_hand
 from planner.hands.catalog import hand_names
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
+from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.room import tip_reach, with_room
+from planner.synthesis.room import LEAST_ROOM, table_room, tip_reach, with_room
 from planner.task import GraspTask
 
 ROUGH = float(np.deg2rad(3.0))
@@ -132,3 +134,14 @@ def assert_same(one: FloatArray, other: FloatArray) -> None:
 def test_an_error_out_of_range_is_refused(allegro: Hand, error: object) -> None:
     with pytest.raises(TaskError, match="joint_error"):
         GraspTask.create(allegro, "sphere", joint_error=error)  # type: ignore[arg-type]
+
+
+def test_a_low_narrow_part_leaves_fingers_less_room_over_the_table() -> None:
+    asked = SynthesisOptions().clear_table
+    rod = GraspObject(name="rod", shape=box_mesh((0.012, 0.06, 0.012)))
+    low = GraspTask.create("allegro_hand", rod)
+    assert LEAST_ROOM <= table_room(low) < asked
+    assert np.isinf(table_room(replace(low, table_height=None)))
+    plate = GraspObject(name="plate", shape=box_mesh((0.08, 0.08, 0.016)))
+    for ordinary in ("box:0.04x0.06x0.016", "mug", plate):
+        assert np.isinf(table_room(GraspTask.create("allegro_hand", ordinary)))

@@ -31,7 +31,7 @@ from planner.synthesis.link_spheres import link_spheres
 from planner.task import Obstacle
 from planner.tolerances import TOUCH_TOL
 from sim import simulate
-from sim.controllers.closing import GuardedClosing
+from sim.controllers.closing import SEARCH_SPEED, GuardedClosing, search_directions
 from sim.scene.build import build_scene
 
 RADIUS = 0.04
@@ -324,3 +324,20 @@ def test_a_link_that_touches_stops_its_joints_and_no_others(
     np.testing.assert_allclose(reference[off], stopped[off], atol=1e-12)
     np.testing.assert_allclose(reference[on], inner.q[on], atol=1e-12)
     assert np.abs(inner.q - stopped)[np.r_[on, off]].max() > 1e-3
+
+
+def test_an_inner_link_that_finds_nothing_stays_and_a_tip_looks_for_the_object(
+    inner: GraspPlan,
+) -> None:
+    """Both links of the index finger have arrived without touching: only the tip searches on."""
+    closing, task = GuardedClosing(inner), inner.task
+    tip = task.finger_names.index("index_distal")
+    others = {"index_proximal", "index_distal", "palm"}
+    touching = tuple(i for i, name in enumerate(task.finger_names) if name not in others)
+    close(closing, inner, range(251))
+    reference = close(closing, inner, range(250, 400), touching=touching, q=inner.q)[-1]
+    gone = reference - inner.q
+    far = 150 * 0.002 * SEARCH_SPEED  # steps of 2 ms
+    way = search_directions(inner)[tip]
+    np.testing.assert_allclose(gone[way.index], far * way.straight, atol=1e-3 * far)
+    np.testing.assert_allclose(np.delete(gone, way.index), 0.0, atol=1e-12)

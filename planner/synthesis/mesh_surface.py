@@ -25,11 +25,11 @@ NORMAL_ERROR, DISTANCE_ERROR = 0.1, 0.0007
 """Largest errors of the smooth distance: of its normals (rad) near edges, and of its values (m) on
 the surface."""
 
-STEEP = 0.93
+STEEP, STEEP_ON_NARROW = 0.93, 0.96
 """Least slope (-) of the smooth distance at a contact that is on no edge. The slope is the length
 of the mean normal within the radius of smoothing: 1 on flat and evenly round places, 0.75 on a
-right-angled edge."""
-
+right-angled edge. At 0.93 the normal is 5 degrees off and a pad of 12 mm meets the true surface 1
+mm nearer to the edge: of 288 attempts at random edged parts 48 ended there, with 0.96 9."""
 
 STEEP_ON_WALLS, WORTH_ON_WALLS = 0.99, 3.0
 """Least slope (-) in front of thin walls, and weight factor (-) of a lower one. The parallel
@@ -62,6 +62,8 @@ class _MeshSurface(Surface):
 
     def size(self, shape: Mesh) -> FloatArray:
         steep = self._steep_on_walls if shape.thin_walled else self._steep
+        if shape.narrow:
+            steep = max(steep, STEEP_ON_NARROW)
         return np.array([_steepness(shape, steep), 0.0, 0.0])
 
     def patches(self, shape: Mesh) -> tuple[Patch, ...]:

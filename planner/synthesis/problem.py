@@ -41,6 +41,7 @@ from planner.synthesis.formulation import Formulation, formulate
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals
+from planner.synthesis.room import table_room
 from planner.synthesis.symbols import obstacles_in_object, table_in_object
 from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.term import Term, WrittenTerm, table_of
@@ -289,6 +290,7 @@ class GraspProblem:
                 "length": shape.bounding_radius,
                 "posture": posture,
                 **options.values(),
+                "clear_table": min(options.clear_table, table_room(task)),
                 "objectives": 0.0,
                 **dict.fromkeys(self.formulation.symbols.own, 0.0),
                 **own,

@@ -1,4 +1,4 @@
-"""Room for joints that are not where their encoders say: how much, and options that ask for it.
+"""Room for joints that are not where their encoders say, and above the table beside low parts.
 
 Called by the searches for grasps and motions with a task whose ``joint_error`` is above 0. They
 solve with the room first; where that fails they go on from there without it, so that a plan has
@@ -14,8 +14,10 @@ import numpy as np
 
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
+from planner.shapes import Mesh
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
+from planner.tolerances import EDGE_RADIUS
 
 ROOM_DEVIATIONS = 1.0
 """Standard deviations of a fingertip's place that the room has (-)."""
@@ -35,6 +37,26 @@ def with_room(options: SynthesisOptions, task: GraspTask) -> SynthesisOptions:
         clear_fingers=options.clear_fingers + room,
         clear_table=options.clear_table + room,
     )
+
+
+LEAST_ROOM = 0.0007
+"""Distance (m) from the table that is asked beside the lowest parts: that of ``clear_tip``."""
+
+
+@lru_cache(maxsize=8)
+def table_room(task: GraspTask) -> float:
+    """Distance (m) of links from the table that a narrow object's height leaves; else infinite.
+
+    A round pad of radius r touches a level face at least r above the table, and less than
+    ``EDGE_RADIUS`` below the top it is on an edge: half of what is left between goes to the table.
+    """
+    shape = task.object.shape
+    if task.table_height is None or not (isinstance(shape, Mesh) and shape.narrow):
+        return np.inf
+    up = task.T_world_object.rotation[2]
+    top = task.T_world_object.translation[2] + shape.support(up)
+    radius = max(f.pad.radius for f in task.fingers)
+    return float(max(LEAST_ROOM, (top - task.table_height - EDGE_RADIUS - radius) / 2))
 
 
 @lru_cache(maxsize=8)

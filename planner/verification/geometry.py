@@ -18,20 +18,20 @@ from planner.failure import Failure
 from planner.plan import Verification
 from planner.spatial import SE3, FloatArray, contact_frames
 from planner.task import GraspTask
-from planner.tolerances import ANGLE_TOL, FLAT_ANGLE_TOL, JOINT_TOL, PENETRATION_TOL, TOUCH_TOL
+from planner.tolerances import (
+    ANGLE_TOL,
+    EDGE_RADIUS,
+    EDGE_SPREAD,
+    FLAT_ANGLE_TOL,
+    JOINT_TOL,
+    PENETRATION_TOL,
+    TOUCH_TOL,
+)
 
 __all__ = ["contacts_at", "contacts_of", "edge_failures", "verify_geometry"]
 
 LISTED = 5
 """Clearances that a verification keeps."""
-
-
-EDGE_RADIUS = 0.002
-"""How far (m) around a contact normals are looked at: what a pad creeps and rolls in a grasp. On an
-edge a pad that creeps by a millimetre meets another normal."""
-
-EDGE_SPREAD = float(np.deg2rad(25.0))
-"""Largest dispersion of normals there (rad); it is 45 degrees on a right-angled edge."""
 
 
 def edge_failures(task: GraspTask, touches: Sequence[PadContact]) -> list[Failure]:

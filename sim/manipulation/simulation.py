@@ -15,7 +15,7 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
-from planner.arrays import check_fields, finite_array
+from planner.arrays import check_fields, checked_kind, finite_array
 from planner.contacts import ContactSet
 from planner.errors import TaskError
 from planner.kinematics.state import MovingHand
@@ -106,6 +106,19 @@ class ManipulationOptions:
     push: Push | None = None
     reality: AnyReality | None = None
     estimator: AnyEstimator | None = None
+
+    def __post_init__(self) -> None:
+        """Check that timeline, criteria, push and true task are such.
+
+        Raises:
+            TaskError: One of them is something else.
+        """
+        if self.push is not None:
+            checked_kind("push", self.push, Push)
+        if self.true_task is not None:
+            checked_kind("true_task", self.true_task, GraspTask)
+        checked_kind("timeline", self.timeline, ManipulationTimeline)
+        checked_kind("criteria", self.criteria, SuccessCriteria)
 
     def with_changes(self, **changes: Unpack[ManipulationKeywords]) -> ManipulationOptions:
         """The same with other fields; None for timeline or criteria gives their defaults."""

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from planner.arrays import checked_number
+from planner.arrays import checked_kind, checked_number
 from planner.errors import FileFormatError, HandError, TaskError
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
@@ -78,7 +78,7 @@ def run_controller(
         TaskError: A rate or a limit out of range.
         FileFormatError: The log cannot be written.
     """
-    timeline = timeline or Timeline()
+    timeline = Timeline() if timeline is None else checked_kind("timeline", timeline, Timeline)
     task = plan.task
     if log is not None and not Path(log).parent.is_dir():
         raise FileFormatError(f"cannot write {log}: there is no folder {Path(log).parent}; make it")

@@ -94,6 +94,8 @@ class Safety:
         checked_count("misses_in_a_row", self.misses_in_a_row, least=1, most=10**9, error=TaskError)
         if self.on_stop not in get_args(OnStop):
             raise NotFoundError("way to stop", str(self.on_stop), get_args(OnStop))
+        if self.stop is not None and not callable(self.stop):
+            raise TaskError(f"stop is {shown(self.stop)}; give a function, asked before each write")
         given = self.max_effort
         values = tuple(given.values()) if isinstance(given, Mapping) else (given,)
         for value in values:

@@ -114,7 +114,8 @@ class Seeder:
         T_object_base = task.T_world_object.inverse() * T_world_base
         state = moving_hand(task.hand).move(q)
         pads = np.array([T_object_base.act(state.pad_center(f)) for f in task.fingers])
-        points, normals = task.object.shape.closest_point(pads)
+        facing = np.array([T_object_base.rotation @ state.pad_axis(f) for f in task.fingers])
+        points, normals = self._first_contacts(pads, facing)
         if self.skin > 0.0:
             points = points + self.skin * normals
         if task.object.shape.flat_sides is not None:
@@ -134,6 +135,17 @@ class Seeder:
             frozen=self.frozen,
             base_fixed=task.T_world_base is not None,
         )
+
+    def _first_contacts(
+        self, pads: FloatArray, facing: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """First contact points and outward normals (n, 3) of pads at (n, 3), object frame.
+
+        Args:
+            pads: Centres of the pads, m.
+            facing: Axes of the pads, unit.
+        """
+        return self.task.object.shape.closest_point(pads)
 
     def _face_normals(self, q: FloatArray, T_object_base: SE3, nearest: FloatArray) -> FloatArray:
         """Outward normals (n, 3) of the faces that the pads are to touch.

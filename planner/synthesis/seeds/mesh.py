@@ -8,7 +8,7 @@ whose nearest surface points have the greatest resistance in their weakest direc
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from planner.synthesis.seeds.enveloping import EnvelopingSeeder
 from planner.synthesis.seeds.opposed_pairs import opposed_pairs
 from planner.synthesis.seeds.opposition import Postures, measure_postures, opposition
 from planner.task import GraspTask
+from planner.tolerances import EDGE_RADIUS, EDGE_SPREAD
 
 POSTURES, NOISES = 128, (0.03, 0.1)
 """Postures of the starts, and least and largest standard deviation of their joints, in shares of
@@ -51,6 +52,16 @@ NEAR_CENTER = 0.6
 
 ROOM = 0.004
 """Clearance (m) of links beyond which more is no better."""
+
+SAMPLES, FLATTEST = 600, 0.1
+"""Surface points among which places for pads are looked for, and the flattest share of them that
+counts as flat on a solid that is edges all over."""
+
+FACING_WORTH = 0.03
+"""Distance (m) that counts like a cosine of 1 by which a pad faces beside a place."""
+
+MISS_WORTH = 1.0
+"""How much (-) the mean miss of a start's pads counts."""
 
 ABOVE_TABLE = 0.004
 """Height (m) over the table, on top of a pad's radius, that a pair's middle needs."""
@@ -136,17 +147,27 @@ class MeshSeeder(Seeder):
         shifts = centers - (turns @ postures.centers[which][:, :, None])[:, :, 0]
         merits = self._merits(turns, shifts, postures.spheres[which])
         best = np.argsort(-merits, kind="stable")[:LOOKED_AT]
-        pads = postures.pads[which[best]] @ turns[best].transpose(0, 2, 1) + shifts[best, None]
-        found = mesh.field().taylor(pads.reshape(-1, 3), 1)
-        outward = found[:, 1:4] / np.maximum(np.linalg.norm(found[:, 1:4], axis=1), TINY)[:, None]
-        resisted = least_resisted(
-            (pads.reshape(-1, 3) - found[:, :1] * outward).reshape(pads.shape),
-            outward.reshape(pads.shape),
-            mu=task.mu,
-            length=mesh.bounding_radius,
-        )
-        k = best[int(np.argmax(merits[best] + RESISTANCE_WORTH * resisted))]
+        back = turns[best].transpose(0, 2, 1)
+        pads = postures.pads[which[best]] @ back + shifts[best, None]
+        points, outward, miss = self._places_of(pads, postures.facing[which[best]] @ back)
+        resisted = least_resisted(points, outward, mu=task.mu, length=mesh.bounding_radius)
+        worth = RESISTANCE_WORTH * resisted - MISS_WORTH * miss.mean(axis=1)
+        k = best[int(np.argmax(merits[best] + worth))]
         return task.T_world_object * SE3(turns[k], shifts[k]), postures.q[which[k]]
+
+    def _places_of(
+        self, pads: FloatArray, facing: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Places of k hands' pads: points, normals (k, n, 3), and by how much they miss (k, n), m.
+
+        Args:
+            pads: Centres of the pads (k, n, 3), m, object frame.
+            facing: Their axes (k, n, 3), unit.
+        """
+        found = self._mesh.field().taylor(pads.reshape(-1, 3), 1)
+        outward = found[:, 1:4] / np.maximum(np.linalg.norm(found[:, 1:4], axis=1), TINY)[:, None]
+        points = pads.reshape(-1, 3) - found[:, :1] * outward
+        return points.reshape(pads.shape), outward.reshape(pads.shape), np.zeros(pads.shape[:2])
 
     def _drawn_postures(self) -> Postures:
         """Postures of the hand; the same for every seed."""
@@ -188,6 +209,45 @@ class MeshSeeder(Seeder):
         return merit
 
 
+class NarrowSeeder(MeshSeeder):
+    """Draws starts on a mesh whose faces are as narrow as pads: flat places, which pads face.
+
+    The nearest point is on an edge there as often as not.
+    """
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        self._places = _flat_places(self._mesh)
+
+    def _places_of(
+        self, pads: FloatArray, facing: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        at, normals = self._places
+        radii = np.array([f.pad.radius for f in self.task.fingers])
+        rims = np.array([f.pad.half_angle for f in self.task.fingers])[:, None]
+        ahead = pads[:, :, None] - at - radii[:, None, None] * normals
+        miss = np.sqrt(np.einsum("knpi,knpi->knp", ahead, ahead))
+        miss += FACING_WORTH * np.maximum(np.cos(rims) + facing @ normals.T, 0.0)
+        best = miss.argmin(axis=2)
+        return at[best], normals[best], np.take_along_axis(miss, best[:, :, None], 2)[:, :, 0]
+
+    def _first_contacts(
+        self, pads: FloatArray, facing: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        points, outward, _ = self._places_of(pads[None], facing[None])
+        return points[0], outward[0]
+
+
+@lru_cache(maxsize=16)
+def _flat_places(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
+    """Points (k, 3), m, all over a mesh where the verdict sees no edge, and outward normals."""
+    points, normals = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
+    spread = mesh.normal_dispersion(points, EDGE_RADIUS, facing=normals)
+    # where nothing is flat: anywhere, and the verdict decides
+    flat = spread < max(EDGE_SPREAD, float(np.quantile(spread, FLATTEST)))
+    return points[flat], normals[flat]
+
+
 def _frames(axes: FloatArray, sides: FloatArray) -> FloatArray:
     """Rotations (n, 3, 3): columns axis, side, and their product."""
     return np.stack([axes, sides, np.cross(axes, sides)], axis=2)
@@ -221,7 +281,9 @@ def seeder_for(task: GraspTask) -> Seeder:
         return PairSeeder(task)
     if not task.is_of_fingertips:
         return EnvelopingSeeder(task)
-    return MeshSeeder(task) if isinstance(task.object.shape, Mesh) else Seeder(task)
+    if not isinstance(task.object.shape, Mesh):
+        return Seeder(task)
+    return NarrowSeeder(task) if task.object.shape.narrow else MeshSeeder(task)
 
 
 def turning_seeder_for(task: GraspTask) -> Seeder:

@@ -82,6 +82,7 @@ class Postures:
         frames: (m, 3, 3), columns: opposition axis, direction of the palm, their product.
         spheres: Centres of link spheres (m, b, 3), m.
         pads: Centres of the pads (m, n, 3), m.
+        facing: Axes of the pads (m, n, 3), unit.
     """
 
     q: FloatArray
@@ -90,6 +91,7 @@ class Postures:
     frames: FloatArray
     spheres: FloatArray
     pads: FloatArray
+    facing: FloatArray
 
     def draw(self, gap: float, rng: np.random.Generator) -> int:
         """Number of a posture that leaves about a gap (m)."""
@@ -118,7 +120,7 @@ def measure_postures(
     order = np.argsort([o.gap for o in found], kind="stable")
     joints = np.array([b.joint_id for b in spheres])
     local = np.array([b.center for b in spheres])[:, :, None]
-    places, pads = [], []
+    places, pads, facing = [], [], []
     for k in order:
         state = moving_hand(hand).move(drawn[k])
         poses = state.pin_data.oMi
@@ -126,6 +128,7 @@ def measure_postures(
         shifts = np.array([pose.translation for pose in poses])[joints]
         places.append((turns @ local)[:, :, 0] + shifts)
         pads.append([state.pad_center(f) for f in fingers])
+        facing.append([state.pad_axis(f) for f in fingers])
     return Postures(
         q=np.array([drawn[k] for k in order]),
         gaps=np.array([found[k].gap for k in order]),
@@ -133,4 +136,5 @@ def measure_postures(
         frames=np.array([frame_of(found[k].axis, found[k].palm_side) for k in order]),
         spheres=np.array(places),
         pads=np.array(pads),
+        facing=np.array(facing),
     )
