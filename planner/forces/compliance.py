@@ -289,8 +289,9 @@ def _compliances(given: ArrayLike, m: int) -> FloatArray:
     Raises:
         ContactError: One that is not positive, or too many.
     """
+    numbers = float_array("contact_compliance", given)
     value = finite_array(
-        "contact_compliance", np.broadcast_to(np.asarray(given, float), (m,)), (m,)
+        "contact_compliance", numbers if numbers.ndim else np.full(m, numbers), (m,)
     )
     if (value <= 0.0).any():
         raise ContactError("contact_compliance holds a number that is not > 0; give m/N")
