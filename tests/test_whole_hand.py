@@ -199,13 +199,29 @@ def test_fingertips_are_the_default(given: str | None) -> None:
 
 def test_what_a_type_cannot_be_is_said() -> None:
     with pytest.raises(NotFoundError, match="grasp type"):
-        GraspTask.create("allegro_hand", "sphere", grasp_type="hook")
+        GraspTask.create("allegro_hand", "sphere", grasp_type="lateral")
     with pytest.raises(TaskError, match="give one of them"):
         GraspTask.create("allegro_hand", "sphere", grasp_type="power", fingers=["thumb", "index"])
     with pytest.raises(TaskError, match=r"2 finger.*--mu-torsion"):
         GraspTask.create("allegro_hand", "sphere", grasp_type="pinch")
     with pytest.raises(NotFoundError, match="finger of allegro_hand is called"):
         GraspTask.create("allegro_hand", "sphere", fingers=["thumb", "index", "elbow"])
+
+
+def test_a_hook_holds_a_bar_without_the_thumb(hand: Hand) -> None:
+    bar = parse_object("cylinder:0.014x0.12", mass=0.3)
+    task = GraspTask.create(hand, bar, grasp_type="hook", table_height=None)
+    assert not [name for name in task.all_names if name.startswith("thumb")]
+    plan = plan_grasp(task, seed=0)
+    report = simulate(plan)
+    assert report.success, report.reason
+
+
+def test_a_hand_without_inner_links_makes_no_hook() -> None:
+    with pytest.raises(TaskError, match="inner links that can touch, and .* has"):
+        GraspTask.create("robosuite:inspire_right", "sphere", grasp_type="hook")
+    with pytest.raises(TaskError, match="a hook"):
+        GraspTask.create("two_allegro_hands", "sphere:0.1", grasp_type="hook")
 
 
 def test_links_by_name_are_a_grasp_too(hand: Hand) -> None:
