@@ -218,7 +218,7 @@ def test_a_hook_holds_a_bar_without_the_thumb(hand: Hand) -> None:
 
 
 def test_a_hand_without_inner_links_makes_no_hook() -> None:
-    with pytest.raises(TaskError, match="inner links that can touch, and .* has"):
+    with pytest.raises(TaskError, match=r"inner links that can touch, and .* has"):
         GraspTask.create("robosuite:inspire_right", "sphere", grasp_type="hook")
     with pytest.raises(TaskError, match="a hook"):
         GraspTask.create("two_allegro_hands", "sphere:0.1", grasp_type="hook")
