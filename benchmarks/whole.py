@@ -49,8 +49,12 @@ MASS, HEAVIEST, MIDDLE = 0.1, 0.5, 0.05
 """Mass (kg) of an object of ``MIDDLE`` half diagonal (m), growing with it up to ``HEAVIEST``: as
 HUGS, which stops there too."""
 
-FIRST, GROWTH, STEP, MOST = 2.0, 1.05, 0.15, 300.0
-"""First load (N), factor to the next, duration of each (s), and the last one (N)."""
+FIRST, STEP, MOST = 2.0, 0.15, 300.0
+"""First load (N) of references that are held, duration of each (s), and the last one (N)."""
+
+TOLD_FROM, TOLD, HELD = 0.5, 1.05, 1.15
+"""First load that the controller is told, as a share of the certified one; and factors from one
+load to the next (-), told and held."""
 
 LEAST = 0.5
 """Force (N) below which a contact is not compared: its relative error says nothing."""
@@ -144,7 +148,8 @@ def _load(case: Row) -> Row:
     assert plan is not None
     weakest = certified["power"].wrench
     along = weakest / np.linalg.norm(weakest[:3])
-    told, broke = _growing(plan, along, told=True), _growing(plan, along, told=False)
+    told = _growing(plan, along, told=True, first=max(FIRST, TOLD_FROM * row["power"]))
+    broke = _growing(plan, along, told=False, first=FIRST)
     return row | {
         "found": True,
         "contacts": len(plan.contacts),
@@ -157,13 +162,14 @@ def _load(case: Row) -> Row:
     }
 
 
-def _growing(plan: GraspPlan, along: FloatArray, *, told: bool) -> Row:
+def _growing(plan: GraspPlan, along: FloatArray, *, told: bool, first: float) -> Row:
     """The load (N) under which the object was lost, and how far (%) contact forces were predicted.
 
     Args:
         plan: The grasp.
         along: Of 1 N (6,), world.
         told: Whether the controller commands the forces of the programme for each load.
+        first: The first load, N.
     """
     hold = DisturbanceTrial(plan)
     if (fault := hold.close_and_squeeze()) is not None:
@@ -171,7 +177,7 @@ def _growing(plan: GraspPlan, along: FloatArray, *, told: bool) -> Row:
     grasp, contacts, pressed = compliance_of(plan, hold.simulation.scene)
     given = force_arguments(plan.task, plan.contacts, plan.T_world_base, plan.q)
     turn = plan.task.T_world_object.rotation
-    before, level, off, end = 0.0, FIRST, list[float](), 0.0
+    before, level, off, end = 0.0, first, list[float](), 0.0
     while level < MOST:
         if told:
             for grip in GRIPS:
@@ -197,7 +203,7 @@ def _growing(plan: GraspPlan, along: FloatArray, *, told: bool) -> Row:
                 measured = hold.simulation.normal_forces()
                 seen = normal > LEAST
                 off += (100.0 * np.abs(measured - normal)[seen] / normal[seen]).tolist()
-        before, level = level, GROWTH * level
+        before, level = level, (TOLD if told else HELD) * level
     return {"broke": level, "off": off, "to": end}
 
 
