@@ -173,6 +173,25 @@ def test_a_contact_that_parts_bears_nothing() -> None:
     np.testing.assert_allclose(forces[[0, 3, 6]], [100.0, 0.0, 0.0], atol=1e-3)
 
 
+def test_a_contact_that_parted_presses_again_where_it_did() -> None:
+    """Away and back again in one load of two parts: the state of a gap is kept."""
+    contacts, k = three(mu=0.0), 1e-5
+    grasp = GraspCompliance(
+        grasp_map=contacts.grasp_map(),
+        joint_map=np.zeros((1, 9)),
+        contact=np.full(9, k),
+        joint=np.eye(1),
+    )
+    pressing, away = np.tile([10.0, 0.0, 0.0], 3), np.zeros(9)
+    away[3] = -30.0 * k
+    none, state, _ = grasp._in_cones(contacts, pressing, away)
+    assert none[3] == 0.0 and state[3] == pytest.approx(-20.0)
+    again, _, _ = grasp._in_cones(contacts, state, -0.5 * away)
+    assert again[3] == 0.0
+    back, _, _ = grasp._in_cones(contacts, state, -away)
+    np.testing.assert_allclose(back, pressing)
+
+
 def test_the_programme_counts_no_passive_force_that_compliance_does_not_bring(
     inner: GraspPlan,
 ) -> None:

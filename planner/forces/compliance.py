@@ -145,7 +145,7 @@ class GraspCompliance:
             As ``under``.
         """
         alone = self.stiffness @ (self.joint_map.T @ (self.joint @ torque))
-        inside, _ = self._in_cones(contacts, alone, np.zeros(len(alone)))
+        inside, _, _ = self._in_cones(contacts, alone, np.zeros(len(alone)))
         return self.under(contacts, inside, self.grasp_map @ inside + wrench)
 
     def under(
@@ -164,14 +164,14 @@ class GraspCompliance:
         """
         size = max(float(np.abs(forces).max(initial=0.0)), 1.0)
         f, share, step = forces, 0.0, LARGEST_STEP
-        moved = np.zeros(len(self._moves[0]))
+        last = forces, np.zeros(len(self._moves[0]))
         while share < 1.0 and step >= SMALLEST_STEP:
             goal = min(share + step, 1.0)
-            there = self._balanced(contacts, (f, moved), (forces, goal * wrench), BALANCED * size)
+            there = self._balanced(contacts, last, (forces, goal * wrench), BALANCED * size)
             if there is None:
                 step /= 2.0
             else:
-                (f, moved), share, step = there, goal, LARGEST_STEP
+                (f, last), share, step = there, goal, LARGEST_STEP
         return f, share
 
     @cached_property
@@ -185,24 +185,24 @@ class GraspCompliance:
         last: tuple[FloatArray, FloatArray],
         given: tuple[FloatArray, FloatArray],
         tolerance: float,
-    ) -> tuple[FloatArray, FloatArray] | None:
-        """Forces and motions near the last ones that balance a wrench beyond given forces."""
+    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]] | None:
+        """Forces that balance a wrench beyond given ones, and where that is; see ``_in_cones``."""
         moves, (before, moved), (first, wrench) = self._moves, last, given
         n = len(wrench)
         servos = np.zeros((moves.shape[1], moves.shape[1]))
         servos[n:, n:] = np.linalg.inv(self.joint)
 
-        def left(at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            f, slope = self._in_cones(contacts, before, moves @ (at - moved))
+        def left(at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+            f, state, slope = self._in_cones(contacts, before, moves @ (at - moved))
             out = moves.T @ (f - first) + servos @ at
             out[:n] -= wrench
-            return out, f, slope
+            return out, f, state, slope
 
         at = moved
-        missing, f, slope = left(at)
+        missing, f, state, slope = left(at)
         for _ in range(ITERATIONS):
             if np.abs(missing).max() <= tolerance:
-                return f, at
+                return f, (state, at)
             matrix = moves.T @ slope @ moves + servos
             matrix += SINGULAR * np.trace(matrix) / len(matrix) * np.eye(len(matrix))
             way, share = np.linalg.solve(matrix, missing), 1.0
@@ -211,19 +211,25 @@ class GraspCompliance:
                 if np.linalg.norm(tried[0]) < np.linalg.norm(missing) or share < 1e-2:
                     break
                 share /= 2.0
-            at, (missing, f, slope) = at - share * way, tried
+            at, (missing, f, state, slope) = at - share * way, tried
         return None
 
     def _in_cones(
         self, contacts: ContactSet, before: FloatArray, by: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Forces (m,) when pads have moved by (m,) against the object, and their slope (m, m)."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Forces (m,) when pads have moved by (m,) against the object, and their slope (m, m).
+
+        Between them, what ``before`` is next time: the forces, and of a contact that parted the
+        negative normal force that would have kept it.
+        """
         trial, out = before + by / self.contact, np.zeros(len(before))
+        state = out.copy()
         slope, at = np.zeros((len(before), len(before))), 0
         for (mu, twist), dim in zip(contacts.friction.tolist(), contacts.dims, strict=True):
             own, k = slice(at, at + dim), 1.0 / self.contact[at : at + dim]
             at += dim
             f = trial[own]
+            state[own.start] = f[0]
             if f[0] < 0.0:
                 continue
             limit = np.array([mu, mu, twist][: dim - 1])
@@ -236,8 +242,8 @@ class GraspCompliance:
                 turn = np.eye(dim - 1) - np.outer(way, way)
                 unit = np.divide(1.0, limit, out=np.zeros(dim - 1), where=limit > 0.0)
                 block[1:, 1:] = f[0] / length * limit[:, None] * turn * (unit * k[1:])
-            out[own], slope[own, own] = f, block
-        return out, slope
+            out[own], state[own], slope[own, own] = f, f, block
+        return out, state, slope
 
 
 def passive_forces(grasp_map: FloatArray, joint_map: FloatArray) -> FloatArray:
