@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from planner import ContactSet, GraspTask, plan_grasp
 from planner.certify import breaking_along
@@ -20,6 +23,7 @@ from planner.spatial import FloatArray
 from planner.verification import stiffness
 from planner.verification.grasp import force_arguments, plan_forces
 from planner.verification.stiffness import GraspStiffness
+from sim.cli import app
 from sim.creep import compliance_of
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.scene.physics import PhysicsOptions
@@ -246,3 +250,13 @@ def test_mujoco_shares_a_push_as_predicted(inner: GraspPlan) -> None:
         measured = hold.simulation.normal_forces()
         errors += (np.abs(measured - normals) / np.maximum(normals, 1.0)).tolist()
     assert np.median(errors) < 0.1
+
+
+def test_the_problem_of_links_is_shown_and_solvers_are_compared_on_it(
+    inner: GraspPlan, tmp_path: Path
+) -> None:
+    inner.save(file := tmp_path / "inner.json")
+    shown = CliRunner().invoke(app, ["analyse", str(file), "--forces"])
+    assert shown.exit_code == 0 and "1 of passive forces" in shown.output
+    asked = ["analyse", str(file), "--forces", "--solvers", "daqp", "--steps", "5", "--json"]
+    assert json.loads(CliRunner().invoke(app, asked).output)["solvers"]["records"]
