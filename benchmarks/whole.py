@@ -5,6 +5,8 @@ that breaks either, as certified; and of the power grasp a push that grows along
 a controller that is told the push and commands the forces of the programme (what a certificate is
 about), beside one with its references held, whose contact forces ``GraspCompliance`` predicts.
 
+``--parts push``: of power grasps of 1 kg, measured beside predicted contact forces under a push that
+grows in a random direction, references held, up to what the prediction says is borne.
 ``--parts sizes``: objects of 2 to 30 cm of half diagonal, drawn by ``--seed``, with every type.
 ``python -m benchmarks.whole FILE PLOT.svg`` draws what was held (needs matplotlib).
 """
@@ -39,11 +41,14 @@ from sim.protocols.disturbance import DisturbanceTrial
 from sim.tables import Row
 from sim.trial import simulate
 
-PARTS = ("load", "sizes")
+PARTS = ("load", "push", "sizes")
 TYPES = ("fingertip", "power", "any")
 
 SIZES = (0.02, 0.03, 0.045, 0.065, 0.1, 0.15, 0.2, 0.3)
 """Half diagonals, m."""
+
+PUSHED = 1.0
+"""Mass (kg) of what is pushed: the grip is sized for it."""
 
 MASS, HEAVIEST, MIDDLE = 0.1, 0.5, 0.05
 """Mass (kg) of an object of ``MIDDLE`` half diagonal (m), growing with it up to ``HEAVIEST``: as
@@ -69,7 +74,7 @@ class Options(HandOptions):
     """Seeds count from ``--seed``."""
 
     objects: ObjectsOption = "sphere:0.04,cylinder:0.03x0.12,ellipsoid:0.07x0.06x0.09,capsule"
-    parts: Annotated[str, typer.Option(help="load, sizes, or both with a comma.")] = "load,sizes"
+    parts: Annotated[str, typer.Option(help="Some of load, push and sizes.")] = "load,push,sizes"
     mass: Annotated[float, typer.Option(help="Of the objects of load, kg.")] = 0.1
     attempts: Annotated[int, typer.Option(min=1, help="Of each search.")] = 30
 
@@ -80,11 +85,10 @@ def cases(options: Options) -> Iterator[Row]:
     for hand in options.hand_names:
         checked_hand(hand)
         more = {"hand": hand, "attempts": options.attempts}
-        if "load" in parts:
-            for spec in options.objects.split(","):
+        for part, mass in (("load", options.mass), ("push", PUSHED)):
+            for spec in options.objects.split(",") if part in parts else ():
                 for seed in range(options.seed, options.seed + options.n):
-                    case = {"part": "load", "object": spec, "mass": options.mass}
-                    yield {**more, **case, "seed": seed}
+                    yield {**more, "part": part, "object": spec, "mass": mass, "seed": seed}
         if "sizes" in parts:
             for number, size in enumerate(SIZES):
                 for k in range(options.n):
@@ -110,7 +114,7 @@ def drawn_object(rng: np.random.Generator, half_diagonal: float) -> str:
 
 def measure(case: Row) -> Row:
     """One case of a part."""
-    return _size(case) if case["part"] == "sizes" else _load(case)
+    return {"load": _load, "push": _push, "sizes": _size}[case["part"]](case)
 
 
 @lru_cache(maxsize=8)
@@ -130,6 +134,20 @@ def _size(case: Row) -> Row:
         return {"found": False, "held": False, "reason": str(error)[:200]}
     report = simulate(plan)
     return {"found": True, "held": report.success, "reason": report.reason}
+
+
+def _push(case: Row) -> Row:
+    try:
+        plan = _plan(case, "power")
+    except NoGraspFoundError:
+        return {"found": False}
+    way = np.random.default_rng(case["seed"]).normal(size=3)
+    along = np.append(way / np.linalg.norm(way), np.zeros(3))
+    seen = _growing(plan, along, told=False, first=FIRST)
+    return {"found": True, "contacts": len(plan.contacts), "broke": seen["broke"]} | {
+        "force_off": seen["off"],
+        "predicted_to": seen["to"],
+    }
 
 
 def _load(case: Row) -> Row:
@@ -228,6 +246,22 @@ def tables(result: Row) -> Iterator[Row]:
             loads,
             ("hand", "object"),
             columns,
+            [("all", "")],
+        )
+    pushes = [row for row in rows if row["part"] == "push"]
+    if pushes:
+        yield summary(
+            "normal forces of contacts against the prediction, %, under a growing push; the load, N, "
+            "under which the object was lost, and up to which balance was predicted",
+            pushes,
+            ("hand", "object"),
+            {
+                "found": share("found"),
+                "median %": of("force_off", "median", 1),
+                "90 %": of("force_off", 0.9, 1),
+                "lost at": of("broke", "median", 1),
+                "predicted": of("predicted_to", "median", 1),
+            },
             [("all", "")],
         )
     sizes = [row for row in rows if row["part"] == "sizes"]
