@@ -5,8 +5,8 @@ that breaks either, as certified; and of the power grasp a push that grows along
 a controller that is told the push and commands the forces of the programme (what a certificate is
 about), beside one with its references held, whose contact forces ``GraspCompliance`` predicts.
 
-``--parts push``: of power grasps of 1 kg, measured beside predicted contact forces under a push that
-grows in a random direction, references held, up to what the prediction says is borne.
+``--parts push``: of power grasps of 1 kg, measured beside predicted contact forces under a push
+that grows in a random direction, references held, up to what the prediction says is borne.
 ``--parts sizes``: objects of 2 to 30 cm of half diagonal, drawn by ``--seed``, with every type.
 ``python -m benchmarks.whole FILE PLOT.svg`` draws what was held (needs matplotlib).
 """
@@ -252,7 +252,7 @@ def tables(result: Row) -> Iterator[Row]:
     if pushes:
         yield summary(
             "normal forces of contacts against the prediction, %, under a growing push; the load, N, "
-            "under which the object was lost, and up to which balance was predicted",
+            "under which it was lost, and up to which balance was predicted",
             pushes,
             ("hand", "object"),
             {
