@@ -251,7 +251,7 @@ def tables(result: Row) -> Iterator[Row]:
     pushes = [row for row in rows if row["part"] == "push"]
     if pushes:
         yield summary(
-            "normal forces of contacts against the prediction, %, under a growing push; the load, N, "
+            "normal forces of contacts against the prediction under a growing push, %; load, N, "
             "under which it was lost, and up to which balance was predicted",
             pushes,
             ("hand", "object"),
