@@ -98,7 +98,7 @@ class GraspCompliance:
             joint_map=problem.joint_map,
             contact=_compliances(contact, problem.n_force)
             / problem.column_scale[: problem.n_force] ** 2,
-            joint=np.linalg.inv(stiffness),
+            joint=np.asarray(np.linalg.inv(stiffness), dtype=np.float64),
         )
 
     @cached_property
