@@ -227,7 +227,7 @@ def _growing(plan: GraspPlan, along: FloatArray, *, told: bool, first: float) ->
 
 def tables(result: Row) -> Iterator[Row]:
     """Loads per hand and object; held per size and type."""
-    rows = [row for row in result["rows"] if not row.get("error")]
+    rows = [{"found": False, "held": False, **row} for row in result["rows"]]  # too large for it
     loads = [row for row in rows if row["part"] == "load"]
     if loads:
         columns: Columns = {

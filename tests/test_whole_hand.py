@@ -191,6 +191,15 @@ def test_types_name_contacts(hand: Hand) -> None:
     assert contact_sets(hand, "any")[0] == tuple(f.name for f in hand.choose_fingers())
 
 
+def test_any_spares_fingers_as_fingertips_do() -> None:
+    """Four tips do not fit on an ellipsoid of 19 mm; three do, and no palm reaches it."""
+    small = parse_object("ellipsoid:0.0190x0.0294x0.0195", mass=0.04)
+    task = GraspTask.create("shadow_hand", small, grasp_type="any")
+    assert task.may_spare_fingers and not any(t.may_spare_fingers for t in task.choices[1:])
+    plan = plan_grasp(task, seed=5323, max_attempts=60)
+    assert len(plan.task.finger_names) == 3
+
+
 @pytest.mark.parametrize("given", ["fingertip", None])
 def test_fingertips_are_the_default(given: str | None) -> None:
     one = GraspTask.create("allegro_hand", "sphere", grasp_type=given)
