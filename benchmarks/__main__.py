@@ -15,6 +15,7 @@ from sim.cli.options import with_options
 
 NAMES = (
     "grasps",
+    "whole",
     "synthesis",
     "limit",
     "objectives",

@@ -40,8 +40,9 @@ friction alone if all fingers shared the load, never less than ``MIN_GRIP``."""
 MIN_GRIP = 1.5
 """Smallest default normal force per finger, N: well above the joint friction of a real finger."""
 
-TWO_HANDS = "any"
-"""Grasp type of two hands for which a task names none."""
+ANY = "any"
+"""Grasp type of two hands for which a task names none; of one it begins with the default fingers,
+of which some may be spared as where no type is named."""
 
 MOST_JOINT_ERROR = 0.2
 """Largest ``joint_error``, rad: 11 degrees, with which no finger finds what it is sent to."""
@@ -211,7 +212,7 @@ class GraspTask:
                 f"grasp_type is {shown(grasp_type)}, and fingers are named too; give one of them"
             )
         if hand.pair and fingers is None and grasp_type is None:
-            grasp_type = TWO_HANDS
+            grasp_type = ANY
         sets = () if grasp_type is None else _sets_of(hand, grasp_type)
         chosen = hand.choose_fingers(sets[0] if sets else fingers)
         pull = _numbers("gravity", gravity, "three finite numbers in m/s2")
@@ -234,7 +235,7 @@ class GraspTask:
             mu_torsion=mu_torsion,
             contact_model=contact_model,
             finger_names=tuple(f.name for f in chosen),
-            may_spare_fingers=fingers is None and not sets and not hand.pair,
+            may_spare_fingers=fingers is None and (not sets or grasp_type == ANY) and not hand.pair,
             alternatives=tuple(sets[1:]),
             grip_force=grip_force,
             expected_load=load,

@@ -48,18 +48,26 @@ from typing import Any
 
 import numpy as np
 
+from planner.contacts import ContactModel, ContactSet
 from planner.errors import TaskError
+from planner.forces import GraspCompliance, build_force_problem
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray
+from planner.verification.grasp import force_arguments
 from sim.scene.build import Scene
 from sim.scene.physics import PhysicsOptions
 
 __all__ = [
     "CREEP_BUDGET",
     "Remedy",
+    "compliance_of",
+    "contact_compliance",
     "contact_drag",
     "impedance",
     "least_creep",
     "predicted_creep",
     "remedies",
+    "with_friction_of",
 ]
 
 HIGHEST_IMPEDANCE = 0.999
@@ -75,6 +83,12 @@ NOSLIP = 10
 
 STEPS = 2.5
 """Time constant of contacts in a remedy, in time steps: as in ``ours``."""
+
+DEEPEST = 0.01
+"""Depth (m) beyond which no contact is: ten times what any preset reaches."""
+
+LEAST_PRESSING = 2.0
+"""Force (N) at which the compliance of contacts is taken that press less: they may press later."""
 
 CREEP_BUDGET = 1e-4
 """Creep (m/s) that remedies are sized for unless told otherwise: 5 mm in 50 s."""
@@ -110,6 +124,65 @@ def contact_drag(physics: PhysicsOptions, *, inverse_mass: float, depth: float) 
     shape = 1.0 if physics.cone == "elliptic" else 1.0 + physics.mu**2
     regularisation = shape * (1.0 - d) / d * inverse_mass / physics.impratio
     return 2.0 / (physics.solimp[1] * physics.time_constant) / regularisation
+
+
+def contact_compliance(physics: PhysicsOptions, *, inverse_mass: float, force: float) -> float:
+    """How far a contact gives way along its normal per force, at rest under a force, m/N.
+
+    At rest R_n f = k d depth, with k = 1/(d_max tau damping)^2 and R_n = (1 - d)/d (1/m + 1/m).
+
+    Args:
+        physics: Gives solref and solimp.
+        inverse_mass: Sum of the two bodies' inverse masses, 1/kg.
+        force: Normal force, N, > 0.
+    """
+    k = (physics.solimp[1] * physics.time_constant * physics.solref[1]) ** -2 / inverse_mass
+    low, high = 0.0, DEEPEST
+    for _ in range(40):
+        depth = (low + high) / 2.0
+        d = impedance(physics.solimp, depth)
+        low, high = (depth, high) if k * d * d / (1.0 - d) * depth < force else (low, depth)
+    return (low + high) / 2.0 / force
+
+
+def with_friction_of(plan: GraspPlan, physics: PhysicsOptions) -> ContactSet:
+    """The planned contacts with the friction of a simulation, which has torsion."""
+    soft: ContactModel = "soft"  # MuJoCo's condim 4
+    return replace(
+        plan.contacts.with_friction(physics.mu, physics.mu_torsion),
+        models=(soft,) * len(plan.contacts),
+    )
+
+
+def compliance_of(plan: GraspPlan, scene: Scene) -> tuple[GraspCompliance, ContactSet, FloatArray]:
+    """The grasp of a plan with the servos and contacts of its simulation.
+
+    Friction has no spring; across their normals contacts are taken to be ``impratio`` times as
+    stiff as along them.
+
+    Returns:
+        It; its contacts with the simulation's friction; and the forces (m,) with which they press
+        when the planned torques are on and the object is let go.
+    """
+    task, physics, weights = plan.task, scene.physics, scene.model.body_invweight0[:, 0]
+    contacts = with_friction_of(plan, physics)
+    given = force_arguments(task, contacts, plan.T_world_base, plan.q)
+    problem = build_force_problem(contacts, **given)
+    planned = np.nan_to_num(plan.forces.forces)
+    body_of = {g.name: g.body for g in task.hand.geometries}
+    bodies = [scene.model.body(f"hand/{body_of[f.pad.geom]}").id for f in task.fingers]
+    along = [
+        contact_compliance(
+            physics,
+            inverse_mass=float(weights[body] + weights[scene.object_body]),
+            force=max(float(force), LEAST_PRESSING),
+        )
+        for body, force in zip(bodies, planned[:, 0], strict=True)
+    ]
+    across = np.array(along)[:, None] * np.array([1.0, *[1.0 / physics.impratio] * 3])
+    grasp = GraspCompliance.of(problem, across.ravel())
+    torque = problem.joint_map @ planned.ravel()
+    return grasp, contacts, grasp.pressed(contacts, torque, problem.wrench)[0]
 
 
 def predicted_creep(scene: Scene, data: Any) -> float:

@@ -23,6 +23,7 @@ QUICK: list[tuple[str, Row]] = [
     ("walls", {**ONE, "objects": "cup", "trials": 0}),
     ("refine", {**BALL, "shifts": "5", "turns": "0.1"}),
     ("audit", {**BALL, "faulty": 1, "timed": 2}),
+    ("whole", {**BALL, "parts": "push"}),
 ]
 SLOW: list[tuple[str, Row]] = [
     ("metrics", {**BALL, "n": 2}),

@@ -191,6 +191,15 @@ def test_types_name_contacts(hand: Hand) -> None:
     assert contact_sets(hand, "any")[0] == tuple(f.name for f in hand.choose_fingers())
 
 
+def test_any_spares_fingers_as_fingertips_do() -> None:
+    """Four tips do not fit on an ellipsoid of 19 mm; three do, and no palm reaches it."""
+    small = parse_object("ellipsoid:0.0190x0.0294x0.0195", mass=0.04)
+    task = GraspTask.create("shadow_hand", small, grasp_type="any")
+    assert task.may_spare_fingers and not any(t.may_spare_fingers for t in task.choices[1:])
+    plan = plan_grasp(task, seed=5323, max_attempts=60)
+    assert len(plan.task.finger_names) == 3
+
+
 @pytest.mark.parametrize("given", ["fingertip", None])
 def test_fingertips_are_the_default(given: str | None) -> None:
     one = GraspTask.create("allegro_hand", "sphere", grasp_type=given)
@@ -199,13 +208,29 @@ def test_fingertips_are_the_default(given: str | None) -> None:
 
 def test_what_a_type_cannot_be_is_said() -> None:
     with pytest.raises(NotFoundError, match="grasp type"):
-        GraspTask.create("allegro_hand", "sphere", grasp_type="hook")
+        GraspTask.create("allegro_hand", "sphere", grasp_type="lateral")
     with pytest.raises(TaskError, match="give one of them"):
         GraspTask.create("allegro_hand", "sphere", grasp_type="power", fingers=["thumb", "index"])
     with pytest.raises(TaskError, match=r"2 finger.*--mu-torsion"):
         GraspTask.create("allegro_hand", "sphere", grasp_type="pinch")
     with pytest.raises(NotFoundError, match="finger of allegro_hand is called"):
         GraspTask.create("allegro_hand", "sphere", fingers=["thumb", "index", "elbow"])
+
+
+def test_a_hook_holds_a_bar_without_the_thumb(hand: Hand) -> None:
+    bar = parse_object("cylinder:0.014x0.12", mass=0.3)
+    task = GraspTask.create(hand, bar, grasp_type="hook", table_height=None)
+    assert not [name for name in task.all_names if name.startswith("thumb")]
+    plan = plan_grasp(task, seed=0)
+    report = simulate(plan)
+    assert report.success, report.reason
+
+
+def test_a_hand_without_inner_links_makes_no_hook() -> None:
+    with pytest.raises(TaskError, match=r"inner links that can touch, and .* has"):
+        GraspTask.create("robosuite:inspire_right", "sphere", grasp_type="hook")
+    with pytest.raises(TaskError, match="a hook"):
+        GraspTask.create("two_allegro_hands", "sphere:0.1", grasp_type="hook")
 
 
 def test_links_by_name_are_a_grasp_too(hand: Hand) -> None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         compare_solvers,
         turning_wrenches,
     )
+    from planner.forces.compliance import GraspCompliance
     from planner.forces.costs import QuadraticCost
     from planner.forces.gaps import PyramidGap, cone_gaps
     from planner.forces.grip import ExpectedLoad, grip_for_load
@@ -44,6 +45,7 @@ __all__ = [
     "ForceResiduals",
     "ForceSolution",
     "ForceStep",
+    "GraspCompliance",
     "Infeasibility",
     "LeastViolation",
     "LimitArguments",
@@ -70,6 +72,7 @@ _HOMES = {
     "ExpectedLoad": "planner.forces.grip",
     "ForceLoop": "planner.forces.loop",
     "ForceStep": "planner.forces.loop",
+    "GraspCompliance": "planner.forces.compliance",
     "Infeasibility": "planner.forces.infeasible",
     "PyramidGap": "planner.forces.gaps",
     "QuadraticCost": "planner.forces.costs",

@@ -13,6 +13,7 @@ from planner.arrays import checked_number, finite_array, float_array, per_item
 from planner.contacts import Cone, ContactSet, check_contacts
 from planner.contacts.friction import check_edges
 from planner.errors import ContactError, ObjectError, shown
+from planner.forces.compliance import passive_rows
 from planner.forces.costs import QuadraticCost
 from planner.forces.friction_part import friction_part
 from planner.forces.problem import ForceProblem
@@ -75,6 +76,7 @@ class ForceArguments(LimitArguments, total=False):
     actuation: Actuation | None
     q: ArrayLike | None
     gravity_torque: ArrayLike | None
+    contact_compliance: ArrayLike | None
 
 
 def build_force_problem(
@@ -92,6 +94,7 @@ def build_force_problem(
     actuation: Actuation | None = None,
     q: ArrayLike | None = None,
     gravity_torque: ArrayLike | None = None,
+    contact_compliance: ArrayLike | None = None,
 ) -> ForceProblem:
     """Build the quadratic programme of contact forces; nothing is solved.
 
@@ -116,6 +119,10 @@ def build_force_problem(
         actuation: Limits the joint torques; needs ``jacobians`` and ``q``. Its springs help.
         q: Joints (nv,) at which the actuators' limits and the active stops are taken.
         gravity_torque: Joint torques (nv,) that hold the hand itself, N m; 0 unless given.
+        contact_compliance: How contacts give way, m/N, a number for all or one per force component
+            (torsion over the square of its ``column_scale``); only ratios count. Internal forces
+            that load no joint are then those that compliance brings about
+            (``planner.forces.compliance``); None lets them be chosen. Needs ``jacobians``.
 
     Raises:
         ContactError: Shapes do not fit, NaN, or a value outside its range.
@@ -154,13 +161,19 @@ def build_force_problem(
     extra = np.zeros((0, 0)) if limits is None else limits.case.extra_rows
     torque_rows = np.flatnonzero(loaded_rows(z, extra))
     ne, mf, mt = extra.shape[1], len(part.faces), len(torque_rows)
+    shared = np.zeros((0, nf))
+    if contact_compliance is not None:
+        shared = passive_rows(contacts, joint_map, actuation, contact_compliance, part.unit)
+    mp = len(shared)
     nx = nf + excess + ne
-    rows = np.zeros((6 + mf + mt, nx))
+    rows = np.zeros((6 + mf + mp + mt, nx))
     rows[:6, :nf] = contacts.grasp_map()
     rows[6 : 6 + mf, : nf + excess] = part.faces
-    rows[6 + mf :, :nf], rows[6 + mf :, nx - ne :] = z[torque_rows], extra[torque_rows]
-    low = np.concatenate([-balance, np.full(mf, -np.inf), torques[0, torque_rows]])
-    high = np.concatenate([-balance, np.zeros(mf), torques[1, torque_rows]])
+    rows[6 + mf : 6 + mf + mp, :nf] = shared
+    end = 6 + mf + mp
+    rows[end:, :nf], rows[end:, nx - ne :] = z[torque_rows], extra[torque_rows]
+    low = np.concatenate([-balance, np.full(mf, -np.inf), np.zeros(mp), torques[0, torque_rows]])
+    high = np.concatenate([-balance, np.zeros(mf + mp), torques[1, torque_rows]])
     extra_low, extra_high = np.zeros((2, 0)) if limits is None else limits.extra_limits
     column_scale = np.concatenate([part.unit, np.ones(excess), np.full(ne, length)])
     quadratic = np.diag(
@@ -184,6 +197,7 @@ def build_force_problem(
         row_names=(
             *_WRENCH_ROWS,
             *part.face_names,
+            *("passive force by compliance",) * mp,
             *(() if limits is None else _torque_names(limits, tuple(torque_rows.tolist()))),
         ),
         n_faces=mf,
@@ -200,7 +214,7 @@ def build_force_problem(
         ),
         column_scale=column_scale,
         row_scale=np.concatenate(
-            [np.ones(3), np.full(3, 1 / length), np.ones(mf), np.full(mt, 1 / length)]
+            [np.ones(3), np.full(3, 1 / length), np.ones(mf + mp), np.full(mt, 1 / length)]
         ),
         length=length,
         force_scale=asked if asked > MIN_SCALE else 1.0,

@@ -213,9 +213,10 @@ class _Phase1:
         first = nx - problem.n_extra
         for j in [*columns[columns >= first].tolist(), *columns[columns < first].tolist()]:
             named.append(self._bound_in_words(j, at_lower=bool(ends[j] > 0)))
-        end, names = len(result.row_duals) - mt, problem.row_names[6 : 6 + problem.n_faces]
-        faces = result.row_duals[end - len(names) : end]
-        named += [names[j] for j in np.flatnonzero(np.abs(faces) > MULTIPLIER_TOL)]
+        between, first = len(problem.rows) - mt, len(problem.rows) - len(result.row_duals)
+        names = problem.row_names[6:between]
+        others = result.row_duals[6 - first : between - first]
+        named += [names[j] for j in np.flatnonzero(np.abs(others) > MULTIPLIER_TOL)]
         return tuple(dict.fromkeys(named))
 
     def _torques_in_words(self, duals: FloatArray) -> list[str]:

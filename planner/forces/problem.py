@@ -3,6 +3,7 @@
     minimise    1/2 x'P x + q'x
     subject to  G f = -wrench                  balance
                 D x <= 0                       friction pyramids
+                P'C f = 0                      passive forces (``planner.forces.compliance``)
                 low <= Z J'f - Z E e <= high   joint torques (``planner.forces.torque_limits``)
                 C x in second-order cones      head >= |tail|: round friction cones
                 lower <= x <= upper            normal forces, e
@@ -73,8 +74,8 @@ class ForceProblem:
         contacts: n contacts.
         wrench: (6,), external wrench on the object about ``contacts.center``, N and N m.
         quadratic, linear: P (nx, nx) and q (nx,).
-        rows: (6 + mf + mt, nx): balance, friction faces, torques; N and N m.
-        low, high: (6 + mf + mt,), their limits; infinite where free.
+        rows: (6 + mf + mp + mt, nx): balance, friction faces, passive forces, torques; N and N m.
+        low, high: (6 + mf + mp + mt,), their limits; infinite where free.
         row_names: What each row is.
         n_faces: mf.
         torque_rows: Which rows of the torque limits take part (mt,).
@@ -84,7 +85,7 @@ class ForceProblem:
         lower, upper: (nx,), infinite where free.
         column_names: What each unknown is.
         column_scale: (nx,), unit of each unknown per newton: 1, or a length in m.
-        row_scale: (6 + mf + mt,), what turns a row into newtons.
+        row_scale: (6 + mf + mp + mt,), what turns a row into newtons.
         length: Characteristic length, m: distance of the furthest contact from the centre.
         force_scale: Size of the forces that are asked for, N; residuals are judged by it.
         cost_names: What costs.
@@ -211,7 +212,9 @@ class ForceProblem:
         wrench = self.contacts.wrench_of(self.contact_forces(x)) + self.wrench
         value = self.rows @ x
         off = self.row_scale * (value - np.minimum(np.maximum(value, self.low), self.high))
-        faces, torque = off[6 : 6 + self.n_faces], off[6 + self.n_faces :]
+        end = len(off) - len(self.torque_rows)
+        faces, torque = off[6 : 6 + self.n_faces], off[end:]
+        passive = float(np.abs(off[6 + self.n_faces : end]).max(initial=0.0))
         missing = np.zeros(len(self.gravity_torque))
         if self.torque_limits is not None:
             by_row = np.zeros(len(missing))
@@ -225,7 +228,7 @@ class ForceProblem:
         cone = max([float(faces.max(initial=0.0)), *round_cones])
         bounds = float(outside.max(initial=0.0))
         missed = float(np.abs(self.row_scale[:6] * wrench).max())
-        worst = max(missed, cone, bounds, float(np.abs(torque).max(initial=0.0)))
+        worst = max(missed, cone, bounds, passive, float(np.abs(torque).max(initial=0.0)))
         return ForceResiduals(wrench=wrench, cone=cone, bounds=bounds, torque=missing, worst=worst)
 
     def __repr__(self) -> str:
@@ -237,10 +240,12 @@ class ForceProblem:
         nf, ne = self.n_force, self.n_extra
         excess = len(self.column_names) - nf - ne
         mt = len(self.torque_rows)
+        passive = len(self.rows) - 6 - self.n_faces - mt
         head = [
             f"force problem: {len(self.contacts)} contacts, {len(self.column_names)} columns "
             f"({nf} contact, {excess} excess, {ne} repeated actuator or stop), 6 rows of balance, "
             f"{self.n_faces} friction faces, {mt} rows of torque"
+            + (f", {passive} of passive forces" if passive else "")
             + (f", {len(self.cone_sizes)} round cones" if self.cone_sizes else ""),
             f"minimise 1/2 sum cost x^2: {', '.join(self.cost_names)}; lengths by "
             f"{self.length:.4g} m, forces by {self.force_scale:.4g} N",

@@ -115,6 +115,26 @@ def _last(hand: Hand, finger: Finger) -> str:
     return links[-1].name if links else finger.name
 
 
+def _hook(hand: Hand) -> ContactSets:
+    """Last and inner links of all fingers but the opposer, around a bar; or last links and palm.
+
+    Raises:
+        TaskError: Its fingers have no inner links that could touch, or the hand is two.
+    """
+    hand.require_one("a hook")
+    _, *others = _by_nearness(hand)
+    inner = [part[-3].name for f in others if len(part := _links(hand, f)) > 2]
+    if len(inner) < FEW:
+        raise TaskError(
+            f"a hook takes two fingers with inner links that can touch, and {hand.name} has "
+            f"{len(inner)} of them beside the one that opposes; use fingertip or tripod"
+        )
+    last = [_last(hand, f) for f in others]
+    palm = [hand.sides[0].palm_body]
+    around = (*last, *inner)
+    return (around, (*last, *palm)) if palm[0] in hand.contact_parts else (around,)
+
+
 def _palms(hand: Hand) -> ContactSets:
     """Both palms of two hands, with the last links of two fingers or of all but the opposer.
 
@@ -144,6 +164,7 @@ GRASP_TYPES: Mapping[str, Callable[[Hand], ContactSets]] = {
     "pinch": lambda hand: _few(hand, 2, "pinch"),
     "tripod": lambda hand: _few(hand, 3, "tripod"),
     "power": _power,
+    "hook": _hook,
     "palms": _palms,
     ANY: _any,
 }

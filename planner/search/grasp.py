@@ -78,7 +78,7 @@ def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool
 
     def context(index: int, is_found: bool) -> _GraspContext:
         task = choices[index % len(choices)]
-        past = index - SPARE_AFTER
+        past = index // len(choices) - SPARE_AFTER
         spares = task.may_spare_fingers and past >= 0 and past % 2 == 0 and not is_found
         problem = (_spared_problem if spares else _problem)(task, options.form)
         true_geometry(problem.task)  # this thread's own is made before the attempt's time begins

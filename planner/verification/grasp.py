@@ -242,7 +242,7 @@ def force_arguments(
     points = (contacts.positions - T_world_base.translation) @ rotation
     local = state.point_jacobians(joints, points)
     jacobians = (rotation @ local.reshape(-1, 2, 3, task.hand.nq)).reshape(local.shape)
-    return {
+    given: ForceArguments = {
         "wrench": gravity_wrench(task.object.mass, task.gravity),
         "min_normal": task.grip_force if task.is_of_fingertips else task.least_normals,
         "friction_scale": FRICTION_SHARE,
@@ -251,3 +251,6 @@ def force_arguments(
         "q": q,
         "gravity_torque": state.gravity_torque(rotation.T @ task.gravity),
     }
+    if not task.is_of_fingertips:  # three joints or more move a fingertip wherever a force points
+        given["contact_compliance"] = 1.0
+    return given

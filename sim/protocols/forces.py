@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planner.certify import NearBound, Neighbourhood, bound_nearby, breaking_along
-from planner.contacts import ContactModel, ContactSet
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.quality import Interval
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GRAVITY
 from planner.verification.grasp import plan_forces
+from sim.creep import with_friction_of
 from sim.protocols.disturbance import DisturbanceTrial, Settings
 from sim.protocols.outcome import AXES, Conditions, Outcome, axis_of
 from sim.scene.physics import PhysicsOptions
@@ -152,7 +152,7 @@ def proven_bound(plan: GraspPlan, physics: PhysicsOptions, wrench: FloatArray) -
         Bounds of the largest factor (-): in the planned posture no control bears more than the
         upper end.
     """
-    contacts = _with_friction(plan, physics)
+    contacts = with_friction_of(plan, physics)
     problem = plan_forces(plan.task, contacts, plan.T_world_base, plan.q).problem
     return breaking_along(problem, np.asarray(wrench))
 
@@ -165,7 +165,7 @@ def near_bound(plan: GraspPlan, physics: PhysicsOptions, wrench: FloatArray) -> 
         physics: Gives friction, sliding and torsional.
         wrench: (6,), N and N m, world axes about the centre of mass; not zero.
     """
-    return bound_nearby(plan, np.asarray(wrench), contacts=_with_friction(plan, physics))
+    return bound_nearby(plan, np.asarray(wrench), contacts=with_friction_of(plan, physics))
 
 
 def distance_from_plan(plan: GraspPlan, q: FloatArray, T_base_object: SE3) -> Neighbourhood:
@@ -206,12 +206,3 @@ def _load(
         hold.push(now * wrench)
 
     return hold.hold_for(duration, each_step=grow)
-
-
-def _with_friction(plan: GraspPlan, physics: PhysicsOptions) -> ContactSet:
-    """The planned contacts with the friction of a simulation."""
-    soft: ContactModel = "soft"  # MuJoCo's condim 4
-    return replace(
-        plan.contacts.with_friction(physics.mu, physics.mu_torsion),
-        models=(soft,) * len(plan.contacts),
-    )
