@@ -59,8 +59,9 @@ def brief_trials() -> Iterator[None]:
 def coarse_steps() -> Iterator[None]:
     """Trials of this process, and of its forks, take steps of 4 ms unless they name physics."""
     presets, kind = physics.PRESETS, physics.PhysicsOptions
+    begin: Any = kind.__init__
     with (
-        patch.dict(kind.__init__.__kwdefaults__, timestep=COARSE.timestep),
+        patch.dict(begin.__kwdefaults__, timestep=COARSE.timestep),
         patch.dict(presets._known, {COARSE.name: COARSE}),
         patch.object(presets, "usual", COARSE),
     ):
