@@ -12,8 +12,10 @@ from dataclasses import fields, replace
 from typing import Any
 from unittest.mock import patch
 
+from planner.describe import postures
 from sim.manipulation.timeline import ManipulationTimeline
 from sim.protocols import Settings
+from sim.scene import physics
 from sim.scene.carrier import Timeline
 from sim.show import picture
 
@@ -25,6 +27,12 @@ BRIEF_TURN = ManipulationTimeline(approach=0.4, lift=0.4, carry=0.2, retreat=0.2
 
 BRIEF_PROTOCOL = Settings(growth=1.5, hold_s=0.5)
 """Loads of a protocol grow in steps of a half instead of a tenth."""
+
+COARSE = replace(physics.PRESETS.usual, timestep=0.004)
+"""Half of the steps and of what controllers compute; DexGraspBench takes 4 ms, too."""
+
+POSTURES = {"RADII": (0.022, 0.034, 0.046), "FIRST": (0.034,), "STARTS": 2}
+"""Radii (m) to which the postures of a new hand are searched, those begun with, and starts."""
 
 SMALL_PICTURE = replace(picture.PICTURE, size=(320, 240), larger=1.0, shadows=512)
 """A picture that takes a tenth of the time where no GPU draws it."""
@@ -41,4 +49,21 @@ def brief_trials() -> Iterator[None]:
             patches.enter_context(patch.object(kind.__init__, "__kwdefaults__", values))
             assert kind() == brief
         patches.enter_context(patch.object(picture, "PICTURE", SMALL_PICTURE))
+        patches.enter_context(coarse_steps())
+        for name, few in POSTURES.items():
+            patches.enter_context(patch.object(postures, name, few))
+        yield
+
+
+@contextmanager
+def coarse_steps() -> Iterator[None]:
+    """Trials of this process, and of its forks, take steps of 4 ms unless they name physics."""
+    presets, kind = physics.PRESETS, physics.PhysicsOptions
+    begin: Any = kind.__init__
+    with (
+        patch.dict(begin.__kwdefaults__, timestep=COARSE.timestep),
+        patch.dict(presets._known, {COARSE.name: COARSE}),
+        patch.object(presets, "usual", COARSE),
+    ):
+        assert kind() == COARSE
         yield

@@ -141,11 +141,12 @@ def plan_of() -> PlanOf:
 
 @pytest.fixture(scope="session")
 def report_of(plan_of: PlanOf) -> ReportOf:
-    """Reports of trials that are only input: executed once for each worker."""
+    """Reports of trials that are only input: executed once for each worker, in steps of 4 ms."""
 
     @cache
     def executed(hand: str, thing: str, seed: int = 0, **options: Any) -> TrialReport:
-        return simulate(plan_of(hand, thing, seed, **options), timeline=Timeline.quick())
+        plan = plan_of(hand, thing, seed, **options)
+        return simulate(plan, timeline=Timeline.quick(), physics=brief.COARSE)
 
     return executed
 
@@ -154,6 +155,13 @@ def report_of(plan_of: PlanOf) -> ReportOf:
 def brief_trials() -> Iterator[None]:
     """Trials of a module are brief unless they name another timeline: those of commands."""
     with brief.brief_trials():
+        yield
+
+
+@pytest.fixture(scope="module")
+def coarse_steps() -> Iterator[None]:
+    """Trials of a module take steps of 4 ms: of those that ask what is done with a trial."""
+    with brief.coarse_steps():
         yield
 
 
@@ -256,11 +264,13 @@ def brief_postures(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture
-def brief_manipulations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Manipulations take short phases unless they name others: those of commands and trainings."""
+def brief_manipulations(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Manipulations take short phases and steps of 4 ms: those of commands and trainings."""
     from manipulations import QUICK  # here: most modules have no use for what it imports
 
     from sim.manipulation import ManipulationTimeline
 
     monkeypatch.setattr(ManipulationTimeline.__init__, "__kwdefaults__", asdict(QUICK))
     assert ManipulationTimeline() == QUICK
+    with brief.coarse_steps():
+        yield

@@ -171,9 +171,10 @@ def test_workers_make_the_same_rows_and_one_that_dies_costs_its_own(
 ) -> None:
     monkeypatch.setattr("planner.batch.pool.DEATHS_ALONE", 1)  # to start fewer processes
     alone = made(5)[0]["rows"]
-    assert made(5, workers=2)[0]["rows"] == alone
     rows = made(5, workers=2, seed=KILLS)[0]["rows"]
     assert [row.get("square") for row in rows] == [0, None, 4, 9, 16]
+    whole = [row | {"seed": 0} for row in rows if not row["error"]]
+    assert whole == [alone[0], *alone[2:]]
     assert rows[1]["error"] == "its process died 2 times, killed or by a fault in a library"
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from brief import COARSE
 
 import planner
 from planner.files import PlanFile, read_plan
@@ -457,7 +458,7 @@ def test_ctrl_c_in_a_run_leaves_plan_and_report(
     report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
     ReportFile.model_validate(report)
     assert report["reason"] == "interrupted"
-    assert np.isclose(report["simulated_s"], 300 * 0.002)
+    assert np.isclose(report["simulated_s"], 300 * COARSE.timestep)
 
 
 SAY_WHEN = """

@@ -163,7 +163,7 @@ def test_a_hand_that_fails_is_told(drive: Any) -> None:
         (["--replay", "x.npz"], "x.npz does not exist"),
         (["--replay", "x.npz", "--check-joints"], "a log has none"),
         (["--rate", "0"], "the rate is 0.0"),
-        (["--rate", "5000", "--fast"], "at 500 Hz at most"),
+        (["--rate", "5000", "--fast"], "at 250 Hz at most"),  # steps of 4 ms
         (["--assume", "luck"], "no planned value that may stand in"),
         (["--max-rate", "-1"], "give a number > 0 in rad/s"),
         (["--on-stop", "panic"], "There is: hold, torque-off"),

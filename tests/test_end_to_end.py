@@ -12,6 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from brief import COARSE
 from conftest import PlanOf, ReportOf
 
 from planner.errors import NoGraspFoundError
@@ -112,7 +113,7 @@ def test_a_plan_read_from_its_file_is_executed_to_the_same_end(
     write_plan(plan_of("allegro_hand", "box"), tmp_path / "plan.json")
     direct = report_of("allegro_hand", "box")
     again = read_plan(tmp_path / "plan.json", hand=allegro)
-    from_file = simulate(again, timeline=Timeline.quick())
+    from_file = simulate(again, timeline=Timeline.quick(), physics=COARSE)
     assert from_file.success and direct.success
     np.testing.assert_allclose(from_file.largest_slip, direct.largest_slip, atol=0.05)
 

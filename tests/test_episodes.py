@@ -39,6 +39,8 @@ from sim.show.picture import write_film
 from sim.simulation import Simulation
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 pa = pytest.importorskip("pyarrow")
 pytest.importorskip("pyarrow.parquet")
 

@@ -346,11 +346,12 @@ def test_senses_that_do_not_exist_are_refused(
 def test_a_policy_reads_nothing_of_the_camera(plan: ManipulationPlan, policy: Policy) -> None:
     """With a camera that is half a metre off it does exactly the same."""
     blind = Reality(name="blind", pose_noise=0.5, turn_noise=1.0, pose_rate=7.0)
-    reports = [
-        CALM.run(replace(TASK, reality=reality), plan, PolicyController(plan.grasp, policy))
+    task = replace(TASK, physics=PhysicsOptions())
+    runs = [
+        CALM.run(replace(task, reality=reality), plan, PolicyController(plan.grasp, policy))
         for reality in (Reality(), blind)
     ]
-    one, other = (run.perform() for run in reports)
+    one, other = map(until_turned, runs)
     until = int(one.log.during("turn")[-1])  # where it is put down after that is for the camera
     assert until > 100
     assert np.array_equal(one.log.turn[:until], other.log.turn[:until])
@@ -360,7 +361,8 @@ def test_a_policy_reads_nothing_of_the_camera(plan: ManipulationPlan, policy: Po
 @pytest.mark.slow
 @pytest.mark.usefixtures("brief_manipulations")
 def test_the_open_loop_turns_the_object_where_all_is_as_planned(plan: ManipulationPlan) -> None:
-    report = CALM.run(replace(TASK, reality=Reality()), plan, open_loop(plan.grasp)).perform()
+    task = replace(TASK, reality=Reality(), physics=PhysicsOptions())
+    report = CALM.run(task, plan, open_loop(plan.grasp)).perform()
     assert report.success, report
     assert report.controller == "PolicyController"
 
@@ -514,6 +516,7 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(
         return made[key]
 
     monkeypatch.setattr("sim.learning.training.run_episode", once)
+    task = replace(TASK, reality=Reality(), physics=PhysicsOptions())
     at_once, in_two = tmp_path / "at-once", tmp_path / "in-two"
     (at_once / "plans").mkdir(parents=True)
     file = folder / "plan-0000.json"
@@ -523,16 +526,16 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(
         if now.episode == 1:  # what an interruption after it would leave
             copytree(at_once, in_two)
 
-    whole = learn(TASK, TINY, at_once, command="one", progress=leave)
+    whole = learn(task, TINY, at_once, command="one", progress=leave)
 
     def press(now: Progress) -> None:
         if now.episode == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        learn(TASK, TINY, in_two, command="one", progress=press)
+        learn(task, TINY, in_two, command="one", progress=press)
     assert not (in_two / "rounds" / "01.npz").exists()
-    rest = learn(TASK, TINY, in_two, command="one")
+    rest = learn(task, TINY, in_two, command="one")
     assert whole.policy is not None and rest.policy is not None
     for one, other in zip(whole.policy.weights, rest.policy.weights, strict=True):
         assert np.array_equal(one, other)
@@ -544,15 +547,16 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(
     told = whole.to_dict()
     assert [row["episodes"] for row in told["rounds"]] == [1, 1]
     with pytest.raises(FileFormatError, match=r"course.epochs is 1 there and 2 here"):
-        learn(TASK, replace(TINY, epochs=2), in_two)
+        learn(task, replace(TINY, epochs=2), in_two)
     with pytest.raises(FileFormatError, match=r"task.angle is"):
-        learn(replace(TASK, angle=1.0), TINY, in_two)
+        learn(replace(task, angle=1.0), TINY, in_two)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plan", "brief_manipulations")
 def test_the_teacher_turns_it_under_lab_by_the_truth(folder: Path) -> None:
-    episode = run_episode(Plans(TASK, folder), 0, count=1, policy=None, share=1.0, noise=0.0)
+    task = replace(TASK, physics=PhysicsOptions())
+    episode = run_episode(Plans(task, folder), 0, count=1, policy=None, share=1.0, noise=0.0)
     assert episode.strict, episode.reason
     assert len(episode.senses) == len(episode.wanted) > 300
     assert np.abs(episode.wanted).max() <= 1.0

@@ -26,7 +26,7 @@ from sim.report import TrialReport
 from sim.scene.carrier import Timeline
 from sim.trial import simulate
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse_steps")]
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("imageio_ffmpeg")

@@ -34,6 +34,8 @@ from sim.manipulation.simulation import Reading
 from sim.sensing.reality import REALITIES
 from sim.simulation import Simulation
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 
 @pytest.fixture(scope="module")
 def plan() -> ManipulationPlan:

@@ -46,6 +46,8 @@ from sim.manipulation.simulation import ManipulationOptions
 from sim.manipulation.timeline import ManipulationTimeline, SuccessCriteria
 from sim.show.targets import Target, ViewOptions, recognise
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 
 @pytest.fixture(scope="module")
 def turn() -> ManipulationPlan:

@@ -34,6 +34,8 @@ from sim.report import TrialReport
 from sim.simulation import Simulation
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 MOST_POLYGONS = 150_000
 """That a picture may draw, which is what it costs: 0.04 to 0.25 s where nothing else runs."""
 

@@ -48,6 +48,8 @@ from sim.scene.carrier import Timeline
 from sim.scene.physics import PhysicsOptions
 from sim.trial import Trial
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4, hold=0.2)
 
 
@@ -70,7 +72,7 @@ def run_on(
     hand: SimulatedHand, plan: GraspPlan, *, inside: Any = None, **options: Any
 ) -> LoopReport:
     """A run on its own clock, without limits unless told otherwise."""
-    settings: dict[str, Any] = {"rate_hz": 500.0, "limits": CommandLimits.none()} | options
+    settings: dict[str, Any] = {"rate_hz": 250.0, "limits": CommandLimits.none()} | options
     return run_controller(
         inside or hand,
         settings.pop("controller", hand.controller),
@@ -179,11 +181,11 @@ def test_in_real_time_it_simulates_up_to_now(plan: GraspPlan) -> None:
     clock = FakeClock()
     hand = simulated(plan, clock=clock)
     assert hand.read().time == 100.0
-    clock.time += 0.05
-    assert hand.read().time == pytest.approx(100.05, abs=2e-3)
+    clock.time += 0.048
+    assert hand.read().time == pytest.approx(100.048, abs=2e-3)
     hand.write(hand._written.commands)
     clock.time += 0.0001  # less than a step: nothing new
-    assert hand.read().time == pytest.approx(100.05, abs=2e-3)
+    assert hand.read().time == pytest.approx(100.048, abs=2e-3)
 
 
 def test_a_simulation_that_diverges_ends_the_run(plan: GraspPlan) -> None:

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from brief import COARSE
 from conftest import PlanOf
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -690,7 +691,7 @@ def test_layers_without_errors_change_no_bit(plan: GraspPlan, controller: str) -
 @pytest.mark.slow
 def test_layers_without_errors_change_no_bit_of_a_manipulation() -> None:
     plan, without = turned_cylinder(), turned_cylinder_report()
-    run = ManipulationRun(plan, timeline=QUICK, reality=Reality(seed=3))
+    run = ManipulationRun(plan, timeline=QUICK, physics=COARSE, reality=Reality(seed=3))
     assert run.sim.simulation.reality is None
     run.sim.simulation.reality = RealityOfTrial(Reality(), plan.task)
     layered = run.perform()
@@ -703,7 +704,7 @@ def test_layers_without_errors_change_no_bit_of_a_manipulation() -> None:
 def test_the_hand_carries_the_object_to_where_it_reads_it() -> None:
     """A camera that is 4 mm off along x: the object is put down 4 mm short of its target there."""
     plan, margins = turned_cylinder(), []
-    run = ManipulationRun(plan, timeline=QUICK, estimator="none")
+    run = ManipulationRun(plan, timeline=QUICK, physics=COARSE, estimator="none")
     drawn = nothing(plan.task, pose_bias=np.array([0.004, 0.0, 0.0]))
     run.sim.simulation.reality = RealityOfTrial(Reality(pose_bias=1.0), plan.task, drawn)
 

@@ -37,6 +37,8 @@ from sim.scene.physics import PhysicsOptions
 from sim.show.trial_page import trial_page
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 QUICK = Timeline(approach=0.2, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.3, hold=0.2)
 
 NEAR = 1e-3

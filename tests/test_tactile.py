@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from brief import BRIEF
 from conftest import PlanOf, calls_in
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -475,7 +476,8 @@ def test_effort_and_binary_say_that_all_fingers_touch_and_roughly_where(plan: Gr
 def test_every_controller_holds_with_every_sense(
     plan: GraspPlan, touch: str, controller: str
 ) -> None:
-    report = simulate(plan, controller=controller, reality=Reality(name="t", touch=touch))
+    reality = Reality(name="t", touch=touch)
+    report = simulate(plan, controller=controller, timeline=BRIEF, reality=reality)
     assert report.success, report.verdict
     assert report.reality is not None and report.reality["touch"] == touch
 

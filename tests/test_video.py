@@ -32,6 +32,8 @@ from sim.show.picture import FORMATS, PICTURE, Tape, check_video, draw_tape, wri
 from sim.simulation import Simulation, filmed
 from sim.trial import Timeline, simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 SHORT = Timeline.quick()
 
 
