@@ -1,0 +1,1 @@
+"""What cameras saw of an object: points with noise, and the surface believed behind them."""
