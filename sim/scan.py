@@ -1,8 +1,9 @@
 """``scan``: what depth cameras see of an object on a table, with the errors of real ones.
 
-A camera casts the rays of its pixels at the true surface (``mj_multiRay``: exact for primitives, the
-triangles of a mesh otherwise), so that a scan is the same on every machine and needs neither OpenGL
-nor a GPU. A pair of eyes sees what both of them see: behind an edge there is a band without depth.
+A camera casts the rays of its pixels at the true surface (``mj_multiRay``: exact for primitives,
+the triangles of a mesh otherwise), so that a scan is the same on every machine and needs neither
+OpenGL nor a GPU. A pair of eyes sees what both of them see: behind an edge there is a band without
+depth.
 
 Errors, in the order in which they arise (``DepthNoise``):
 
@@ -351,7 +352,9 @@ class _World:
             )
         reach = AROUND * self._radius / middle[2]
         rows, columns = (
-            np.arange(max(0, math.floor(c + f * (m - reach))), min(n, math.ceil(c + f * (m + reach))))
+            np.arange(
+                max(0, math.floor(c + f * (m - reach))), min(n, math.ceil(c + f * (m + reach)))
+            )
             for c, f, m, n in (
                 (cy, fy, middle[1] / middle[2], camera.height),
                 (cx, fx, middle[0] / middle[2], camera.width),

@@ -20,13 +20,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.arrays import checked_number
 from planner.clouds.cloud import PointCloud
+from planner.clouds.level import levelled
 from planner.errors import ObjectError, shown
 from planner.spatial import FloatArray
 
@@ -99,15 +100,16 @@ def is_cloud_file(spec: str) -> bool:
 
 
 def read_cloud(
-    path: Path | str, *, noise: float | None = None, table: float | str | None = "find"
+    path: Path | str, *, noise: float | None = None, table: float | Literal["find"] | None = "find"
 ) -> PointCloud:
     """The cloud of a file; see the module.
 
     Args:
         path: The file.
         noise: Standard deviation of a point, m; that of the file if None, or estimated.
-        table: Height of the table's top, m; None for no table; "find" for that of the file, or one
-            that is looked for.
+        table: Height of the table's top, m, to which the one that is seen is brought
+            (``planner.clouds.level``); None for no table; "find" for that of the file, or the one
+            that is seen.
 
     Raises:
         ObjectError: Missing, damaged, cut short, too large, or not a cloud; says what to do.
@@ -129,9 +131,9 @@ def read_cloud(
     found = readers[path.suffix.lower()](path, content)
     if noise is not None:
         found["noise"] = noise
-    if table != "find" or "table" not in found:
-        found["table"] = table
-    return PointCloud.create(**found)
+    known = found.pop("table", None) if table == "find" else table
+    cloud = PointCloud.create(**found, table=None)
+    return cloud if table is None else levelled(cloud, known)
 
 
 def file_comments(path: Path) -> tuple[tuple[str, ...], ...]:
@@ -174,9 +176,7 @@ class DepthView:
         return np.asarray(seen @ self.T_world_camera[:3, :3].T + self.T_world_camera[:3, 3])
 
 
-def cloud_of_views(
-    views: tuple[DepthView, ...] | list[DepthView], **more: Any
-) -> PointCloud:
+def cloud_of_views(views: tuple[DepthView, ...] | list[DepthView], **more: Any) -> PointCloud:
     """The cloud that depth images show together.
 
     Args:
