@@ -20,6 +20,7 @@ NAMES = (
     "objectives",
     "best",
     "walls",
+    "clouds",
     "metrics",
     "trials",
     "refine",
