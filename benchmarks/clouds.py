@@ -20,6 +20,7 @@ from typing import Annotated, Any
 from zlib import crc32
 
 import numpy as np
+import trimesh
 import typer
 
 from benchmarks.bench import HandOptions, NumberOption
@@ -40,7 +41,6 @@ from sim.cli.execution import controller_of, reality_of
 from sim.cli.options import ControllerOption, RealityOption
 from sim.cli.scan import error_of, length_of
 from sim.scan import Calibration, Scan, scan
-from sim.scene.build import Truth
 from sim.tables import Row
 from sim.trial import simulate
 
@@ -48,6 +48,9 @@ WAYS = ("cloud", "mesh", "hull", "poisson")
 
 DRAWN = "drawn"
 """Objects that are drawn by ``--seed``, ten of them: ``KINDS`` with other sizes."""
+
+TABLE = 0.0
+"""Height of the table's top, m, which planning knows."""
 
 KINDS = (
     *("sphere", "box", "cylinder", "capsule", "ellipsoid"),
@@ -64,9 +67,8 @@ STRETCH = (0.8, 1.25)
 DEPTH = 6
 """Depth of the tree of the Poisson surface: cells of 1/64 of the object's length."""
 
-OPEN = 1000
-"""Edges of a hole that is closed, and triangles of a piece that is kept: Poisson surfaces of half an
-object are open behind."""
+PIECE = 1000
+"""Triangles of a piece of the Poisson surface that is kept."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,12 +161,12 @@ def measure(case: Row) -> Row:
     found = scanned(case)
     raw = found.cloud(table=None)
     begin = time.process_time()
-    cloud = levelled(raw, found.table)
+    cloud = levelled(raw, TABLE)
     level_s = time.process_time() - begin
     # where the first view, with its table, puts what it sees
     moved = believed_motion(raw.points, cloud.points)
-    centre = SE3(np.eye(3), found.T_world_object.translation)
-    believed = moved * centre * found.calibration[0] * centre.inverse() * found.T_world_object
+    centre = SE3(np.eye(3), found.truth.T_world_object.translation)
+    believed = moved * centre * found.calibration[0] * centre.inverse() * found.truth.T_world_object
     row: Row = {"found": False, "abstained": False, "held": None, "right": None, "reason": ""}
     reality = case["reality"].seeded(scan_seed(case))
     begin = time.process_time()
@@ -178,11 +180,8 @@ def measure(case: Row) -> Row:
     row |= {"found": plan is not None and not why, "abstained": bool(why), "why": why[:200]}
     if plan is None:
         return row | {"right": True if why else None}
-    truth = Truth(
-        object=found.object, T_world_object=found.T_world_object, table_height=found.table
-    )
     report = simulate(
-        plan, truth=truth, reality=reality, controller=controller_of(case["controller"])
+        plan, truth=found.truth, reality=reality, controller=controller_of(case["controller"])
     )
     if why:
         return row | {"right": not report.success, "reason": f"abstained: {report.reason}"}
@@ -190,7 +189,7 @@ def measure(case: Row) -> Row:
     return row | {
         "held": report.success,
         "reason": report.reason,
-        "off_mm": float(np.median(off)) if off else None,
+        "off_mm": float(np.nanmedian(off)) if np.isfinite(off).any() else None,
         "epsilon": plan.quality.epsilon,
     }
 
@@ -208,15 +207,15 @@ def plan_of(
     if case["way"] == "cloud":
         raise TaskError("to come")
     if case["way"] == "mesh":
-        item, pose = found.object, believed
+        item, pose = found.truth.object, believed
     else:
         surface = hull_surface if case["way"] == "hull" else poisson_surface
         shape = Mesh.from_triangles(*surface(prepared(cloud)), name=case["way"], repair=True)
-        item = GraspObject(name=case["way"], shape=shape, mass=found.object.mass)
+        item = GraspObject(name=case["way"], shape=shape, mass=found.truth.object.mass)
         pose = SE3(np.eye(3), shape.offset)
     # what is believed may float, or reach into the table by a little: that is an obstacle below it
     foot = pose.translation[2] - item.shape.support(-pose.rotation[2])
-    top = min(found.table, foot - 1e-4)
+    top = min(TABLE, foot - 1e-4)
     place = SE3(np.eye(3), np.array([*pose.translation[:2], top - TABLE_SIZE[2] / 2]))
     table = Obstacle(name="table", size=np.array(TABLE_SIZE), T_world_obstacle=place)
     task = GraspTask.create(
@@ -247,9 +246,12 @@ def poisson_surface(cloud: PointCloud) -> tuple[FloatArray, Any]:
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(vertex_matrix=cloud.points, v_normals_matrix=cloud.normals))
     meshes.generate_surface_reconstruction_screened_poisson(depth=DEPTH, threads=1, preclean=True)
-    meshes.meshing_remove_connected_component_by_face_number(mincomponentsize=OPEN)
-    meshes.meshing_close_holes(maxholesize=OPEN)
-    return meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
+    meshes.meshing_remove_connected_component_by_face_number(mincomponentsize=PIECE)
+    made = trimesh.Trimesh(
+        meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
+    )
+    lids, middles = trimesh.repair.stitch(made, insert_vertices=True)  # open behind
+    return np.vstack([made.vertices, middles]), np.vstack([made.faces, lids[:, ::-1]])
 
 
 def tables(result: Row) -> Iterator[Row | str]:

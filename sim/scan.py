@@ -48,6 +48,7 @@ from planner.shapes import Mesh
 from planner.shapes.mesh import surface_triangles
 from planner.shapes.solid import solid_geoms
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
+from sim.scene.build import Truth
 
 __all__ = [
     "Calibration",
@@ -177,18 +178,14 @@ class Scan:
 
     Attributes:
         views: Depth images, each with the pose where its camera is believed to be.
-        object: What was there.
-        T_world_object: Where it was.
-        table: Height of the table's top, m.
+        truth: What was there.
         noise: Standard deviation of depth, m.
         on_object: Whether each pixel with a depth saw the object, (h, w) per view: for measuring.
         calibration: What was believed of each view's pose, about the object.
     """
 
     views: tuple[DepthView, ...]
-    object: GraspObject
-    T_world_object: SE3
-    table: float
+    truth: Truth
     noise: float
     on_object: tuple[NDArray[np.bool_], ...] = field(repr=False)
     calibration: tuple[SE3, ...]
@@ -256,9 +253,7 @@ def scan(
         raise ObjectError(f"no view sees {item.name}; let them look at it, from 0.3 to 1 m away")
     return Scan(
         views=tuple(seen),
-        object=item,
-        T_world_object=pose,
-        table=table,
+        truth=Truth(object=item, T_world_object=pose, table_height=table),
         noise=errors.depth,
         on_object=tuple(masks),
         calibration=tuple(off),
@@ -454,12 +449,13 @@ def write_scan(found: Scan, path: Path | str) -> None:
         FileFormatError: It cannot be written.
     """
     cloud = found.cloud(table=None)
-    position, quaternion = pose_to_wxyz(found.T_world_object)
+    there = found.truth
+    position, quaternion = pose_to_wxyz(there.T_world_object)
     truth = {
-        "object": found.object.shape.spec,
-        "mass": found.object.mass,
+        "object": there.object.shape.spec,
+        "mass": there.object.mass,
         "pose": [*map(float, position), *map(float, quaternion)],
-        "table": found.table,
+        "table": there.table_height,
     }
     head = [
         "ply",
@@ -484,19 +480,23 @@ TRUTH = "truth"
 """Word of the comment that holds what was there; planning does not read it."""
 
 
-def scanned_truth(path: Path | str) -> tuple[GraspObject, SE3, float] | None:
-    """What a scan of ours was of: object, its pose, height of the table's top (m); None if unsaid.
+def scanned_truth(path: Path | str) -> Truth | None:
+    """What a scan of ours was of; None of a cloud that does not say it.
 
     Raises:
         ObjectError: The file or the object cannot be read.
     """
     for words in file_comments(Path(path)):
-        if words[:1] == (TRUTH,):
-            try:
-                data = json.loads(" ".join(words[1:]))
-                pose, table = [float(v) for v in data["pose"]], float(data["table"])
-                item = parse_object(str(data["object"]), mass=float(data["mass"]))
-                return item, pose_from_wxyz(np.array(pose[:3]), np.array(pose[3:])), table
-            except (ValueError, KeyError, TypeError) as error:
-                raise ObjectError(f"{path}: its comment {TRUTH!r} is garbled: {error}") from error
+        if words[:1] != (TRUTH,):
+            continue
+        try:
+            data = json.loads(" ".join(words[1:]))
+            pose = np.array(data["pose"], dtype=np.float64)
+            return Truth(
+                object=parse_object(str(data["object"]), mass=float(data["mass"])),
+                T_world_object=pose_from_wxyz(pose[:3], pose[3:]),
+                table_height=float(data["table"]),
+            )
+        except (ValueError, KeyError, TypeError) as error:
+            raise ObjectError(f"{path}: its comment {TRUTH!r} is garbled: {error}") from error
     return None

@@ -29,7 +29,7 @@ CAMERA = DepthCamera()
 def on_object(found: Scan, view: int = 0) -> FloatArray:
     """Points of the object in its own frame (n, 3)."""
     points = found.views[view].points()[found.on_object[view]]
-    pose = found.T_world_object
+    pose = found.truth.T_world_object
     return (points - pose.translation) @ pose.rotation
 
 
@@ -109,7 +109,9 @@ def test_edges_bleed_shadows_and_specks_have_no_depth() -> None:
     ):
         found = scan(box, views=view, noise=DepthNoise(**{**vars(plain), **changed}))
         points = found.views[0].points()[np.isfinite(found.views[0].depth)]
-        local = (points - found.T_world_object.translation) @ found.T_world_object.rotation
+        local = (
+            points - found.truth.T_world_object.translation
+        ) @ found.truth.T_world_object.rotation
         off = np.minimum(np.abs(box.shape.signed_distance(local)), np.abs(points[:, 2]))
         count[name] = len(points), int((off > 2e-3).sum())
         depth[name] = found.views[0].depth
@@ -129,7 +131,7 @@ def test_a_calibration_error_moves_what_is_seen_and_nothing_else() -> None:
     seen = scan(item, noise=0.0, views=2, seed=4, calibration=off)
     for k in range(2):
         error = seen.calibration[k]
-        here = SE3(np.eye(3), true.T_world_object.translation)
+        here = SE3(np.eye(3), true.truth.T_world_object.translation)
         moved = here * error * here.inverse()
         before, after = (s.views[k].points()[s.on_object[k]] for s in (true, seen))
         assert np.allclose(before @ moved.rotation.T + moved.translation, after, atol=1e-12)
@@ -169,9 +171,9 @@ def test_a_file_keeps_points_views_noise_and_the_truth_apart(tmp_path: Path) -> 
     assert cloud.noise == 0.002
     truth = scanned_truth(file)
     assert truth is not None
-    there, pose, table = truth
-    assert (there.shape.spec, there.mass, table) == (item.shape.spec, 0.2, 0.0)
-    assert np.allclose(pose.homogeneous, found.T_world_object.homogeneous)
+    assert (truth.object.shape.spec, truth.object.mass) == (item.shape.spec, 0.2)
+    assert truth.table_height == 0.0
+    assert np.allclose(truth.T_world_object.homogeneous, found.truth.T_world_object.homogeneous)
 
 
 def test_a_tilted_table_is_levelled_and_brought_to_its_height() -> None:

@@ -194,8 +194,11 @@ class TrialOptions(ExecutionOptions):
         if report.drawn and (self.verbose or self.video or picture):
             tell(report.drawn)
 
-    def trial(self) -> Callable[[GraspPlan, Path | None], TrialReport]:
+    def trial(self, scan: str = "") -> Callable[[GraspPlan, Path | None], TrialReport]:
         """What executes a plan, with a progress bar on stderr, and draws it.
+
+        Args:
+            scan: Cloud of ``opposable scan``, whose object is what there really is; "" for none.
 
         Raises:
             PlannerError: A controller or physics that there is not, no display to view on, or a
@@ -206,6 +209,12 @@ class TrialOptions(ExecutionOptions):
         from sim.trial import simulate
 
         parts = self.parts()
+        if scan:
+            from sim.scan import scanned_truth
+
+            parts["truth"] = truth = scanned_truth(scan)
+            there = "it was planned on" if truth is None else truth.object.shape.spec
+            say(err, escape(f"executed on the object that {scan} says was there: {there}"))
         if self.view:
             from sim.show.window import check_display
 

@@ -22,6 +22,7 @@ from sim.cli.options import (
     option,
 )
 from sim.cli.search import BestOptions, numbered, plans_table
+from sim.cli.tasks import is_cloud, object_of
 
 LONGEST_NAME = 60
 """Characters of an object in a folder's name."""
@@ -52,13 +53,12 @@ def run(
     the forces over time, the numbers.
     """
     from planner.files import plain_name, plan_to_dict, write_plan
-    from planner.objects import parse_object
     from sim.report_file import write_report
 
     if out_dir is not None:
         make_folder(out_dir)
-    execute = trial.trial()
-    trial.check_policy(hand, lambda: parse_object(object, **request.told_of_object()), None)
+    execute = trial.trial(object if is_cloud(object) else "")
+    trial.check_policy(hand, lambda: object_of(object, **request.told_of_object()), None)
     plan = trial.reckoned(request).plan(hand, object)
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"

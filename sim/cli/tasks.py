@@ -121,6 +121,19 @@ def table_of(text: str) -> float | None:
         raise TaskError(f"{error}, the height of its top in m, or none for no table") from error
 
 
+CLOUDS = (".ply", ".pcd", ".xyz", ".npy", ".json")
+"""How files of clouds end; a PLY file may be a mesh, and a JSON file of ours."""
+
+
+def is_cloud(spec: str) -> bool:
+    """Whether an object is given by the points that cameras saw of it."""
+    if not spec.lower().endswith(CLOUDS):
+        return False
+    from planner.clouds.files import is_cloud_file
+
+    return is_cloud_file(spec)
+
+
 def object_of(spec: str, **options: Any) -> GraspObject:
     """As ``parse_object``; a line on stderr says what of a mesh was mended.
 
