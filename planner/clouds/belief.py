@@ -23,7 +23,7 @@ from planner.clouds.cloud import PointCloud, prepared
 from planner.clouds.sight import Grid, Hypothesis, Sight, hypotheses
 from planner.errors import ObjectError
 from planner.shapes import Mesh
-from planner.spatial import FloatArray, contact_frames
+from planner.spatial import SE3, FloatArray, contact_frames
 
 CONDITIONS = 320
 """Places at which the process is conditioned, about."""
@@ -116,6 +116,11 @@ class Belief:
         """
         mesh = _level_mesh(self.grid, self._levels[number])
         return replace(self, chosen=number, offset=np.array(mesh.offset)), mesh
+
+    @property
+    def T_world_object(self) -> SE3:
+        """Pose of the object in the cloud's frame."""
+        return SE3(np.eye(3), self.offset)
 
     @property
     def hypothesis(self) -> Hypothesis:
