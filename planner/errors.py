@@ -22,6 +22,7 @@ __all__ = [
     "ObjectError",
     "PlannerError",
     "TaskError",
+    "UncertainError",
 ]
 
 
@@ -181,6 +182,14 @@ class NoGraspFoundError(PlannerError):
     def __reduce__(self) -> tuple[Any, ...]:
         """How it is sent to another process: it is made again of what it was made of."""
         return type(self), (str(self), self.attempts)
+
+
+class UncertainError(NoGraspFoundError):
+    """Too little was seen of an object for any grasp to be promised.
+
+    Attributes:
+        attempts: Every ``planner.search.grasp.Attempt`` that was made.
+    """
 
 
 class InfeasibleError(PlannerError):
