@@ -189,7 +189,17 @@ class UncertainError(NoGraspFoundError):
 
     Attributes:
         attempts: Every ``planner.search.grasp.Attempt`` that was made.
+        best: The refused ``planner.search.from_cloud.CloudPlan`` that survives most; None without.
     """
+
+    def __init__(self, message: str, attempts: tuple[Any, ...], best: Any = None) -> None:
+        """Keep the message, the attempts and the best plan."""
+        self.best = best
+        super().__init__(message, attempts)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How it is sent to another process: it is made again of what it was made of."""
+        return type(self), (str(self), self.attempts, self.best)
 
 
 class InfeasibleError(PlannerError):

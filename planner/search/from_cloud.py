@@ -179,8 +179,6 @@ def plan_from_cloud(
             grasp_task = _task(hand, belief, number, mass, name, task)
             search = attempts(grasp_task, seed=seed, options=options)
         except PlannerError as error:
-            if isinstance(task.get("fingers"), str):
-                raise
             refused.append(f"{what}: {error}")
             continue
         mine = list(_first_plans(islice(search, max_attempts)))
@@ -252,16 +250,21 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int) -> Cloud
     turns = rng.normal(size=(SAMPLES, 3)) * pose_error[1]
     # where the object's surface is if its pose is off: seen from it, contacts are elsewhere
     moved = spots[None] - shifts[:, None, None] - np.cross(turns[:, None, None], spots[None])
-    values = errors
-    for kind in np.unique(kinds):
-        mine = kinds == kind
-        values[mine] += belief.mean(moved[mine].reshape(-1, 3), int(kind)).reshape(-1, n, 4)
-    slope = (values[..., 1:] - values[..., :1]) / STEP  # along normal (inward) and tangents
-    inward = -slope[..., 0]
-    way = values[..., 0] / np.where(inward > LEAST_SLOPE, inward, 1.0)
-    touched = (
-        (inward > LEAST_SLOPE) & (way <= FELT) & (way >= SPARE - plan.pregrasp_distance)
-    ).all(axis=1)
+    way = np.zeros((SAMPLES, n))
+    for _ in range(NEWTON):
+        at = moved + way[:, :, None, None] * frames[:, None, :, 0]
+        values = np.empty((SAMPLES, n, 4))
+        for kind in np.unique(kinds):
+            mine = kinds == kind
+            values[mine] = belief.mean(at[mine].reshape(-1, 3), int(kind)).reshape(-1, n, 4)
+        here = values[..., 0] + errors[..., 0]
+        slope = (values[..., 1:] - values[..., :1]) / STEP  # along normal (inward) and tangents
+        inward = -slope[..., 0]
+        steep = inward > LEAST_SLOPE
+        way = np.clip(way + here / np.where(steep, inward, 1.0), -2.0 * FELT, 2.0 * FELT)
+    slope[..., 1:] += (errors[..., 2:] - errors[..., :1]) / STEP
+    reached = (way <= FELT) & (way >= SPARE - plan.pregrasp_distance)
+    touched = (steep & reached & (np.abs(here) < FELT / 4)).all(axis=1)
     positions = moved[:, :, 0] + way[..., None] * frames[:, :, 0]
     normals = -np.einsum("nde,sne->snd", frames, slope)
     hits = [_hits(plan, belief, kind) for kind in range(len(weights))]
@@ -281,7 +284,10 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int) -> Cloud
     )
 
 
-LEAST_SLOPE = 0.35
+NEWTON = 3
+"""Steps by which a finger's way to the surface is found."""
+
+LEAST_SLOPE = 0.3
 """Slope (-) of the surface's distance along a contact's normal below which a finger slides past."""
 
 
@@ -296,13 +302,13 @@ def _hits(plan: GraspPlan, belief: Belief, kind: int) -> bool:
     hand, state = plan.task.hand, HandState(plan.task.hand, plan.q)
     spheres = [s for s in link_spheres(hand) if not s.is_pad and not s.on_tip]
     T_object_base: SE3 = plan.task.T_world_object.inverse() * plan.T_world_base
-    poses = [T_object_base * state.joint_pose(i) for i in range(state.pin_data.oMi.__len__())]
+    poses = [T_object_base * state.joint_pose(i) for i in range(len(state.pin_data.oMi))]
     centers = np.array([poses[s.joint_id].act(s.center) for s in spheres])
     radii = np.array([s.radius for s in spheres])
+    # on the chosen one the plan is verified: links are no larger than they are clear of it
+    radii = np.minimum(radii, belief.mean(centers))
     gaps = belief.mean(centers, kind) - radii
-    return bool(
-        gaps.min(initial=np.inf) < -SPARE - 2 * belief.grid.spacing * (kind != belief.chosen)
-    )
+    return bool(gaps.min(initial=np.inf) < -SPARE - belief.grid.spacing)
 
 
 def _commonest(failures: list[Failure]) -> str:
@@ -332,4 +338,5 @@ def _abstained(
         f"too little of the object was seen: {why}. Add a view from another side, or give less "
         f"noise if {1e3 * belief.cloud.noise:.1f} mm is too much",
         tuple(made),
+        best,
     )
