@@ -22,7 +22,7 @@ from planner.spatial import FloatArray, IntArray, contact_frames
 
 BoolArray = NDArray[np.bool_]
 
-CELLS = 36
+CELLS = 32
 """Cells of the grid along the longest side of what was seen."""
 
 PIXELS, FINEST = 64, 0.0015
