@@ -13,24 +13,37 @@ best plan, executed all the same, does not hold, or that have no plan at all.
 
 from __future__ import annotations
 
+import io
 import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 from zlib import crc32
 
+import coal
 import numpy as np
 import trimesh
 import typer
+from PIL import Image
 
 from benchmarks.bench import HandOptions, NumberOption
 from benchmarks.common import checked_hand, known, objects_of
 from benchmarks.summary import of, percentage, share, summary
 from planner.clouds.cloud import PointCloud, prepared
+from planner.clouds.files import DepthView, cloud_of_views
 from planner.clouds.level import levelled
 from planner.collision.world import TABLE_SIZE
-from planner.errors import NoGraspFoundError, ObjectError, TaskError, UncertainError
+from planner.errors import (
+    FileFormatError,
+    NoGraspFoundError,
+    ObjectError,
+    TaskError,
+    UncertainError,
+)
+from planner.exchange.array_files import read_pickle
+from planner.kinematics.state import HandState
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.search.from_cloud import plan_from_cloud
@@ -88,10 +101,23 @@ class Options(HandOptions):
     apart: Annotated[str, typer.Option(help="Error of each view beside that.")] = "0"
     reality: RealityOption = "lab"
     controller: ControllerOption = "feedforward"
+    frames: Annotated[
+        Path | None,
+        typer.Option(help="Folder of real RGB-D frames (HUG-Bench, data/hug_bench) instead."),
+    ] = None
 
 
 def cases(options: Options) -> Iterator[Row]:
-    """Every scan, way and hand."""
+    """Every scan, way and hand; of frames, each with every hand."""
+    if options.frames is not None:
+        files = sorted(options.frames.glob("*.pkl"))
+        if not files:
+            raise TaskError(f"{options.frames} holds no .pkl file; name data/hug_bench of a clone")
+        for hand in options.hand_names:
+            checked_hand(hand)
+            for file in files:
+                yield {"hand": hand, "frame": str(file), "seed": options.seed}
+        return
     ways = known("way", options.ways, WAYS)
     found = drawn_objects(options.seed) if options.objects == DRAWN else objects_of(options.objects)
     reality = reality_of(options.reality)
@@ -158,8 +184,83 @@ def believed_motion(before: FloatArray, after: FloatArray) -> SE3:
     return SE3(turn, b - turn @ a)
 
 
+CLEAR = 0.002
+"""Distance (m) from every seen point that a hand should keep where it does not touch."""
+
+FRAME_NOISE = 0.002
+"""Standard deviation (m) of a frame's depth at half a metre: 3 mm a pixel, learned stereo."""
+
+
+def frame_view(file: Path) -> tuple[str, DepthView]:
+    """Name of the object and the depth image of a frame of HUG-Bench, read without executing it.
+
+    Raises:
+        FileFormatError: It is none.
+    """
+    data = read_pickle(file)
+    try:
+        depth, mask = (
+            np.asarray(Image.open(io.BytesIO(data[name]))) for name in ("depth", "object_mask")
+        )
+        K, pose, name = data["camera"]["K"], data["T_world_camera"], str(data["object_name"])
+    except (KeyError, TypeError, OSError) as error:
+        raise FileFormatError(f"{file} is no frame of HUG-Bench: {error}") from error
+    metres = np.where(depth > 0, 1e-3 * depth, np.nan)
+    fx, fy, cx, cy = (float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return name, DepthView(
+        depth=metres, intrinsics=(fx, fy, cx, cy), T_world_camera=pose, mask=mask > 0
+    )
+
+
+def clearance_of_points(plan: GraspPlan, points: FloatArray) -> float:
+    """Least distance (m) of the hand from points (n, 3), those of links that touch left out."""
+    hand, state = plan.task.hand, HandState(plan.task.hand, plan.q)
+    pads = {finger.pad.joint_id for finger in plan.task.fingers}
+    ball, least = coal.Sphere(1e-6), math.inf
+    request = coal.DistanceRequest()
+    for link in hand.geometries:
+        if link.joint_id in pads:
+            continue
+        T = plan.T_world_base * state.joint_pose(link.joint_id) * link.T_joint_geometry
+        link.geometry.computeLocalAABB()
+        local = (points - T.translation) @ T.rotation
+        beyond = (
+            np.linalg.norm(local - link.geometry.aabb_center, axis=1) - link.geometry.aabb_radius
+        )
+        for k in np.flatnonzero(beyond < min(least, 2.0 * CLEAR)):
+            there = coal.Transform3s(np.eye(3), local[k])
+            found = coal.distance(
+                link.geometry, coal.Transform3s(), ball, there, request, coal.DistanceResult()
+            )
+            least = min(least, float(found))
+    return least
+
+
+def measure_frame(case: Row) -> Row:
+    """Plan on a real frame, and how clear of its points the hand is."""
+    name, view = frame_view(Path(case["frame"]))
+    seen = view.points().reshape(-1, 3)
+    begin, plan, why = time.process_time(), None, ""
+    raw = cloud_of_views([view], noise=FRAME_NOISE, table=None)
+    cloud = levelled(raw)
+    try:
+        plan = plan_from_cloud(checked_hand(case["hand"]), cloud, seed=case["seed"], name=name).plan
+    except (NoGraspFoundError, ObjectError, TaskError) as error:
+        why = str(error)
+    row = {"object": name, "cpu_s": time.process_time() - begin, "found": plan is not None}
+    row |= {"why": why[:400], "points": len(raw), "clear_mm": None, "clear": None}
+    if plan is not None:
+        moved = believed_motion(raw.points, cloud.points)
+        seen = seen[np.isfinite(seen).all(axis=1)] @ moved.rotation.T + moved.translation
+        least = clearance_of_points(plan, seen)
+        row |= {"clear_mm": 1e3 * min(least, 1.0), "clear": least >= CLEAR}
+    return row
+
+
 def measure(case: Row) -> Row:
-    """Plan on a scan and execute on the truth."""
+    """Plan on a scan and execute on the truth, or plan on a frame."""
+    if "frame" in case:
+        return measure_frame(case)
     found = scanned(case)
     raw = found.cloud(table=None)
     begin = time.process_time()
@@ -265,6 +366,18 @@ def poisson_surface(cloud: PointCloud) -> tuple[FloatArray, Any]:
 def tables(result: Row) -> Iterator[Row | str]:
     """Held of those not abstained, abstained and whether rightly, CPU; why trials failed."""
     rows = [row for row in result["rows"] if not row["error"]]
+    if any("frame" in row for row in rows):
+        columns = {
+            "plans": share("found"),
+            f"clear by {1e3 * CLEAR:g} mm": share("clear", known="clear"),
+            "clear mm": of("clear_mm", "min", 1),
+            "points": of("points", digits=0),
+            "CPU s": of("cpu_s"),
+            "most": of("cpu_s", "max"),
+        }
+        yield summary("real frames", rows, ("hand", "object"), columns, [(None, "all")])
+        yield from (f"{row['hand']} {row['object']}: {row['why']}" for row in rows if row["why"])
+        return
     columns = {
         "not abstained": share("found"),
         "held of those": percentage("held", 0, known="held"),
