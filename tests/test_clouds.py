@@ -126,8 +126,8 @@ def test_what_is_behind_is_less_certain(solid: str) -> None:
     known, guessed = belief_of(item).deviation(seen), belief_of(item).deviation(back)
     assert np.median(guessed) > 3.0 * np.median(known)
     two = believed(solid, 2)
-    assert np.median(belief_of(two).deviation(back + belief_of(item).offset
-                                              - belief_of(two).offset)) < 0.5 * np.median(guessed)  # fmt: skip
+    same = back + belief_of(item).offset - belief_of(two).offset
+    assert np.median(belief_of(two).deviation(same)) < 0.5 * np.median(guessed)
 
 
 def test_the_gradient_is_that_of_the_mean() -> None:
@@ -223,7 +223,7 @@ BAD: dict[str, tuple[Any, str]] = {
     "a table only": (
         lambda: np.column_stack(
             [np.random.default_rng(0).uniform(-0.3, 0.3, (5000, 2)), np.zeros(5000)]
-        ),  # fmt: skip
+        ),
         "only a table",
     ),
     "a plane": (
