@@ -131,10 +131,10 @@ class Simulation:
         self.plan = plan
         self.reality: RealityOfTrial | None = None
         reality = REALITIES.given(reality)
-        if truth is not None and (scene is not None or reality.object_size):
+        if truth is not None and (scene or reality.object_size or reality.object_center):
             raise TaskError(
-                "a truth tells object and table, and so does a scene, or object_size of a reality; "
-                "leave one out"
+                "a truth tells object and table, and so does a scene, or object_size and "
+                "object_center of a reality; leave one out"
             )
         if not reality.ideal:
             if scene is not None:

@@ -29,6 +29,9 @@ LEAST_SHARE = 0.15
 MOST_BELOW = 0.03
 """Share of the points that may lie below it: outliers."""
 
+AROUND = 0.03
+"""Distance (m) around an object, beside its length, within which its table is looked for."""
+
 FARTHEST = 0.03
 """Distance (m) of the table that is seen from the one that is known, beyond which one is wrong."""
 
@@ -46,13 +49,17 @@ def levelled(cloud: PointCloud, known: float | None = None) -> PointCloud:
     Raises:
         ObjectError: The table is seen far from where it is known to be.
     """
-    plane = _table_plane(cloud.points, max(cloud.noise, 1e-3))
+    centre, reach = cloud.points.mean(axis=0), float(np.ptp(cloud.points, axis=0).max())
+    around = cloud.past[np.linalg.norm(cloud.past - centre, axis=1) < reach + AROUND]
+    seen = np.concatenate([cloud.points, around])  # where there is a mask, the table is around
+    plane = _table_plane(seen, len(cloud), max(cloud.noise, 1e-3))
     if plane is None:
         return replace(cloud, table=known)
     normal, on = plane
-    above = cloud.points[(cloud.points - cloud.points[on].mean(axis=0)) @ normal > FARTHEST / 2]
-    middle = (above if len(above) else cloud.points[on]).mean(axis=0)
-    foot = middle - ((middle - cloud.points[on].mean(axis=0)) @ normal) * normal
+    ground = seen[on].mean(axis=0)
+    above = cloud.points[(cloud.points - ground) @ normal > FARTHEST / 2]
+    middle = above.mean(axis=0) if len(above) else ground
+    foot = middle - ((middle - ground) @ normal) * normal
     turn = _turn_to_vertical(normal)
     shift = 0.0 if known is None else known - float(foot[2])
     if abs(shift) > FARTHEST:
@@ -68,7 +75,8 @@ def levelled(cloud: PointCloud, known: float | None = None) -> PointCloud:
     def moved(points: FloatArray) -> FloatArray:
         return np.asarray((points - foot) @ turn.T + about)
 
-    seen_past = on if len(cloud.views) else np.zeros_like(on)
+    mine = on[: len(cloud)]
+    seen_past = mine if len(cloud.views) else np.zeros_like(mine)
     past = np.concatenate([cloud.past, cloud.points[seen_past]])
     return replace(
         cloud,
@@ -82,10 +90,16 @@ def levelled(cloud: PointCloud, known: float | None = None) -> PointCloud:
     )
 
 
-def _table_plane(points: FloatArray, noise: float) -> tuple[FloatArray, NDArray[np.bool_]] | None:
-    """Upward normal (3,) of the table and which points (n,) are on it; None without one."""
+def _table_plane(
+    points: FloatArray, count: int, noise: float
+) -> tuple[FloatArray, NDArray[np.bool_]] | None:
+    """Upward normal (3,) of the table and which points (n,) are on it; None without one.
+
+    The first ``count`` points, the cloud, are not below it; beside a masked object a floor may be.
+    """
     rng = np.random.default_rng(0)  # which points are tried; the same cloud, the same table
-    some = points[rng.permutation(len(points))[:SAMPLE]]
+    order = rng.permutation(len(points))[:SAMPLE]
+    some, own = points[order], order < count
     corners = some[rng.integers(0, len(some), (TRIES, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -96,7 +110,7 @@ def _table_plane(points: FloatArray, noise: float) -> tuple[FloatArray, NDArray[
     normals, corners = normals[sound], corners[sound]
     off = some @ normals.T - np.einsum("td,td->t", corners[:, 0], normals)
     width = 2.0 * noise
-    score = (np.abs(off) < width).mean(axis=0) - 3.0 * (off < -2.0 * width).mean(axis=0)
+    score = (np.abs(off) < width).mean(axis=0) - 3.0 * (off[own] < -2.0 * width).mean(axis=0)
     best = int(np.argmax(score))
     normal, foot = normals[best], corners[best, 0]
     for _ in range(4):
@@ -107,7 +121,7 @@ def _table_plane(points: FloatArray, noise: float) -> tuple[FloatArray, NDArray[
         centred = points[on] - foot
         normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
         normal = normal * np.sign(normal[2])
-    below = ((points - foot) @ normal < -2.0 * width).mean()
+    below = ((points[:count] - foot) @ normal < -2.0 * width).mean()
     return None if below > MOST_BELOW or normal[2] < STEEPEST else (normal, on)
 
 

@@ -2,52 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
 from sim.cli.common import check_folder, tell
 from sim.cli.options import SCENE, MassOption, ObjectArgument, SeedOption, command, option
-from sim.cli.tasks import object_of
+from sim.cli.tasks import error_of, length_of, object_of
 
 CAMERA = "Camera"
 """Group of options in the help."""
-
-
-def length_of(name: str, text: str) -> float:
-    """A length in m of "0.002", "2mm" or "2 mm".
-
-    Raises:
-        TaskError: Something else.
-    """
-    from planner.errors import TaskError
-
-    number = text.strip().lower()
-    scale = 1.0
-    if number.endswith("mm"):
-        number, scale = number[:-2], 1e-3
-    elif number.endswith("m"):
-        number = number[:-1]
-    try:
-        value = float(number) * scale
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= 0.0):
-        raise TaskError(f"{name} {text!r} is no length >= 0; write 2mm, or 0.002 in m")
-    return value
-
-
-def error_of(name: str, text: str) -> tuple[float, float]:
-    """A length, m, and an angle, rad, of "5mm,5".
-
-    Raises:
-        TaskError: Something else.
-    """
-    from sim.cli.options import numbers
-
-    length, comma, degrees = text.partition(",")
-    turn = numbers(name, degrees, 1)[0] if comma else 0.0
-    return length_of(name, length), math.radians(turn)
 
 
 @command
