@@ -33,6 +33,7 @@ GROUPS: dict[str, list[str]] = {
     ],
     "Objects and shapes": [
         "planner.objects",
+        "planner.clouds",
         "planner.shapes",
     ],
     "Tasks and planning": [

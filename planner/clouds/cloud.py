@@ -292,7 +292,7 @@ def _patches(
 
 
 def _without_table(cloud: PointCloud) -> PointCloud:
-    """Without the points on the table and below it."""
+    """Without the points on the table, which become rays past the object, and below it."""
     if cloud.table is None:
         return cloud
     clear = max(3.0 * cloud.noise, 0.003)
@@ -303,8 +303,16 @@ def _without_table(cloud: PointCloud) -> PointCloud:
             f"table (z = {1e3 * cloud.table:.0f} mm): there is only a table; give a cloud with an "
             f"object of {FEWEST} points, or the table's height"
         )
-    note = "" if above.all() else f"{(~above).sum()} points of the table left out"
-    return cloud.only(above, note)
+    if above.all():
+        return cloud
+    on = ~above & (cloud.points[:, 2] > cloud.table - 2.0 * clear)
+    if len(cloud.views):
+        cloud = replace(
+            cloud,
+            past=np.concatenate([cloud.past, cloud.points[on]]),
+            past_of=np.concatenate([cloud.past_of, cloud.view_of[on]]),
+        )
+    return cloud.only(above, f"{(~above).sum()} points of the table left out")
 
 
 def _without_outliers(cloud: PointCloud) -> PointCloud:
