@@ -18,6 +18,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 from zlib import crc32
@@ -125,15 +126,15 @@ def cases(options: Options) -> Iterator[Row]:
     length_of("--noise", options.noise)
     for hand in options.hand_names:
         checked_hand(hand)
-        for label, spec in found:
-            for views in options.views.split(","):
-                for k in range(options.n):
-                    for way in ways:
-                        yield {
-                            **{"hand": hand, "object": label, "spec": spec, "way": way, "k": k},
-                            **{"views": _count(views), "seed": options.seed, **shared},
-                            **{"controller": options.controller, "reality": reality},
-                        }
+    # so that an interrupted run has some of everything
+    for k, (label, spec), views, hand, way in product(
+        range(options.n), found, options.views.split(","), options.hand_names, ways
+    ):
+        yield {
+            **{"hand": hand, "object": label, "spec": spec, "way": way, "k": k},
+            **{"views": _count(views), "seed": options.seed, **shared},
+            **{"controller": options.controller, "reality": reality},
+        }
 
 
 def _count(text: str) -> int:
