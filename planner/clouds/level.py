@@ -39,8 +39,6 @@ FARTHEST = 0.03
 def levelled(cloud: PointCloud, known: float | None = None) -> PointCloud:
     """The cloud with its table horizontal, ``table`` its height; unchanged where none is seen.
 
-    The rays that end on it become rays past the object too.
-
     Args:
         cloud: With the table's points in it; its ``table`` is not read.
         known: Height of the table's top, m, to which what is seen is shifted; that which is seen if
@@ -75,16 +73,12 @@ def levelled(cloud: PointCloud, known: float | None = None) -> PointCloud:
     def moved(points: FloatArray) -> FloatArray:
         return np.asarray((points - foot) @ turn.T + about)
 
-    mine = on[: len(cloud)]
-    seen_past = mine if len(cloud.views) else np.zeros_like(mine)
-    past = np.concatenate([cloud.past, cloud.points[seen_past]])
     return replace(
         cloud,
         points=moved(cloud.points),
         normals=None if cloud.normals is None else cloud.normals @ turn.T,
         views=moved(cloud.views),
-        past=moved(past),
-        past_of=np.concatenate([cloud.past_of, cloud.view_of[seen_past]]),
+        past=moved(cloud.past),
         table=float(about[2]),
         notes=(*cloud.notes, note),
     )
