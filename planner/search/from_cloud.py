@@ -3,8 +3,9 @@
 Grasps are planned on the mesh of each plausible hypothesis, with fingers where the surface is
 certain enough. Each then has to survive what may be true instead: samples of the hypothesis, of the
 surface's process at the contacts and of the error of the object's pose. A finger goes on along its
-contact's normal until it feels the surface; closure with the task's friction and a hand clear of
-the other hypotheses are what a sample asks. The grasp that survives most is taken.
+contact's normal until it feels the surface. A sample asks for closure with the task's friction
+and a hand clear of that hypothesis. The grasp that survives most is taken, less half of the share
+in which the first finger may tip the object instead of sliding it.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.arrays import checked_number
 from planner.attempt import Attempt
@@ -31,6 +33,7 @@ from planner.objects import DEFAULT_MASS, GraspObject
 from planner.plan import GraspPlan
 from planner.quality import force_closure, plainly_closed
 from planner.search.grasp import attempts
+from planner.shapes.mesh import surface_triangles
 from planner.spatial import SE3, FloatArray, contact_frames
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.options import SynthesisOptions
@@ -74,6 +77,7 @@ class CloudPlan:
         plan: The grasp, verified on the mesh of the chosen hypothesis; ``plan.task.object.belief``
             is what is known of the surface.
         survival: Share of the samples of what may be true that it survives (-).
+        tipping: Share of the samples (-) in which the first finger to arrive may tip the object.
         samples: How many samples.
         position_std: Standard deviation of the surface at each contact along its normal (n,), m.
         normal_std: The same of the normal's direction, about each of two axes, (n,), rad.
@@ -82,10 +86,16 @@ class CloudPlan:
 
     plan: GraspPlan
     survival: float
+    tipping: float
     samples: int
     position_std: FloatArray
     normal_std: FloatArray
     refused: tuple[str, ...]
+
+    @property
+    def merit(self) -> float:
+        """By what plans are compared (-): survival less half of ``tipping``."""
+        return self.survival - 0.5 * self.tipping
 
     @property
     def belief(self) -> Belief:
@@ -119,7 +129,8 @@ class CloudPlan:
                 *rows,
                 f"closure is proven for errors of {position.promised or 0.0:.1f} mm or "
                 f"{normal.promised or 0.0:.0f} degrees at every contact; {self.survival:.0%} of "
-                f"{self.samples} samples of what may be true are survived",
+                f"{self.samples} samples of what may be true are survived; in {self.tipping:.0%} "
+                "the first finger may tip the object",
                 *self.refused,
             ]
         )
@@ -148,7 +159,8 @@ def plan_from_cloud(
         name: What to call the object.
         max_attempts: Attempts for each hypothesis.
         pose_error: Standard deviations of the error of the cloud's pose along and about each axis,
-            m and rad: of the calibration of camera and hand.
+            m and rad: of the calibration of camera and hand. Where the cloud has a table, which
+            tells height and tilt, along the table and about the vertical.
         survives: Share of samples (-) below which a plan is refused.
         options: Margins of the problem; clearances are widened for what is uncertain if None.
         **task: Further arguments of ``GraspTask.create``.
@@ -191,15 +203,15 @@ def plan_from_cloud(
                 failures.append(attempt.failure)
                 continue
             plans += 1
-            other = _tried(attempt.plan, pose_error, seed, 0.0 if best is None else best.survival)
-            if best is None or other.survival > best.survival:
+            other = _tried(attempt.plan, pose_error, seed, 0.0 if best is None else best.merit)
+            if best is None or other.merit > best.merit:
                 best = other
-            if plans == PLANS or best.survival >= ENOUGH:
+            if plans == PLANS or best.merit >= ENOUGH:
                 break
         if not plans:
             common = _commonest(failures)
             refused.append(f"{what}: no grasp in {len(failures)} attempts: {common}")
-        if best is not None and best.survival >= ENOUGH:
+        if best is not None and best.merit >= ENOUGH:
             break
     if best is None or best.survival < survives:
         raise _abstained(best, survives, belief, refused, made)
@@ -247,6 +259,8 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
     kinds = rng.choice(len(weights), SAMPLES, p=weights / weights.sum())
     shifts = rng.normal(size=(SAMPLES, 3)) * pose_error[0]
     turns = rng.normal(size=(SAMPLES, 3)) * pose_error[1]
+    if belief.cloud.table is not None:
+        shifts[:, 2] = turns[:, :2] = 0.0
     # where the object's surface is if its pose is off: seen from it, contacts are elsewhere
     moved = spots[None] - shifts[:, None, None] - np.cross(turns[:, None, None], spots[None])
     way = np.zeros((SAMPLES, n))
@@ -267,6 +281,8 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
     positions = moved[:, :, 0] + way[..., None] * frames[:, :, 0]
     normals = -np.einsum("nde,sne->snd", frames, slope)
     hits = [_hits(plan, belief, kind) for kind in range(len(weights))]
+    lags = way - way.min(axis=1, keepdims=True)
+    tips = (lags.max(axis=1) > LAG) & _tips(plan)[way.argmin(axis=1)]
     held, left = 0, np.flatnonzero(touched & ~np.array(hits)[kinds])
     for done, k in enumerate(left):
         if held + len(left) - done <= beaten * SAMPLES:
@@ -276,6 +292,7 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
     return CloudPlan(
         plan=plan,
         survival=held / SAMPLES,
+        tipping=float(tips.mean()),
         samples=SAMPLES,
         position_std=belief.deviation(points),
         normal_std=np.arctan(tilt.std(axis=0).mean(axis=1) / STEP),
@@ -288,6 +305,35 @@ NEWTON = 3
 
 LEAST_SLOPE = 0.3
 """Slope (-) of the surface's distance along a contact's normal below which a finger slides past."""
+
+
+LAG = 0.002
+"""Way (m) by which the last finger comes later than the first that moves an object on its table."""
+
+TABLE_MU = 0.6
+"""Friction (-) of object and table beyond which pushes are not thought of: that of a trial."""
+
+
+BASE = 0.005
+"""Height (m) of what counts as an object's base, whose edge a belief rounds."""
+
+
+def _tips(plan: GraspPlan) -> NDArray[np.bool_]:
+    """Whether each finger (n,), were it the first to push, tips the object instead of sliding it.
+
+    A push at height h by what friction with the table bears, mu W, tips it where mu h exceeds the
+    lever of the weight about the edge of the base. What has no base, as a ball, rolls either way.
+    """
+    task, contacts = plan.task, plan.contacts
+    if task.table_height is None:
+        return np.zeros(len(contacts), dtype=bool)
+    vertices = surface_triangles(task.object.shape)[0] @ task.T_world_object.rotation.T
+    base = vertices[vertices[:, 2] < vertices[:, 2].min() + BASE]
+    push = contacts.normals[:, :2]
+    levers = (push @ base[:, :2].T).max(axis=1)
+    heights = contacts.positions[:, 2] - task.table_height
+    flat = np.linalg.norm(push, axis=1)
+    return (levers > SPARE * flat) & (TABLE_MU * heights * flat > levers)
 
 
 def _closed(contacts: ContactSet, positions: FloatArray, normals: FloatArray) -> bool:
