@@ -177,7 +177,7 @@ class PointCloud:
         if not len(self.views):
             return None
         ray = self.views[self.view_of] - self.points
-        return ray / np.linalg.norm(ray, axis=1)[:, None]
+        return np.asarray(ray / np.linalg.norm(ray, axis=1)[:, None])
 
     def only(self, kept: NDArray[Any], note: str = "") -> PointCloud:
         """The cloud of some of the points, an index or mask; what is said of the others."""

@@ -112,10 +112,9 @@ class _Image:
         def drawn(points: FloatArray) -> tuple[FloatArray, FloatArray]:
             index, inside = image._pixels(points)
             away = np.linalg.norm(points - eye, axis=1)[inside]
-            counts, sums = (np.bincount(index[inside], w, half_size) for w in (None, away))
-            return counts.reshape(shape).astype(float), sums.reshape(shape)
+            counts, sums = (np.bincount(index[inside], w, image.depth.size) for w in (None, away))
+            return counts.astype(np.float64).reshape(shape), sums.astype(np.float64).reshape(shape)
 
-        half_size = shape[0] * shape[1]
         hits, sums = drawn(seen)
         misses = drawn(past)[0]
         hit = hits > 0 if not len(past) else hits > 0.5 * misses

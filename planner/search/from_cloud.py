@@ -45,8 +45,8 @@ __all__ = ["CloudPlan", "plan_from_cloud"]
 SAMPLES = 60
 """Samples of what may be true on which a plan is tried: a share of 0.9 is known to 0.04."""
 
-SURVIVES, ENOUGH = 0.7, 0.9
-"""Share of samples (-) that a plan must survive, and the share with which the search ends."""
+SURVIVES, ENOUGH = 0.7, 0.8
+"""Share of samples (-) that a plan must survive, and the merit with which the search ends."""
 
 PLAUSIBLE = 0.08
 """Weight (-) of a hypothesis below which nothing is planned on it."""
