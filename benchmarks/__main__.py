@@ -21,6 +21,7 @@ NAMES = (
     "objectives",
     "best",
     "walls",
+    "clouds",
     "metrics",
     "trials",
     "refine",

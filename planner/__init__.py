@@ -18,6 +18,7 @@ from planner.version import __version__
 
 if TYPE_CHECKING:
     from planner.batch import GraspSet, plan_grasps, plan_several, refine_grasps
+    from planner.clouds import PointCloud
     from planner.contacts import Contact, ContactSet
     from planner.errors import NoGraspFoundError, PlannerError
     from planner.files import read_plan, write_plan
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from planner.objects import GraspObject, parse_object
     from planner.plan import GraspPlan
     from planner.quality import analyse, force_closure
+    from planner.search.from_cloud import CloudPlan, plan_from_cloud
     from planner.search.grasp import attempts, plan_grasp, plans
     from planner.search.refine import refine_grasp
     from planner.spatial import SE3
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SE3",
+    "CloudPlan",
     "Contact",
     "ContactSet",
     "GaitPlan",
@@ -65,6 +68,7 @@ __all__ = [
     "NoGraspFoundError",
     "Obstacle",
     "PlannerError",
+    "PointCloud",
     "SymbolicHand",
     "__version__",
     "analyse",
@@ -77,6 +81,7 @@ __all__ = [
     "load_hand",
     "manipulation_task",
     "parse_object",
+    "plan_from_cloud",
     "plan_gait",
     "plan_grasp",
     "plan_grasps",
@@ -92,6 +97,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "CloudPlan": "planner.search.from_cloud",
     "Contact": "planner.contacts",
     "ContactSet": "planner.contacts",
     "GaitPlan": "planner.motion",
@@ -111,6 +117,7 @@ _HOMES = {
     "NoGraspFoundError": "planner.errors",
     "Obstacle": "planner.task",
     "PlannerError": "planner.errors",
+    "PointCloud": "planner.clouds",
     "SE3": "planner.spatial",
     "SymbolicHand": "planner.kinematics.symbolic",
     "analyse": "planner.quality",
@@ -120,6 +127,7 @@ _HOMES = {
     "force_closure": "planner.quality",
     "manipulation_task": "planner.motion",
     "parse_object": "planner.objects",
+    "plan_from_cloud": "planner.search.from_cloud",
     "plan_gait": "planner.motion",
     "plan_grasp": "planner.search.grasp",
     "plan_grasps": "planner.batch",

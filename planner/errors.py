@@ -22,6 +22,7 @@ __all__ = [
     "ObjectError",
     "PlannerError",
     "TaskError",
+    "UncertainError",
 ]
 
 
@@ -181,6 +182,24 @@ class NoGraspFoundError(PlannerError):
     def __reduce__(self) -> tuple[Any, ...]:
         """How it is sent to another process: it is made again of what it was made of."""
         return type(self), (str(self), self.attempts)
+
+
+class UncertainError(NoGraspFoundError):
+    """Too little was seen of an object for any grasp to be promised.
+
+    Attributes:
+        attempts: Every ``planner.search.grasp.Attempt`` that was made.
+        best: The refused ``planner.search.from_cloud.CloudPlan`` that survives most; None without.
+    """
+
+    def __init__(self, message: str, attempts: tuple[Any, ...], best: Any = None) -> None:
+        """Keep the message, the attempts and the best plan."""
+        self.best = best
+        super().__init__(message, attempts)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How it is sent to another process: it is made again of what it was made of."""
+        return type(self), (str(self), self.attempts, self.best)
 
 
 class InfeasibleError(PlannerError):

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,9 @@ from planner.bridge.object_body import object_body
 from planner.errors import NotFoundError, ObjectError, shown
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
 from planner.spatial import SE3, FloatArray
+
+if TYPE_CHECKING:
+    from planner.clouds.belief import Belief
 
 __all__ = [
     "DEFAULT_MASS",
@@ -172,12 +176,16 @@ class GraspObject:
         shape: Its shape; the origin is its centre of mass.
         mass: kg.
         touch: Where it may and must be touched; anywhere if None.
+        belief: What is known of its surface, where cameras saw only a part of it: fingers touch
+            where that is certain enough. None where the shape is known. A plan file keeps the shape
+            alone.
     """
 
     name: str
     shape: Shape
     mass: float = DEFAULT_MASS
     touch: TouchRegion | None = None
+    belief: Belief | None = None
 
     def __post_init__(self) -> None:
         """Check the mass."""
@@ -188,6 +196,55 @@ class GraspObject:
                 "and densities in kg/m3, was it given in grams by mistake?"
             )
         object.__setattr__(self, "mass", mass)
+
+    @classmethod
+    def from_points(
+        cls,
+        points: Any,
+        normals: Any = None,
+        *,
+        name: str = "cloud",
+        mass: float = DEFAULT_MASS,
+        **seen: Any,
+    ) -> GraspObject:
+        """The most plausible object behind points that cameras saw, with what is known of it.
+
+        Its axes are those of the points; ``belief.T_world_object`` is where it is among them.
+
+        Args:
+            points: (n, 3), m, z up; or a ``planner.clouds.cloud.PointCloud``, which goes alone.
+            normals: (n, 3), outward; estimated if None.
+            name: What to call it.
+            mass: kg; no camera tells it.
+            **seen: ``views``, ``view_of``, ``noise``, ``table``, ``past`` and ``past_of`` of
+                ``PointCloud.create``.
+
+        Raises:
+            ObjectError: A cloud that is not usable; says why and what to do.
+        """
+        from planner.clouds.belief import Belief
+        from planner.clouds.cloud import PointCloud
+
+        if not isinstance(points, PointCloud):
+            points = PointCloud.create(points, normals=normals, **seen)
+        elif normals is not None or seen:
+            raise ObjectError("a PointCloud has its normals and views; give nothing beside it")
+        belief, mesh = Belief.of(points).of_hypothesis(0)
+        return cls(name=name, shape=mesh, mass=mass, belief=belief)
+
+    def permits(self, points: FloatArray, fingers: Sequence[str] = ()) -> NDArray[np.bool_]:
+        """Whether each contact may be where it is, (n,) bool: by ``touch`` and ``belief``.
+
+        Args:
+            points: Contacts (n, 3) in the object's frame, m.
+            fingers: Their fingers (n,); without them, what is required of fingers is not asked.
+        """
+        good = np.ones(len(points), dtype=bool)
+        if self.touch is not None:
+            good &= self.touch.permits(points, fingers)
+        if self.belief is not None:
+            good &= self.belief.certain(points)
+        return good
 
     @property
     def mended(self) -> str:

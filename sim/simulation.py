@@ -40,7 +40,7 @@ from sim.controllers import (
     ReportsLimits,
     controller_for,
 )
-from sim.scene.build import Scene, build_scene
+from sim.scene.build import Scene, Truth, build_scene
 from sim.scene.carrier import Carrier, Timeline, carrier_of
 from sim.scene.physics import AnyPhysics
 from sim.sensing.reality import REALITIES, AnyReality, Reality
@@ -101,6 +101,7 @@ class Simulation:
         T_world_base: SE3 | None = None,
         reality: AnyReality | None = None,
         estimator: AnyEstimator | None = None,
+        truth: Truth | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
 
@@ -119,16 +120,22 @@ class Simulation:
             estimator: What tells the controller where the object is: a name, or what makes one of
                 task and sensor errors; if None, that with all senses where the pose that is read
                 has errors, and none else.
+            truth: Object and table that there really are, unknown to the plan; as planned if None.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
             NotFoundError: No controller, estimator or reality has that name.
             TaskError: The controller is none, the reality is none, the plan has no path for an
-                arm, or a ``scene`` is given together with a reality that changes it.
+                arm, or a ``scene`` is given together with a reality or truth that changes it.
         """
         self.plan = plan
         self.reality: RealityOfTrial | None = None
         reality = REALITIES.given(reality)
+        if truth is not None and (scene or reality.object_size or reality.object_center):
+            raise TaskError(
+                "a truth tells object and table, and so does a scene, or object_size and "
+                "object_center of a reality; leave one out"
+            )
         if not reality.ideal:
             if scene is not None:
                 raise TaskError("give a scene or a reality: a reality changes the scene it builds")
@@ -150,6 +157,7 @@ class Simulation:
             q=plan.q,
             physics=physics,
             change=None if self.reality is None else self.reality.change,
+            truth=truth,
         )
         self.data: Any = self.scene.start(
             plan.q_start if q is None else q,

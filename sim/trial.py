@@ -36,6 +36,7 @@ from sim.controllers.grasp import RECLOSING_TIME, closing_ended
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
+from sim.scene.build import Truth
 from sim.scene.carrier import Timeline
 from sim.scene.physics import AnyPhysics
 from sim.sensing.reality import AnyReality
@@ -63,6 +64,7 @@ class TrialKeywords(TypedDict, total=False):
     record_every: float
     reality: AnyReality | None
     estimator: AnyEstimator | None
+    truth: Truth | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,6 +80,7 @@ class TrialOptions:
         record_every: Time between samples, s.
         reality: Errors of sensors, drives and object that the plan does not know; none if None.
         estimator: What tells the controller where the object is; see ``Simulation``.
+        truth: Object and table that there really are, unknown to the plan; as planned if None.
     """
 
     physics: AnyPhysics | None = None
@@ -87,6 +90,7 @@ class TrialOptions:
     record_every: float = 0.02
     reality: AnyReality | None = None
     estimator: AnyEstimator | None = None
+    truth: Truth | None = None
 
     def __post_init__(self) -> None:
         """Check the time between samples, timeline and thresholds.
@@ -145,7 +149,9 @@ class Trial:
             timeline=self.timeline,
             reality=asked.reality,
             estimator=asked.estimator,
+            truth=asked.truth,
         )
+        self._object = plan.task.object if asked.truth is None else asked.truth.object
         self.recorder = Recorder(self.simulation, asked.record_every)
         self._not_lifted = False
 
@@ -266,8 +272,8 @@ class Trial:
         return TrialReport(
             verdict=verdict,
             hand=task.hand.name,
-            object=task.object.shape.spec,
-            mass_kg=task.object.mass,
+            object=self._object.shape.spec,
+            mass_kg=self._object.mass,
             seed=plan.record.seed,
             fingers=task.finger_names,
             samples=samples,
@@ -365,7 +371,8 @@ def simulate(
         video: File of a film.
         arrows: Draw the measured contact forces into both.
         changes: Fields of ``TrialOptions`` by name: ``controller="impedance"``, ``physics``,
-            ``timeline``, ``thresholds``, ``record_every``, ``reality``, ``estimator``.
+            ``timeline``, ``thresholds``, ``record_every``, ``reality``, ``estimator``,
+            ``truth``.
 
     Raises:
         PlannerError: See ``Trial`` and ``Trial.run``.

@@ -9,7 +9,13 @@ import pytest
 from pydantic import ValidationError
 
 from planner import errors
-from planner.errors import InfeasibleError, NoGraspFoundError, NotFoundError, PlannerError
+from planner.errors import (
+    InfeasibleError,
+    NoGraspFoundError,
+    NotFoundError,
+    PlannerError,
+    UncertainError,
+)
 from planner.exchange.yaml_text import number, table, text
 from planner.files import PlanFile
 from planner.files.disk import checked_file
@@ -19,6 +25,7 @@ from planner.shapes import shape_from_dict
 SPECIAL: dict[str, PlannerError] = {
     "NotFoundError": NotFoundError("hand", "alegro", ["shadow", "allegro"], "Name a path."),
     "NoGraspFoundError": NoGraspFoundError("no grasp in 2 attempts", ("first", "second")),
+    "UncertainError": UncertainError("too little was seen", ("first",), "the best plan"),
     "InfeasibleError": InfeasibleError("no forces", np.arange(6.0)),
 }
 

@@ -41,6 +41,7 @@ PAGES = {
     "FileFormatError": "Plans, reports and other files",
     "PlannerError": "What is not installed, and the rest",
     "NoGraspFoundError": "What is not installed, and the rest",
+    "UncertainError": "What is not installed, and the rest",
     "InfeasibleError": "What is not installed, and the rest",
     "Finding": "What hands --check finds",
     "Fault": "Faults of meshes",

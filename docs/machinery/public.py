@@ -33,6 +33,7 @@ GROUPS: dict[str, list[str]] = {
     ],
     "Objects and shapes": [
         "planner.objects",
+        "planner.clouds",
         "planner.shapes",
     ],
     "Tasks and planning": [
@@ -75,6 +76,7 @@ GROUPS: dict[str, list[str]] = {
         "sim.verdict",
         "sim.simulation",
         "sim.scene",
+        "sim.scan",
         "sim.recording",
         "sim.contacts",
         "sim.recorder",

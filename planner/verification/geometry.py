@@ -157,18 +157,16 @@ def verify_geometry(
         if angle > f.pad.half_angle + (ANGLE_TOL if touch.round else FLAT_ANGLE_TOL)
     ]
     points = np.array([touch.point for touch in touches])
-    region = task.object.touch
-    if region is not None:
-        failures += [
-            Failure(
-                kind="region",
-                text=f"{f.name} touches where it may not, at {np.round(point, 4)} m of the object",
-            )
-            for f, point, good in zip(
-                task.fingers, points, region.permits(points, task.finger_names), strict=True
-            )
-            if not good
-        ]
+    failures += [
+        Failure(
+            kind="region",
+            text=f"{f.name} touches where it may not, at {np.round(point, 4)} m of the object",
+        )
+        for f, point, good in zip(
+            task.fingers, points, task.object.permits(points, task.finger_names), strict=True
+        )
+        if not good
+    ]
     failures += edge_failures(task, touches)
     failures += [
         Failure(kind="penetration", text=f"penetration, {c}", numbers={"distance": c.distance})

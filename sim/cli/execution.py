@@ -193,10 +193,13 @@ class TrialOptions(ExecutionOptions):
         if report.drawn and (self.verbose or self.video or picture):
             tell(report.drawn)
 
-    def trial(self, *, handover: bool = False) -> Callable[[Any, Path | None], TrialReport]:
+    def trial(
+        self, scan: str = "", *, handover: bool = False
+    ) -> Callable[[Any, Path | None], TrialReport]:
         """What executes a plan, with a progress bar on stderr, and draws it.
 
         Args:
+            scan: Cloud of ``opposable scan``, whose object is what there really is; "" for none.
             handover: Whether the plans are of handovers, not of grasps.
 
         Raises:
@@ -215,6 +218,12 @@ class TrialOptions(ExecutionOptions):
             simulated = hand_over
             if self.controller == ExecutionOptions.controller:
                 parts["controller"] = None  # its own
+        if scan:
+            from sim.scan import scanned_truth
+
+            parts["truth"] = truth = scanned_truth(scan)
+            there = "it was planned on" if truth is None else truth.object.shape.spec
+            say(err, escape(f"executed on the object that {scan} says was there: {there}"))
         if self.view:
             from sim.show.window import check_display
 

@@ -22,6 +22,7 @@ from sim.cli.options import (
     option,
 )
 from sim.cli.search import BestOptions, numbered, plans_table
+from sim.cli.tasks import is_cloud, object_of
 
 LONGEST_NAME = 60
 """Characters of an object in a folder's name."""
@@ -56,13 +57,12 @@ def run(
     the forces over time, the numbers.
     """
     from planner.files import plain_name, read_json, write_plan
-    from planner.objects import parse_object
     from sim.report_file import write_report
 
     if out_dir is not None:
         make_folder(out_dir)
-    execute = trial.trial(handover=handover_to is not None)
-    trial.check_policy(hand, lambda: parse_object(object, **request.told_of_object()), None)
+    execute = trial.trial(object if is_cloud(object) else "", handover=handover_to is not None)
+    trial.check_policy(hand, lambda: object_of(object, **request.told_of_object()), None)
     request, write = trial.reckoned(request), cast(Any, write_plan)
     if handover_to is None:
         plan: Any = request.plan(hand, object)

@@ -65,6 +65,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     ),
     "Data": (
         _listed("batch", "allegro_hand box mug -n 20"),
+        _listed("scan", "box --views 2 -o cloud.ply"),
         _listed("export", "plan.json --to ros2-grasp -o g.yaml"),
         _listed("refine", "plan.json --out refined"),
         _listed("dataset states", "allegro_hand cylinder:0.03x0.08 -n 500"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from sim.cli.options import (
     numbers,
     option,
 )
-from sim.cli.tasks import TaskOptions
+from sim.cli.tasks import TaskOptions, error_of, is_cloud, table_of
 
 if TYPE_CHECKING:
     from rich.status import Status
@@ -168,6 +169,8 @@ class BestOptions(PlanOptions):
             raise TaskError(
                 f"{', '.join(unused)} is for one grasp, and a handover has three; leave it out"
             )
+        if is_cloud(object):
+            raise TaskError("a handover is planned for an object that is known; give no cloud")
         pair = load_hand(hand)
         if not pair.pair:
             pair, to = load_hand(f"{hand}+{to}"), JOINED_NAMES[-1]
@@ -187,6 +190,8 @@ class BestOptions(PlanOptions):
         from planner.errors import NoGraspFoundError
         from planner.search.grasp import plan_grasp
 
+        if is_cloud(object):
+            return self._of_cloud(hand, object)
         _refuse_our_file(object)
         options, task, compares = self.synthesis(), self.task(hand, object), self._compares
         with heeding_ctrl_c(at_once=not compares) as check, err.status(_title(task)) as status:
@@ -214,6 +219,54 @@ class BestOptions(PlanOptions):
                 "is kept",
             )
         return plan
+
+    def _of_cloud(self, hand: str, file: str) -> GraspPlan:
+        """Plan on what cameras saw; what is believed of the rest is told on stderr.
+
+        Raises:
+            TaskError: Options that mean nothing for a cloud.
+            ObjectError: A cloud that is not usable.
+            UncertainError: No grasp survives enough of what may be true.
+        """
+        from planner.clouds.files import read_cloud
+        from planner.errors import TaskError
+        from planner.hand_loading import load_hand
+        from planner.objects import DEFAULT_MASS
+        from planner.search.from_cloud import plan_from_cloud
+
+        idle = {
+            **{"--at": self.at, "--pose": self.pose, "--density": self.density},
+            **{"--touch": self.touch, "--avoid": self.avoid, "--stand": self.stand},
+            **{"--repair": self.repair, "--best-of": self.best_of, "--metric": self.metric},
+            **{"--keep": self.keep != "first", "--max-cpu-s": self.max_cpu_s},
+        }
+        if given := [name for name, value in idle.items() if value]:
+            raise TaskError(f"{', '.join(given)} means nothing for a cloud; leave it out")
+        loaded, found = load_hand(hand), self.table.strip().lower() == "find"
+        plain = self.objective == "epsilon" and self.rounds is None and not self.task_wrench
+        shift, turn = error_of("--cloud-error", self.cloud_error)
+        more = {} if self.max_attempts is None else {"max_attempts": self.max_attempts}
+        with err.status(f"planning: {loaded.name}, {file} ..."):
+            plan = plan_from_cloud(
+                loaded,
+                read_cloud(file, table="find" if found else table_of(self.table)),
+                seed=self.seed,
+                mass=DEFAULT_MASS if self.mass is None else self.mass,
+                name=Path(file).stem,
+                pose_error=(shift / math.sqrt(3.0), turn / math.sqrt(3.0)),
+                options=None if plain else self.synthesis(),
+                **more,
+                **self.told_of_grasp(loaded),
+            )
+        belief = plan.belief
+        for note in (
+            *belief.cloud.notes,
+            f"{plan.survival:.0%} of {plan.samples} samples of what may be true are survived; the "
+            f"surface at the contacts is known to {1e3 * plan.position_std.max():.1f} mm; what no "
+            f"camera saw: {belief.hypothesis.name}",
+        ):
+            say(err, escape(note))
+        return plan.plan
 
     def _advise(
         self, error: NoGraspFoundError, task: GraspTask, search: dict[str, Any], status: Status
@@ -257,6 +310,8 @@ class BestOptions(PlanOptions):
         from planner.batch import plan_several
         from planner.errors import TaskError
 
+        if is_cloud(object):
+            raise TaskError(f"{object} is a cloud, of which one grasp is planned; leave -n out")
         _refuse_our_file(object)
         if self._compares:
             raise TaskError(

@@ -105,6 +105,40 @@ def obstacle_of(text: str, number: int) -> Obstacle:
     )
 
 
+def length_of(name: str, text: str) -> float:
+    """A length in m of "0.002", "2mm" or "2 mm".
+
+    Raises:
+        TaskError: Something else.
+    """
+    from planner.errors import TaskError
+
+    number = text.strip().lower()
+    scale = 1.0
+    if number.endswith("mm"):
+        number, scale = number[:-2], 1e-3
+    elif number.endswith("m"):
+        number = number[:-1]
+    try:
+        value = float(number) * scale
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0.0):
+        raise TaskError(f"{name} {text!r} is no length >= 0; write 2mm, or 0.002 in m")
+    return value
+
+
+def error_of(name: str, text: str) -> tuple[float, float]:
+    """A length, m, and an angle, rad, of "5mm,5".
+
+    Raises:
+        TaskError: Something else.
+    """
+    length, comma, degrees = text.partition(",")
+    turn = numbers(name, degrees, 1)[0] if comma else 0.0
+    return length_of(name, length), math.radians(turn)
+
+
 def table_of(text: str) -> float | None:
     """Height of the table's top, m; None for no table.
 
@@ -119,6 +153,19 @@ def table_of(text: str) -> float | None:
         return numbers("--table", text, 1)[0]
     except TaskError as error:
         raise TaskError(f"{error}, the height of its top in m, or none for no table") from error
+
+
+CLOUDS = (".ply", ".pcd", ".xyz", ".npy", ".json")
+"""How files of clouds end; a PLY file may be a mesh, and a JSON file of ours."""
+
+
+def is_cloud(spec: str) -> bool:
+    """Whether an object is given by the points that cameras saw of it."""
+    if not spec.lower().endswith(CLOUDS):
+        return False
+    from planner.clouds.files import is_cloud_file
+
+    return is_cloud_file(spec)
 
 
 def object_of(spec: str, **options: Any) -> GraspObject:
@@ -180,6 +227,9 @@ class TaskOptions:
         str | None, option("Grip for a load in any direction: N or N,Nm.", "LOAD", GRIP)
     ] = None
     joint_error: JointErrorOption = None
+    cloud_error: Annotated[
+        str, option("How far a cloud may be off: 5mm,5 (degrees).", "ERROR", GRIP)
+    ] = "0"
     base: Annotated[str | None, option("Fixed pose of the hand's base, as --at.", "POSE", GRIP)] = (
         None
     )
@@ -199,24 +249,15 @@ class TaskOptions:
         loaded = load_hand(hand) if isinstance(hand, str) else hand
         item = object_of(object, **self.told_of_object())
         height = table_of(self.table)
-        obstacles = tuple(obstacle_of(text, k) for k, text in enumerate(self.obstacle or (), 1))
+        told = self.told_of_grasp(loaded)
+        if self.stand:
+            told |= {"obstacles": ()}
         task = GraspTask.create(
             loaded,
             item,
             T_world_object=self._object_pose(item, height),
             table_height=height,
-            obstacles=() if self.stand else obstacles,
-            gravity=numbers("--gravity", self.gravity, 3),
-            mu=self.mu,
-            mu_torsion=self.mu_torsion or 0.0,
-            contact_model="point" if self.mu_torsion is None else "soft",
-            fingers=None if self.fingers is None else names(self.fingers),
-            grasp_type=self.type,
-            grip_force=self.grip_force,
-            expected_load=self._load(),
-            joint_error=math.radians(self.joint_error or 0.0),
-            T_world_base=None if self.base is None else pose_of("--base", self.base),
-            **self._wrist(loaded),
+            **told,
         )
         if not self.stand:
             return task
@@ -224,7 +265,27 @@ class TaskOptions:
         from sim.manipulation import settled
 
         task = settled(on_stand(task, self.stand))
-        return replace(task, obstacles=(*task.obstacles, *obstacles))
+        return replace(task, obstacles=(*task.obstacles, *self._obstacles()))
+
+    def told_of_grasp(self, hand: Hand) -> dict[str, Any]:
+        """What is told beside object and table: arguments of ``GraspTask.create``."""
+        return {
+            "obstacles": self._obstacles(),
+            "gravity": numbers("--gravity", self.gravity, 3),
+            "mu": self.mu,
+            "mu_torsion": self.mu_torsion or 0.0,
+            "contact_model": "point" if self.mu_torsion is None else "soft",
+            "fingers": None if self.fingers is None else names(self.fingers),
+            "grasp_type": self.type,
+            "grip_force": self.grip_force,
+            "expected_load": self._load(),
+            "joint_error": math.radians(self.joint_error or 0.0),
+            "T_world_base": None if self.base is None else pose_of("--base", self.base),
+            **self._wrist(hand),
+        }
+
+    def _obstacles(self) -> tuple[Obstacle, ...]:
+        return tuple(obstacle_of(text, k) for k, text in enumerate(self.obstacle or (), 1))
 
     def told_of_object(self) -> dict[str, Any]:
         """What is told of the object beside its name: arguments of ``parse_object``."""

@@ -53,7 +53,7 @@ PAGES = ("none", "failures", "all")
 OF_PROTOCOLS = "Protocols"
 """Group of options in the help."""
 
-OF_HOLD = {"picture", "view", "arrows", "verbose"}
+OF_HOLD = {"picture", "truth", "view", "arrows", "verbose"}
 OF_CREEP = {"budget"}
 OF_TRIALS = {"only", "workers", "pages", "seed"}
 OF_EXECUTION = {
@@ -109,6 +109,9 @@ def test(
         ),
     ] = None,
     picture: PictureOption = None,
+    truth: Annotated[
+        Path | None, option("Of hold: on the object of this scan.", "CLOUD", TRIAL)
+    ] = None,
     budget: Annotated[
         float, option("Largest creep that is wanted, mm/s.", "V", OF_PROTOCOLS)
     ] = 0.1,
@@ -142,7 +145,7 @@ def test(
         return
     trial = replace(trial, physics=trial.physics or "ours")
     if protocol == HOLD:
-        _hold(plans, output, picture, trial, told_command(context), as_json)
+        _hold(plans, output, picture, truth, trial, told_command(context), as_json)
         return
     asked = _Asked(
         protocol=protocol,
@@ -161,6 +164,7 @@ def _hold(
     plans: Sequence[Path],
     output: Path | None,
     picture: Path | None,
+    truth: Path | None,
     trial: TrialOptions,
     command: str,
     as_json: bool,
@@ -188,7 +192,7 @@ def _hold(
         trial.check_policy(plan.task.hand, partial(getattr, plan.task, "object"), None)
     reports = []
     for file, plan, is_handover in zip(files, loaded, handed, strict=True):
-        execute = trial.trial(handover=is_handover)
+        execute = trial.trial(str(truth or ""), handover=is_handover)
         report = replace(execute(plan, picture), command=command)
         reports.append(report)
         page = None if output is None else output.with_suffix(".html")

@@ -46,6 +46,7 @@ __all__ = [
     "TABLE",
     "PhysicsOptions",
     "Scene",
+    "Truth",
     "add_looks",
     "add_solid_object",
     "build_scene",
@@ -204,6 +205,24 @@ class Scene:
             data.eq_active[self.support] = 0
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truth:
+    """What there really is, where a task holds a belief: the object of a cloud, say.
+
+    The body of the object in the scene keeps the frame of the belief. So the pose that is read of
+    it is the believed one at first, and follows every true motion of the object.
+
+    Attributes:
+        object: The object, with its true mass.
+        T_world_object: Where it is when a trial begins.
+        table_height: z of the table's top, m; None for no table.
+    """
+
+    object: GraspObject
+    T_world_object: SE3
+    table_height: float | None = 0.0
+
+
 def build_scene(
     task: GraspTask,
     *,
@@ -211,6 +230,7 @@ def build_scene(
     q: FloatArray | None = None,
     physics: AnyPhysics | None = None,
     change: Callable[[Any], None] | None = None,
+    truth: Truth | None = None,
 ) -> Scene:
     """Assemble and compile the scene of a task.
 
@@ -220,21 +240,30 @@ def build_scene(
         q: Joints (nq,) at the grasp, from which the camera takes its place; zero if None.
         physics: How MuJoCo computes, or the name of a preset; defaults if None.
         change: Changes the ``mujoco.MjSpec`` to a world that differs from the task's; not if None.
+        truth: Object and table that there really are; those of the task if None.
 
     Raises:
         ModelError: MuJoCo refuses the scene.
     """
     physics = PRESETS.given(physics)
     hand = task.hand
-    spec = scene_spec(task, T_world_base, physics)
+    truth = truth or _believed(task)
+    spec = scene_spec(task, T_world_base, physics, truth=truth)
     if change is not None:
         change(spec)
     add_looks(spec, task, T_world_base, hand.neutral if q is None else q)
     model = compile_spec(spec, f"the scene of {spec.modelname}")
     gantry = None
     if hand.arm is None:
-        gantry = tuned_gantry(model, T_world_base, task.object.mass, OBJECT)
-    return index_scene(task, physics, T_world_base, model, gantry)
+        gantry = tuned_gantry(model, T_world_base, truth.object.mass, OBJECT)
+    return index_scene(task, physics, T_world_base, model, gantry, truth.object.shape)
+
+
+def _believed(task: GraspTask) -> Truth:
+    """A world as the task has it."""
+    return Truth(
+        object=task.object, T_world_object=task.T_world_object, table_height=task.table_height
+    )
 
 
 def scene_spec(
@@ -243,6 +272,7 @@ def scene_spec(
     physics: PhysicsOptions,
     *,
     with_gantry: bool = True,
+    truth: Truth | None = None,
 ) -> Any:
     """The ``mujoco.MjSpec`` of a task's scene, not compiled and without what is only looked at.
 
@@ -252,13 +282,15 @@ def scene_spec(
         physics: How MuJoCo computes.
         with_gantry: Whether a gantry carries the hand; else its base stands fixed in the world, as
             the root of an arm does.
+        truth: Object and table that there really are; those of the task if None.
     """
     spec = mujoco.MjSpec()
     spec.modelname = f"{task.hand.name}, {task.object.name}"
     physics.apply(spec, task.gravity)
+    truth = truth or _believed(task)
     _add_hand(spec, task, T_world_base, physics, with_gantry)
-    _add_object(spec, task, physics)
-    _add_surroundings(spec, task, physics)
+    _add_object(spec, task, truth, physics)
+    _add_surroundings(spec, task, truth.table_height, physics)
     return spec
 
 
@@ -331,7 +363,11 @@ def drop_options(spec: Any) -> None:
 
 
 def add_solid_object(
-    spec: Any, item: GraspObject, T_world_object: SE3, physics: PhysicsOptions
+    spec: Any,
+    item: GraspObject,
+    T_world_object: SE3,
+    physics: PhysicsOptions,
+    inside: SE3 | None = None,
 ) -> Any:
     """Add the free body of an object with its mass and colliding geoms; the body.
 
@@ -340,19 +376,21 @@ def add_solid_object(
         item: The object.
         T_world_object: Its pose.
         physics: How MuJoCo computes.
+        inside: Its pose in the frame of the body; the same frame if None.
     """
-    position, quaternion = pose_to_wxyz(T_world_object)
+    inside = SE3.Identity() if inside is None else inside
+    position, quaternion = pose_to_wxyz(T_world_object * inside.inverse())
     body = spec.worldbody.add_body(name=OBJECT, pos=position, quat=quaternion)
     body.add_freejoint(name=OBJECT)
-    inertia = item.shape.inertia(item.mass)
+    inertia = inside.rotation @ item.shape.inertia(item.mass) @ inside.rotation.T
     body.explicitinertial = True
     body.mass = item.mass
-    body.ipos = np.zeros(3)
+    body.ipos = inside.translation
     body.fullinertia = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
     for k, part in enumerate(solid_geoms(item.shape)):
         name = OBJECT if k == 0 else f"{OBJECT}/{k}"
         geom = body.add_geom(name=name, condim=physics.condim, priority=1)
-        geom.pos, geom.quat = pose_to_wxyz(part.T_object_geom)
+        geom.pos, geom.quat = pose_to_wxyz(inside * part.T_object_geom)
         if part.vertices is not None and part.faces is not None:
             _add_mesh(spec, name, part.vertices, part.faces)
             geom.meshname = name
@@ -361,12 +399,15 @@ def add_solid_object(
     return body
 
 
-def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
-    item, position = task.object, task.T_world_object.translation
-    body = add_solid_object(spec, item, task.T_world_object, physics)
+def _add_object(spec: Any, task: GraspTask, truth: Truth, physics: PhysicsOptions) -> None:
+    item, position = truth.object, task.T_world_object.translation
+    inside = SE3.Identity()
+    if truth.T_world_object != task.T_world_object:
+        inside = task.T_world_object.inverse() * truth.T_world_object
+    body = add_solid_object(spec, item, truth.T_world_object, physics, inside)
     if body.geoms[0].group == HIDDEN_GROUP:
-        _add_picture(spec, body, item.shape)
-    if task.table_height is None:
+        _add_picture(spec, body, item.shape, inside)
+    if truth.table_height is None:
         weld = spec.add_equality(name=SUPPORT, type=mujoco.mjtEq.mjEQ_WELD)
         weld.objtype = mujoco.mjtObj.mjOBJ_BODY
         weld.name1 = OBJECT
@@ -380,22 +421,25 @@ def _add_mesh(spec: Any, name: str, vertices: FloatArray, faces: IntArray) -> No
     mesh.uservert, mesh.userface = vertices.ravel(), faces.ravel()
 
 
-def _add_picture(spec: Any, body: Any, shape: Shape) -> None:
+def _add_picture(spec: Any, body: Any, shape: Shape, T_body_object: SE3) -> None:
     """The true triangles, to be seen only."""
     name = f"{OBJECT}/seen"
     _add_mesh(spec, name, *surface_triangles(shape))
     spec.mesh(name).inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH)
     geom.meshname = name
+    geom.pos, geom.quat = pose_to_wxyz(T_body_object)
     geom.contype = geom.conaffinity = 0
     geom.density = 0.0
 
 
-def _add_surroundings(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
+def _add_surroundings(
+    spec: Any, task: GraspTask, table_height: float | None, physics: PhysicsOptions
+) -> None:
     x, y, _ = task.T_world_object.translation
-    if task.table_height is not None:
+    if table_height is not None:
         half = np.array(TABLE_SIZE) / 2
-        table = spec.worldbody.add_body(name=TABLE, pos=(x, y, task.table_height - half[2]))
+        table = spec.worldbody.add_body(name=TABLE, pos=(x, y, table_height - half[2]))
         geom = table.add_geom(name=TABLE, condim=6, priority=2, rgba=(0.88, 0.87, 0.85, 1.0))
         _solid(geom, "box", tuple(half), physics)
     for obstacle in task.obstacles:
@@ -417,9 +461,17 @@ def _solid(geom: Any, kind: str, size: tuple[float, ...], physics: PhysicsOption
 
 
 def index_scene(
-    task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model: Any, gantry: Gantry | None
+    task: GraspTask,
+    physics: PhysicsOptions,
+    T_world_base: SE3,
+    model: Any,
+    gantry: Gantry | None,
+    shape: Shape | None = None,
 ) -> Scene:
-    """Find the parts of a compiled scene, whose hand has the prefix, by their names."""
+    """Find the parts of a compiled scene, whose hand has the prefix, by their names.
+
+    The shape is that of the object in it, if it is not the task's.
+    """
     hand = task.hand
     hand_joints = [model.joint(HAND_PREFIX + name) for name in hand.joint_names]
     hand_ctrl = np.array([model.actuator(HAND_PREFIX + n).id for n in hand.actuation.names])
@@ -441,7 +493,7 @@ def index_scene(
         palm_body=int(model.body(HAND_PREFIX + hand.description.palm_body).id),
         finger_of_geom=_finger_of_geom(task, model),
         support=int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_EQUALITY, SUPPORT)),
-        deviation=solid_deviation(task.object.shape),
+        deviation=solid_deviation(task.object.shape if shape is None else shape),
     )
 
 

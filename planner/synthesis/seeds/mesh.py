@@ -94,10 +94,9 @@ class MeshSeeder(Seeder):
         pairs = opposed_pairs(mesh)
         T = task.T_world_object
         able = pairs.widths < self.widest
-        if task.object.touch is not None:
-            half = pairs.widths[:, None] / 2 * pairs.directions
-            able &= task.object.touch.permits(pairs.centers + half)
-            able &= task.object.touch.permits(pairs.centers - half)
+        half = pairs.widths[:, None] / 2 * pairs.directions
+        able &= task.object.permits(pairs.centers + half)
+        able &= task.object.permits(pairs.centers - half)
         if task.table_height is not None:
             level = np.abs(pairs.directions @ T.rotation[2]) < self.steepest
             height = pairs.centers @ T.rotation[2] + T.translation[2] - task.table_height

@@ -189,7 +189,7 @@ def center_offset(drawn: Drawn, task: GraspTask) -> FloatArray:
     """
     shape = task.object.shape
     offset = np.asarray(drawn.center * drawn.size * shape.half_extents)
-    if task.table_height is None:
+    if task.table_height is None or not offset.any():
         return offset
     R = task.T_world_object.rotation
     there = R @ offset

@@ -1,0 +1,100 @@
+"""Trials on what there really is: the plan keeps its belief, the world does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import PlanOf
+from typer.testing import CliRunner
+
+from planner.errors import TaskError
+from planner.objects import parse_object
+from planner.plan import GraspPlan
+from planner.spatial import SE3
+from sim.cli import app
+from sim.cli.common import EXIT_BAD_INPUT
+from sim.scan import scan, write_scan
+from sim.scene.build import OBJECT, Truth
+from sim.sensing.reality import Reality
+from sim.simulation import Simulation
+from sim.trial import simulate
+
+RUN = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def plan(plan_of: PlanOf) -> GraspPlan:
+    return plan_of("allegro_hand", "box")
+
+
+def test_a_truth_that_is_the_belief_changes_nothing(plan: GraspPlan) -> None:
+    task = plan.task
+    same = Truth(object=task.object, T_world_object=task.T_world_object, table_height=0.0)
+    believed, there = (Simulation(plan, truth=truth) for truth in (None, same))
+    for simulation in (believed, there):
+        for _ in simulation.run("approach", 0.05):
+            pass
+    assert np.array_equal(believed.data.qpos, there.data.qpos)
+
+
+def test_geometry_and_mass_are_the_truth_and_the_frame_is_the_belief(plan: GraspPlan) -> None:
+    """Every point of the object is where the truth has it, though its body is elsewhere."""
+    turn = SE3(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
+    item = parse_object("box:0.06x0.04x0.07", mass=0.3)
+    place = SE3(np.eye(3), np.array([0.004, -0.003, 0.035])) * turn
+    simulation = Simulation(plan, truth=Truth(object=item, T_world_object=place))
+    model, data = simulation.scene.model, simulation.data
+    assert np.allclose(simulation.T_world_object.homogeneous, plan.task.T_world_object.homogeneous)
+    geom = model.geom(OBJECT).id
+    assert np.allclose(data.geom_xpos[geom], place.translation, atol=1e-12)
+    assert np.allclose(np.abs(data.geom_xmat[geom].reshape(3, 3)), np.abs(place.rotation))
+    assert np.allclose(model.geom_size[geom], [0.03, 0.02, 0.035])
+    body = simulation.scene.object_body
+    assert model.body_mass[body] == 0.3
+    assert np.allclose(data.xipos[body], place.translation, atol=1e-12)
+    full = data.ximat[body].reshape(3, 3) @ np.diag(model.body_inertia[body])
+    full = full @ data.ximat[body].reshape(3, 3).T
+    assert np.allclose(full, place.rotation @ item.shape.inertia(0.3) @ place.rotation.T)
+
+
+def test_fingers_close_on_a_shifted_truth_and_hold_it_where_it_is(plan: GraspPlan) -> None:
+    task = plan.task
+    along = plan.contacts.normals[0]  # fingers close along x of the box
+    shifted = SE3(np.eye(3), 0.004 * along) * task.T_world_object
+    report = simulate(plan, truth=Truth(object=task.object, T_world_object=shifted))
+    assert report.success
+    # contacts are compared in the frame of the belief: they are off by the shift
+    off = [c.position_error_mm for c in report.comparison]
+    assert off == pytest.approx([4.0] * len(off), abs=0.5)
+
+
+def test_a_truth_far_from_the_belief_is_not_held(plan: GraspPlan) -> None:
+    away = SE3(np.eye(3), np.array([0.15, 0.0, 0.0])) * plan.task.T_world_object
+    report = simulate(plan, truth=Truth(object=plan.task.object, T_world_object=away))
+    assert not report.success
+    assert "too few fingers" in report.verdict.detail or report.reason
+
+
+def test_two_truths_are_refused(plan: GraspPlan) -> None:
+    truth = Truth(object=plan.task.object, T_world_object=plan.task.T_world_object)
+    for wrong in ({"object_size": 0.1}, {"object_center": 0.1}):
+        with pytest.raises(TaskError, match="a truth tells"):
+            Simulation(plan, truth=truth, reality=replace(Reality(name="other"), **wrong))
+
+
+def test_a_cloud_takes_no_options_of_an_object(tmp_path: Path) -> None:
+    file = tmp_path / "cloud.ply"
+    write_scan(scan(parse_object("box")), file)
+    for words, said in (
+        (["--at", "0,0"], "--at"),
+        (["--density", "900", "--repair"], "--density, --repair"),
+        (["-n", "2"], "one grasp is planned"),
+        (["--table", "0.1"], "--table find"),
+        (["--cloud-error", "5 inches"], "no length"),
+    ):
+        done = RUN.invoke(app, ["plan", "allegro_hand", str(file), *words])
+        assert done.exit_code == EXIT_BAD_INPUT
+        assert said in " ".join(done.output.split())
