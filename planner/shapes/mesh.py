@@ -71,6 +71,9 @@ OPPOSITE = -0.5
 PLANE_DIGITS = 9
 """Decimal digits to which planes of the hull are equal: a nanometre."""
 
+EDGES_VERSION = 1
+"""To be raised when the share of a surface near edges is found otherwise."""
+
 HULL_VERSION = "v1"
 """Part of the key of hulls and stable poses in the cache; changes whenever the results do."""
 
@@ -258,10 +261,18 @@ class Mesh(Shape):
 
     @cached_property
     def narrow(self) -> bool:
-        """Whether much of its surface is near an edge: faces hardly wider than pads."""
-        points, normals = self.surface_samples(CHORDS, np.random.default_rng(0))
-        spread = self.normal_dispersion(points, NEAR_EDGE, facing=normals)
-        return float((spread > EDGE_SPREAD).mean()) > NARROW_SHARE
+        """Whether much of its surface is near an edge: faces hardly wider than pads.
+
+        The share is kept on disk: finding it needs a tree of points, and SciPy, which loads slowly.
+        """
+        key = f"{EDGES_VERSION}-{self.digest}"
+        share = (read_arrays("edges", key) or {}).get("share")
+        if share is None or share.shape != () or not 0.0 <= float(share) <= 1.0:
+            points, normals = self.surface_samples(CHORDS, np.random.default_rng(0))
+            spread = self.normal_dispersion(points, NEAR_EDGE, facing=normals)
+            share = np.array(float((spread > EDGE_SPREAD).mean()))
+            write_arrays("edges", key, {"share": share})
+        return float(share) > NARROW_SHARE
 
     @cached_property
     def thin_walled(self) -> bool:
