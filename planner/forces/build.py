@@ -13,7 +13,6 @@ from planner.arrays import checked_number, finite_array, float_array, per_item
 from planner.contacts import Cone, ContactSet, check_contacts
 from planner.contacts.friction import check_edges
 from planner.errors import ContactError, ObjectError, shown
-from planner.forces.compliance import passive_rows
 from planner.forces.costs import QuadraticCost
 from planner.forces.friction_part import friction_part
 from planner.forces.problem import ForceProblem
@@ -163,6 +162,8 @@ def build_force_problem(
     ne, mf, mt = extra.shape[1], len(part.faces), len(torque_rows)
     shared = np.zeros((0, nf))
     if contact_compliance is not None:
+        from planner.forces.compliance import passive_rows  # here: fingertips share no joints
+
         shared = passive_rows(contacts, joint_map, actuation, contact_compliance, part.unit)
     mp = len(shared)
     nx = nf + excess + ne
