@@ -33,6 +33,7 @@ SLOW: list[tuple[str, Row]] = [
     ("control", {**BALL, "parts": "fc"}),
     ("physics", {**BALL, "parts": "remedies"}),
     ("touch", {**ONE, "parts": "arrays"}),
+    ("clouds", {**BALL, "ways": "cloud,mesh,hull", "views": "2", "reality": "ideal"}),
 ]
 
 
@@ -65,6 +66,7 @@ EMPTY = {
     "walls": {"failed attempts by reason", "wall mm"},
     "metrics": {"all", "+-", "same task", *CONDITIONS},
     "physics": {"reasons"},
+    "clouds": {"rightly"},
 }
 """Columns that a tiny case leaves empty."""
 

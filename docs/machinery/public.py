@@ -75,6 +75,7 @@ GROUPS: dict[str, list[str]] = {
         "sim.verdict",
         "sim.simulation",
         "sim.scene",
+        "sim.scan",
         "sim.recording",
         "sim.contacts",
         "sim.recorder",

@@ -123,4 +123,4 @@ def _turn_to_vertical(normal: FloatArray) -> FloatArray:
     """Rotation (3, 3) that turns a unit vector (3,) near z onto z by the shortest way."""
     x, y, z = normal
     axis = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
-    return np.eye(3) + axis + axis @ axis / (1.0 + z)
+    return np.asarray(np.eye(3) + axis + axis @ axis / (1.0 + z))
