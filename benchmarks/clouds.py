@@ -18,6 +18,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -350,7 +351,7 @@ def hull_surface(cloud: PointCloud) -> tuple[FloatArray, Any]:
 def poisson_surface(cloud: PointCloud) -> tuple[FloatArray, Any]:
     """The screened Poisson surface (Kazhdan, Hoppe 2013) of the points and their normals."""
     try:
-        import pymeshlab
+        pymeshlab = import_module("pymeshlab")
     except ImportError as error:
         raise TaskError("the way poisson needs: pip install pymeshlab") from error
     meshes = pymeshlab.MeshSet(verbose=False)
