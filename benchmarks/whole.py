@@ -289,6 +289,7 @@ def draw(file: Path, picture: Path) -> None:
         )
     axes.set(xscale="log", xlabel="half diagonal, cm", ylabel="held", ylim=(0.0, 1.05))
     axes.set_xticks([100.0 * size for size in SIZES], [f"{100.0 * size:g}" for size in SIZES])
+    axes.minorticks_off()
     axes.legend()
     figure.savefig(picture)
 
