@@ -215,7 +215,10 @@ def frame_view(file: Path) -> tuple[str, DepthView]:
 
 
 def clearance_of_points(plan: GraspPlan, points: FloatArray) -> float:
-    """Least distance (m) of the hand from points (n, 3), those of links that touch left out."""
+    """Least distance (m) of the hand from points (n, 3), those of links that touch left out.
+
+    Beyond twice ``CLEAR`` it is only known to be that far.
+    """
     hand, state = plan.task.hand, HandState(plan.task.hand, plan.q)
     pads = {finger.pad.joint_id for finger in plan.task.fingers}
     ball, least = coal.Sphere(1e-6), math.inf
@@ -255,7 +258,7 @@ def measure_frame(case: Row) -> Row:
         moved = believed_motion(raw.points, cloud.points)
         seen = seen[np.isfinite(seen).all(axis=1)] @ moved.rotation.T + moved.translation
         least = clearance_of_points(plan, seen)
-        row |= {"clear_mm": 1e3 * min(least, 1.0), "clear": least >= CLEAR}
+        row |= {"clear_mm": 1e3 * min(least, 2.0 * CLEAR), "clear": least >= CLEAR}
     return row
 
 
