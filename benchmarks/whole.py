@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -28,6 +28,7 @@ from benchmarks.bench import HandOptions, ObjectsOption
 from benchmarks.common import checked_hand, known
 from benchmarks.summary import Columns, of, share, summary
 from planner.certify import smallest_breaking
+from planner.certify.breaking import Breaking
 from planner.errors import NoGraspFoundError, TaskError
 from planner.forces import distribute_forces
 from planner.objects import parse_object
@@ -152,7 +153,7 @@ def _push(case: Row) -> Row:
 
 def _load(case: Row) -> Row:
     row: Row = {"found": False}
-    certified: dict[str, Row] = {}
+    certified: dict[str, Breaking] = {}
     plan = None
     for kind in ("fingertip", "power"):
         try:
@@ -193,7 +194,9 @@ def _growing(plan: GraspPlan, along: FloatArray, *, told: bool, first: float) ->
     if (fault := hold.close_and_squeeze()) is not None:
         raise TaskError(f"the hand did not close: {fault.detail}")
     grasp, contacts, pressed = compliance_of(plan, hold.simulation.scene)
-    given = force_arguments(plan.task, plan.contacts, plan.T_world_base, plan.q)
+    given: dict[str, Any] = dict(
+        force_arguments(plan.task, plan.contacts, plan.T_world_base, plan.q)
+    )
     turn = plan.task.T_world_object.rotation
     before, level, off, end = 0.0, first, list[float](), 0.0
     while level < MOST:
@@ -204,7 +207,7 @@ def _growing(plan: GraspPlan, along: FloatArray, *, told: bool, first: float) ->
                 asked["wrench"] = np.asarray(given["wrench"]) + level * along
                 answer = distribute_forces(plan.contacts, **asked)
                 if answer.found:
-                    controller = hold.simulation.controller
+                    controller: Any = hold.simulation.controller
                     controller._forces = answer.contacts.forces_in_axes()[:, :3] @ turn
                     break
 
@@ -283,7 +286,7 @@ def draw(file: Path, picture: Path) -> None:
         ]
         axes.plot(
             100.0 * np.array(SIZES),
-            [np.mean(h) if h else np.nan for h in held],
+            [float(np.mean(h)) if h else np.nan for h in held],
             mark + "-",
             label=kind,
         )

@@ -57,7 +57,7 @@ def table_past(camera: FloatArray, solid: str, rng: np.random.Generator) -> Floa
     shadow = camera + (points - camera) * (camera[2] / (camera[2] - points[:, 2]))[:, None]
     from scipy.spatial import cKDTree
 
-    return table[cKDTree(shadow).query(table)[0] > 0.004]
+    return np.asarray(table[cKDTree(shadow).query(table)[0] > 0.004])
 
 
 @cache

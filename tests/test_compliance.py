@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 
 from planner import ContactSet, GraspTask, plan_grasp
 from planner.certify import breaking_along
+from planner.contacts import ContactModel
 from planner.errors import ContactError
 from planner.forces import GraspCompliance, build_force_problem, distribute_forces
 from planner.forces.compliance import passive_forces
@@ -130,7 +132,8 @@ def test_it_agrees_with_the_stiffness_of_a_grasp_without_load(hand: Hand) -> Non
     changes, _ = whole.under(0.0, wrench[None], 0.0)
     n = len(plan.contacts)
     twisting = plan.contacts.with_friction(0.5, 0.01)
-    soft = replace(twisting, models=("soft",) * n)
+    models: tuple[ContactModel, ...] = ("soft",) * n
+    soft = replace(twisting, models=models)
     problem = build_force_problem(
         soft, **force_arguments(plan.task, soft, plan.T_world_base, plan.q)
     )
@@ -225,7 +228,7 @@ def test_what_stands_in_the_way_may_be_a_passive_force() -> None:
     """Pins that nothing moves: a grip by passive forces alone does not come about."""
     contacts = three()
     still = np.zeros((3, 6, 1))
-    asked = {"wrench": np.zeros(6), "min_normal": 1.0, "jacobians": still}
+    asked: dict[str, Any] = {"wrench": np.zeros(6), "min_normal": 1.0, "jacobians": still}
     assert distribute_forces(contacts, **asked).found
     answer = distribute_forces(contacts, **asked, contact_compliance=1e-5)
     assert not answer.found and "passive force by compliance" in answer.reason

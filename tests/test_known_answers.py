@@ -190,10 +190,10 @@ def test_two_palms_look_at_each_other_wherever_the_pair_stands(
     hands = [load_hand("allegro_hand"), load_hand("allegro_hand_left")]
     pair: Any = SimpleNamespace(hands=held)
     if fits:
-        _check_faces(Path("pair.toml"), pair, hands)
+        _check_faces("pair.toml", pair, hands)
     else:
         with pytest.raises(HandError, match="'right' does not look towards the other hand"):
-            _check_faces(Path("pair.toml"), pair, hands)
+            _check_faces("pair.toml", pair, hands)
 
 
 @pytest.mark.parametrize("radius", [0.03, 0.05])

@@ -31,7 +31,7 @@ def on_object(found: Scan, view: int = 0) -> FloatArray:
     """Points of the object in its own frame (n, 3)."""
     points = found.views[view].points()[found.on_object[view]]
     pose = found.truth.T_world_object
-    return (points - pose.translation) @ pose.rotation
+    return np.asarray((points - pose.translation) @ pose.rotation)
 
 
 def test_depth_of_a_sphere_is_the_exact_distance_along_each_ray() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,7 +81,8 @@ def test_a_truth_far_from_the_belief_is_not_held(plan: GraspPlan) -> None:
 
 def test_two_truths_are_refused(plan: GraspPlan) -> None:
     truth = Truth(object=plan.task.object, T_world_object=plan.task.T_world_object)
-    for wrong in ({"object_size": 0.1}, {"object_center": 0.1}):
+    wrongs: tuple[dict[str, Any], ...] = ({"object_size": 0.1}, {"object_center": 0.1})
+    for wrong in wrongs:
         with pytest.raises(TaskError, match="a truth tells"):
             Simulation(plan, truth=truth, reality=replace(Reality(name="other"), **wrong))
 

@@ -23,11 +23,12 @@ from planner.files import read_plan
 from planner.hand_loading import load_hand
 from planner.hands.grasp_types import contact_sets
 from planner.hands.hand import Hand
+from planner.hands.two_hands import carriage_joints
 from planner.motion.search import check_task
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
-from planner.synthesis.seeds.facing_palms import PairSeeder, carriage_joints
+from planner.synthesis.seeds.facing_palms import PairSeeder
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.system.package import models_dir
 from planner.verification.grasp import GAP_TOL, project_onto_surface

@@ -151,7 +151,7 @@ class Belief:
         means = np.stack([self._mean(p, k) for k in range(len(self.hypotheses))])
         off = np.clip(means - means[self.chosen], -DIFFER, DIFFER)
         between = (self._weights[:, None] * off**2).sum(axis=0)
-        return np.sqrt(own + between)
+        return np.asarray(np.sqrt(own + between))
 
     def certain(self, points: FloatArray) -> FloatArray:
         """Whether a finger may touch there, (n,): ``deviation`` is at most ``CERTAIN``."""
@@ -198,7 +198,7 @@ class Belief:
     def _root(self) -> FloatArray:
         """Lower Cholesky factor (m, m) of the conditions' covariance."""
         prior = self._scales[:, None] * self._correlation(self.places) * self._scales
-        return np.linalg.cholesky(prior + np.diag(self.deviations**2))
+        return np.asarray(np.linalg.cholesky(prior + np.diag(self.deviations**2)), np.float64)
 
     def _solved(self, cross: FloatArray) -> FloatArray:
         """L^-1 C' (m, n) of cross covariances C (n, m)."""
@@ -217,7 +217,7 @@ class Belief:
 
     def _mean(self, p: FloatArray, k: int) -> FloatArray:
         prior = self.grid.at(self.hypotheses[k].distance, p)
-        return prior + self._scale(p) * (self._correlation(p) @ self._alphas[k])
+        return np.asarray(prior + self._scale(p) * (self._correlation(p) @ self._alphas[k]))
 
     @cached_property
     def _levels(self) -> tuple[FloatArray, ...]:

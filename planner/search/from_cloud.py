@@ -333,7 +333,8 @@ def _tips(plan: GraspPlan) -> NDArray[np.bool_]:
     levers = (push @ base[:, :2].T).max(axis=1)
     heights = contacts.positions[:, 2] - task.table_height
     flat = np.linalg.norm(push, axis=1)
-    return (levers > SPARE * flat) & (TABLE_MU * heights * flat > levers)
+    tips = (levers > SPARE * flat) & (TABLE_MU * heights * flat > levers)
+    return np.asarray(tips, dtype=bool)
 
 
 def _closed(contacts: ContactSet, positions: FloatArray, normals: FloatArray) -> bool:

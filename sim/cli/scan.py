@@ -41,6 +41,8 @@ def scan(
     says what was there, for trials alone: `run HAND cloud.ply` plans on the points and executes on
     the true object.
     """
+    import numpy as np
+
     from planner.errors import TaskError
     from sim.cli.options import numbers
     from sim.scan import Calibration, look_at, write_scan
@@ -52,7 +54,7 @@ def scan(
     item = object_of(object, mass=mass)
     T_world_object = item.resting_pose(0.0, pose)
     target = T_world_object.translation
-    places = tuple(look_at(numbers("--camera", text, 3), target) for text in camera or ())
+    places = tuple(look_at(np.array(numbers("--camera", text, 3)), target) for text in camera or ())
     if places and views != 1:
         raise TaskError("--camera gives the places of cameras, and --views draws them; give one")
     (shift, turn), (own_shift, own_turn) = (
