@@ -132,8 +132,8 @@ def test_it_agrees_with_the_stiffness_of_a_grasp_without_load(hand: Hand) -> Non
     changes, _ = whole.under(0.0, wrench[None], 0.0)
     n = len(plan.contacts)
     twisting = plan.contacts.with_friction(0.5, 0.01)
-    models: tuple[ContactModel, ...] = ("soft",) * n
-    soft = replace(twisting, models=models)
+    kind: ContactModel = "soft"
+    soft = replace(twisting, models=(kind,) * n)
     problem = build_force_problem(
         soft, **force_arguments(plan.task, soft, plan.T_world_base, plan.q)
     )
