@@ -198,8 +198,8 @@ class UncertainError(NoGraspFoundError):
         super().__init__(message, attempts)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How it is sent to another process: it is made again of what it was made of."""
-        return type(self), (str(self), self.attempts, self.best)
+        """How it is sent to another process: without plans, whose hands hold models of MuJoCo."""
+        return type(self), (str(self), tuple(a for a in self.attempts if a.plan is None))
 
 
 class InfeasibleError(PlannerError):

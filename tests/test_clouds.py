@@ -209,6 +209,7 @@ def test_a_sliver_is_refused_aloud() -> None:
     if isinstance(caught.value, UncertainError):
         same = pickle.loads(pickle.dumps(caught.value))
         assert str(same) == str(caught.value)
+        assert all(a.plan is None for a in same.attempts)
 
 
 def object_alone(n: int = 4000) -> FloatArray:

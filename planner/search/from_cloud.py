@@ -10,6 +10,7 @@ in which the first finger may tip the object instead of sliding it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -45,8 +46,10 @@ __all__ = ["CloudPlan", "plan_from_cloud"]
 SAMPLES = 60
 """Samples of what may be true on which a plan is tried: a share of 0.9 is known to 0.04."""
 
-SURVIVES, ENOUGH = 0.7, 0.8
-"""Share of samples (-) that a plan must survive, and the merit with which the search ends."""
+SURVIVES, ENOUGH = 0.3, 0.8
+"""Share of samples (-) that a plan must survive, and the merit with which the search ends. Samples
+are harder than the world is: of 32 plans on one-view scans with which this was set, 29 held, and 10
+of 12 of those that survived less than half."""
 
 PLAUSIBLE = 0.08
 """Weight (-) of a hypothesis below which nothing is planned on it."""
@@ -173,49 +176,74 @@ def plan_from_cloud(
     for value, unit in zip(pose_error, ("m", "rad"), strict=True):
         checked_number("pose_error", value, least=0.0, most=0.5, unit=unit, error=TaskError)
     belief = Belief.of(cloud)
-    if options is None:
-        room = min(float(np.median(belief.deviations)) + pose_error[0], ROOM)
-        standard = SynthesisOptions()
-        options = replace(
-            standard,
-            clear_object=standard.clear_object + room,
-            clear_table=standard.clear_table + room,
-            cone_share=CONE_SHARE,
+    if not len(belief.deviations):
+        raise UncertainError(
+            "too little of the object was seen: nowhere do enough points lie together to fit a "
+            "surface. Look from nearer, or give less noise",
+            (),
+            None,
         )
     best: CloudPlan | None = None
     made: list[Attempt[GraspPlan]] = []
     refused: list[str] = []
-    for number, hypothesis in enumerate(belief.hypotheses):
-        if number >= TRIED or (number and hypothesis.weight < PLAUSIBLE):
-            break
-        what = f"{hypothesis.name} (plausibility {hypothesis.weight:.2f})"
-        try:
-            grasp_task = _task(hand, belief, number, mass, name, task)
-            search = attempts(grasp_task, seed=seed, options=options)
-        except PlannerError as error:
-            refused.append(f"{what}: {error}")
-            continue
-        plans, failures = 0, []
-        for attempt in islice(search, max_attempts):
-            made.append(attempt)
-            if attempt.plan is None:
-                assert attempt.failure is not None, "an attempt without a plan failed"
-                failures.append(attempt.failure)
+    likely = [h for k, h in enumerate(belief.hypotheses[:TRIED]) if not k or h.weight >= PLAUSIBLE]
+    # ordinary margins where none is found with those for what is uncertain: the samples judge
+    for margins in (options,) if options else (_widened(belief, pose_error[0]), SynthesisOptions()):
+        for number, hypothesis in enumerate(likely):
+            what = f"{hypothesis.name} (plausibility {hypothesis.weight:.2f})"
+            try:
+                grasp_task = _task(hand, belief, number, mass, name, task)
+                search = islice(attempts(grasp_task, seed=seed, options=margins), max_attempts)
+            except PlannerError as error:
+                refused.append(f"{what}: {error}")
                 continue
-            plans += 1
-            other = _tried(attempt.plan, pose_error, seed, 0.0 if best is None else best.merit)
-            if best is None or other.merit > best.merit:
-                best = other
-            if plans == PLANS or best.merit >= ENOUGH:
+            begin = len(made)
+            best = _best_of(search, best, pose_error, seed, made)
+            failures = [a.failure for a in made[begin:] if a.failure is not None]
+            if len(failures) == len(made) - begin:
+                common = _commonest(failures)
+                refused.append(f"{what}: no grasp in {len(failures)} attempts: {common}")
+            if best is not None and best.merit >= ENOUGH:
                 break
-        if not plans:
-            common = _commonest(failures)
-            refused.append(f"{what}: no grasp in {len(failures)} attempts: {common}")
-        if best is not None and best.merit >= ENOUGH:
+        if best is not None:
             break
     if best is None or best.survival < survives:
         raise _abstained(best, survives, belief, refused, made)
     return replace(best, refused=tuple(refused))
+
+
+def _best_of(
+    search: Iterable[Attempt[GraspPlan]],
+    best: CloudPlan | None,
+    pose_error: tuple[float, float],
+    seed: int,
+    made: list[Attempt[GraspPlan]],
+) -> CloudPlan | None:
+    """The best of a plan and the first ``PLANS`` of a search, whose attempts are added."""
+    plans = 0
+    for attempt in search:
+        made.append(attempt)
+        if attempt.plan is None:
+            continue
+        plans += 1
+        other = _tried(attempt.plan, pose_error, seed, 0.0 if best is None else best.merit)
+        if best is None or other.merit > best.merit:
+            best = other
+        if plans == PLANS or best.merit >= ENOUGH:
+            break
+    return best
+
+
+def _widened(belief: Belief, shift: float) -> SynthesisOptions:
+    """Margins for a surface and a pose, off by a shift (m), that are uncertain."""
+    room = min(float(np.median(belief.deviations)) + shift, ROOM)
+    usual = SynthesisOptions()
+    return replace(
+        usual,
+        clear_object=usual.clear_object + room,
+        clear_table=usual.clear_table + room,
+        cone_share=CONE_SHARE,
+    )
 
 
 def _task(
@@ -228,7 +256,7 @@ def _task(
 ) -> GraspTask:
     """The task of grasping a hypothesis, where the cloud has it, on its table.
 
-    The mesh may end some millimetres from the table's top, which no camera saw: it stands there.
+    The mesh may end above the table's top, since no camera saw its foot: it stands there.
     """
     chosen, mesh = belief.of_hypothesis(number)
     item = GraspObject(name=name, shape=mesh, mass=mass, belief=chosen)
@@ -240,8 +268,9 @@ def _task(
     return GraspTask.create(hand, item, **{"T_world_object": pose, "table_height": table, **more})
 
 
-UNSEEN_FOOT = 0.006
-"""Distance (m) from the table's top within which a mesh ends on it."""
+UNSEEN_FOOT = 0.015
+"""Distance (m) from the table's top within which a mesh ends on it: its foot is in the shadow of
+what is above, and cells of the grid are as large as 3 mm."""
 
 
 def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: float) -> CloudPlan:
