@@ -17,9 +17,11 @@ from hypothesis import strategies as st
 from planner import GraspTask, load_hand
 from planner.collision.world import CollisionWorld
 from planner.errors import FileFormatError, NoGraspFoundError, PlannerError
+from planner.failure import Failure
 from planner.files import read_handover, write_handover
-from planner.motion.handover import HandoverPlan, plan_handover
+from planner.motion.handover import HandoverPlan, plan_handover, put_together
 from planner.spatial import SE3, FloatArray
+from planner.system.package import models_dir
 from sim import Timeline
 from sim.cli.reading import one_plan
 from sim.handover import HANDOVER_PHASES, HandoverTimeline, HandoverTrial, hand_over, judge_handover
@@ -84,6 +86,29 @@ def test_carriages_bring_both_hands_where_they_grasp_alone(plan: HandoverPlan) -
         base = alone.task.hand.description.base_body
         off = pair.body(f"{side}/{base}").actInv(alone.T_world_base)
         assert np.allclose(off.homogeneous, np.eye(4), atol=1e-8)
+
+
+def test_hands_come_and_go_as_when_alone(plan: HandoverPlan) -> None:
+    """The carriages move them as far, and in the direction, in which each alone comes in."""
+    pair, (give, take) = Pair(plan), plan.alone
+    for q, side, alone in (
+        (plan.way_in[1], plan.taker, take),
+        (plan.way_out[-1], plan.giver, give),
+    ):
+        pair.put(q)
+        base = pair.body(f"{side}/{alone.task.hand.description.base_body}")
+        assert np.allclose(base.homogeneous, alone.T_world_base_start.homogeneous, atol=1e-8)
+
+
+def test_weak_carriages_take_nothing(plan: HandoverPlan, tmp_path: Path) -> None:
+    text = (models_dir() / "hands/two_allegro_hands/hand.toml").read_text()
+    hands = models_dir() / "hands"
+    file = tmp_path / "hand.toml"
+    file.write_text(text.replace('"../', f'"{hands.as_posix()}/') + "\n[carriage]\nforce = 3.0\n")
+    task = GraspTask.create(load_hand(file), plan.task.object)
+    found = put_together(task, *plan.alone, to="left", lift_height=plan.lift_height)
+    assert isinstance(found, Failure)
+    assert found.kind == "no_forces"
 
 
 def test_each_hand_holds_alone_and_any_blend_of_their_forces_holds(plan: HandoverPlan) -> None:
@@ -158,6 +183,7 @@ def test_an_object_is_handed_over(plan: HandoverPlan, report: TrialReport) -> No
     assert abs(samples.lift_mm[end[-1]] - 1e3 * plan.lift_height) < 1.0
     assert samples.slip_mm[end].max() < 2.0
     assert [c.finger for c in report.comparison] == list(plan.take.task.finger_names)
+    assert np.allclose([c.planned_normal_force for c in report.comparison], planned)
 
 
 def test_forces_go_from_one_hand_to_the_other_along_a_ramp(
