@@ -248,6 +248,7 @@ def test_a_file_holds_it_and_is_checked(plan: HandoverPlan, tmp_path: Path) -> N
     again = read_handover(file)
     assert np.allclose(again.both.q, plan.both.q, atol=1e-9)
     assert np.allclose(again.way_in, plan.way_in, atol=1e-9)
+    assert again.lift_height == plan.lift_height
     with refused(f"opposable test {file} executes it"):
         one_plan(file)
     data = json.loads(file.read_text())
