@@ -132,7 +132,7 @@ def test_the_options_of_run_are_those_of_batch() -> None:
     run, batch = (set(signature(command).parameters) for command in (grasp.run, commands.batch))
     executed = {"sim_mu", "physics", "controller", "view", "video", "arrows", "verbose"}
     executed |= {"reality", "reality_seed", "estimate", "pads"}
-    chosen = {"best_of", "keep", "metric"}
+    chosen = {"best_of", "keep", "metric", "handover_to"}
     assert run - batch == {"object", "out_dir"} | executed | chosen
 
 

@@ -33,6 +33,7 @@ from sim.controllers.readings import PadReading
 from sim.crosscheck.parts import Tolerances
 from sim.datasets.episodes.episode import Asked
 from sim.datasets.reset_states.starts import Draws, StatesAsked
+from sim.handover import HandoverTimeline
 from sim.learning.policy import PolicyFor
 from sim.learning.training import Course
 from sim.learning.trials import Conditions, TurnTask
@@ -140,6 +141,10 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
         },
     ),
     (CommandLimits(rate=1.0), {"rate": POSITIVE_OR_INFINITE}),
+    (
+        HandoverTimeline(),
+        {"close_wait": NOT_NEGATIVE, "turn": SIGNED, "tilt": SIGNED, "": POSITIVE},
+    ),
     (Timeline(), {"close_wait": NOT_NEGATIVE, "turn": SIGNED, "tilt": SIGNED, "": POSITIVE}),
     (Thresholds(), {"": POSITIVE_OR_INFINITE}),
     (DropCriteria(), {"fewest": NOT_NEGATIVE, "": POSITIVE_OR_INFINITE}),

@@ -149,7 +149,7 @@ class GraspCompliance:
         return self.under(contacts, inside, self.grasp_map @ inside + wrench)
 
     def under(
-        self, contacts: ContactSet, forces: FloatArray, wrench: FloatArray
+        self, contacts: ContactSet, forces: FloatArray, wrench: ArrayLike
     ) -> tuple[FloatArray, float]:
         """Forces (m,) after a further wrench grew slowly, references held; contacts slide and part.
 
@@ -162,6 +162,7 @@ class GraspCompliance:
             Forces, and the share of the wrench (-) up to which balance was found: less than 1 where
             the grasp breaks.
         """
+        wrench = float_array("wrench", wrench)
         size = max(float(np.abs(forces).max(initial=0.0)), 1.0)
         f, share, step = forces, 0.0, LARGEST_STEP
         last = forces, np.zeros(len(self._moves[0]))
