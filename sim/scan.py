@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pinocchio import exp3
 
-from planner.arrays import checked_number
+from planner.arrays import check_fields, checked_number
 from planner.bridge import compile_spec
 from planner.clouds.cloud import PointCloud
 from planner.clouds.files import DepthView, cloud_of_views, file_comments
@@ -96,6 +96,10 @@ class DepthCamera:
     focal: float = 600.0
     baseline: float = 0.055
 
+    def __post_init__(self) -> None:
+        """Check that all are positive."""
+        check_fields(self, what="camera: ", above=0.0)
+
     @property
     def intrinsics(self) -> tuple[float, float, float, float]:
         """fx, fy, cx, cy, pixels."""
@@ -126,6 +130,12 @@ class DepthNoise:
     specks: float = 0.02
     grazing: tuple[float, float] = (70.0, 85.0)
     shadow: bool = True
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        check_fields(self, ("bleeding", "specks"), what="noise: ", least=0.0, most=1.0)
+        check_fields(self, ("grazing",), what="noise: ", least=0.0, most=90.0, unit="degrees")
+        check_fields(self, ("depth", "correlation", "step", "lateral"), what="noise: ", least=0.0)
 
     @classmethod
     def of(cls, depth: float) -> DepthNoise:
@@ -159,6 +169,10 @@ class Calibration:
     turn: float = 0.0
     view_shift: float = 0.0
     view_turn: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check that none is negative."""
+        check_fields(self, what="calibration: ", least=0.0)
 
     def drawn(self, views: int, rng: np.random.Generator) -> list[SE3]:
         """Believed pose of what is seen in its true one, about the object, per view."""

@@ -26,7 +26,7 @@ from planner.motion.path import ObjectPath, check_place
 from planner.objects import GraspObject
 from planner.quality import analyse, force_closure
 from planner.shapes import SIZED_SHAPES, Box, Mesh
-from planner.spatial import contact_frames
+from planner.spatial import SE3, contact_frames
 from planner.synthesis.options import SynthesisOptions
 from sim.controllers.impedance import ImpedanceGains
 from sim.controllers.readings import PadReading
@@ -43,6 +43,8 @@ from sim.protocols.disturbance import Settings
 from sim.protocols.shake_pushes import Push as PushOfProtocol
 from sim.real_hand import CommandLimits, Safety
 from sim.real_hand.safety import CommandLimiter
+from sim.scan import Calibration, DepthCamera, DepthNoise
+from sim.scene.build import Truth
 from sim.scene.carrier import Timeline
 from sim.scene.physics import PhysicsOptions
 from sim.sensing.estimation.filter import ContactNoise
@@ -145,6 +147,16 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
         HandoverTimeline(),
         {"close_wait": NOT_NEGATIVE, "turn": SIGNED, "tilt": SIGNED, "": POSITIVE},
     ),
+    (
+        Truth(
+            object=GraspObject(name="box", shape=Box(size=(0.05, 0.05, 0.05))),
+            T_world_object=SE3.Identity(),
+        ),
+        {"table_height": SIGNED},
+    ),
+    (DepthCamera(), {"": POSITIVE}),
+    (DepthNoise(), {"bleeding": SHARE, "specks": SHARE, "": NOT_NEGATIVE}),
+    (Calibration(), {"": NOT_NEGATIVE}),
     (Timeline(), {"close_wait": NOT_NEGATIVE, "turn": SIGNED, "tilt": SIGNED, "": POSITIVE}),
     (Thresholds(), {"": POSITIVE_OR_INFINITE}),
     (DropCriteria(), {"fewest": NOT_NEGATIVE, "": POSITIVE_OR_INFINITE}),

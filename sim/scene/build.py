@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pinocchio import SE3
 
+from planner.arrays import check_fields
 from planner.bridge import compile_spec
 from planner.collision.world import TABLE_SIZE
 from planner.hands.hand import Hand
@@ -221,6 +222,10 @@ class Truth:
     object: GraspObject
     T_world_object: SE3
     table_height: float | None = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the height."""
+        check_fields(self, what="truth: ", unit="m")
 
 
 def build_scene(
