@@ -21,7 +21,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import TaskError
+from planner.errors import TaskError, shown
 from planner.motion.handover import HandoverPlan
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
@@ -206,6 +206,10 @@ class HandoverTrial(Trial):
                 ``Trial``.
         """
         asked = replace(options or TrialOptions(), **changes)
+        if not isinstance(handover, HandoverPlan):
+            raise TaskError(f"{shown(handover)} is no handover; give what plan_handover returns")
+        if asked.truth is not None:
+            raise TaskError("a handover is of an object that is known; leave truth out")
         if asked.controller is not None:
             raise TaskError("a handover has its own controller, which drives both hands; give none")
         timeline = asked.timeline or HandoverTimeline()

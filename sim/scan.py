@@ -42,7 +42,7 @@ from planner.arrays import check_fields, checked_number
 from planner.bridge import compile_spec
 from planner.clouds.cloud import PointCloud
 from planner.clouds.files import DepthView, cloud_of_views, file_comments
-from planner.errors import FileFormatError, ObjectError, TaskError
+from planner.errors import FileFormatError, ObjectError, TaskError, shown
 from planner.objects import GraspObject, parse_object
 from planner.shapes import Mesh
 from planner.shapes.mesh import surface_triangles
@@ -287,8 +287,14 @@ def camera_places(n: int, target: FloatArray, rng: np.random.Generator) -> tuple
 
 
 def look_at(eye: FloatArray, target: FloatArray) -> SE3:
-    """Pose of a camera at a place (3,) that looks at another (3,), m; its x axis is level."""
+    """Pose of a camera at a place (3,) that looks at another (3,), m; its x axis is level.
+
+    Raises:
+        TaskError: Both are one place.
+    """
     z = np.asarray(target, dtype=np.float64) - eye
+    if not np.linalg.norm(z) > 0.0:
+        raise TaskError(f"a camera at {shown(eye)} is where it is to look; put it outside")
     z /= np.linalg.norm(z)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x = x / np.linalg.norm(x) if np.linalg.norm(x) > 1e-9 else np.array([1.0, 0.0, 0.0])

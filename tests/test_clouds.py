@@ -12,7 +12,7 @@ import pytest
 from planner import GraspObject, PointCloud, plan_from_cloud
 from planner.clouds.belief import CERTAIN, Belief
 from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
-from planner.errors import ObjectError, UncertainError
+from planner.errors import ObjectError, TaskError, UncertainError
 from planner.search.from_cloud import CloudPlan
 from planner.spatial import FloatArray
 
@@ -292,3 +292,13 @@ def test_a_belief_is_no_part_of_a_known_object() -> None:
     known = GraspObject(name="box", shape=believed("box").shape)
     back = split("box", believed("box"))[1]
     assert known.permits(back).all() and not believed("box").permits(back).all()
+
+
+def test_wrong_arguments_are_told_before_anything_is_planned() -> None:
+    wrong: Any = np.zeros((5, 3))
+    with pytest.raises(TaskError, match="cloud is"):
+        plan_from_cloud("allegro_hand", wrong)
+    for name, value in (("mass", -1.0), ("seed", -1)):
+        more: dict[str, Any] = {name: value}
+        with pytest.raises(TaskError, match=name):
+            plan_from_cloud("allegro_hand", scanned("ball"), **more)

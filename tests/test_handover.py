@@ -268,8 +268,16 @@ def test_what_cannot_be_handed_over_is_said(plan: HandoverPlan) -> None:
     task = GraspTask.create("two_allegro_hands", "box")
     with refused("no hand to take the object is called 'leff'"):
         plan_handover(task, to="leff")
-    with refused("lift_height"):
-        plan_handover(task, lift_height=0.0)
+    for height in (0.0, 5.0, float("nan")):
+        with refused("lift_height"):
+            plan_handover(task, lift_height=height)
+    wrong: Any = 7
+    with refused("no hand to take the object is called '7'"):
+        plan_handover(task, to=wrong)
+    with refused("task is"):
+        plan_handover(wrong)
+    with refused("is no handover"):
+        hand_over(wrong)
     with refused("its own controller"):
         HandoverTrial(plan, controller="feedforward")
     with refused("HandoverTimeline"):

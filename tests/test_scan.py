@@ -207,3 +207,8 @@ def test_what_cannot_be_scanned_is_said() -> None:
         scan(item, views=())
     with pytest.raises(TaskError, match="noise"):
         scan(item, noise=-0.1)
+
+
+def test_a_camera_where_it_looks_is_refused() -> None:
+    with pytest.raises(TaskError, match="put it outside"):
+        look_at(np.array([0.0, 0.0, 0.04]), np.array([0.0, 0.0, 0.04]))

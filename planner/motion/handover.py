@@ -28,7 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.approach.pregrasp import APPROACH_CLEARANCE, CLOSING_SHARES, STANDOFF, Approach
-from planner.arrays import checked_number
+from planner.arrays import checked_kind, checked_number
 from planner.attempt import Attempt, check_seed, nothing_found
 from planner.collision.world import TABLE_SIZE, CollisionWorld
 from planner.errors import NotFoundError, TaskError
@@ -76,6 +76,9 @@ BACK = (0.0, 0.08, 0.16, 0.24)
 LIFT_HEIGHT = 0.25
 """Height (m) above where it stood at which the object is handed over: a hand's length, so that the
 other hand comes under it."""
+
+HIGHEST = 2.0
+"""Largest height (m) of a lift: what a person reaches."""
 
 BELOW = "table below"
 """Name of the table in tasks in the air, where it is an obstacle."""
@@ -151,8 +154,9 @@ def plan_handover(
         TaskError: The task is of one hand, or one of the hands cannot grasp the object.
     """
     check_seed(seed)
+    task = checked_kind("task", task, GraspTask)
     giver, taker = _sides(task, to)
-    checked_number("lift_height", lift_height, above=0.0, unit="m", error=TaskError)
+    checked_number("lift_height", lift_height, above=0.0, most=HIGHEST, unit="m", error=TaskError)
     meeting = _Meeting(task, giver, taker, lift_height)
     gives = _grasps(_alone(task, giver), seed)
     takes = _grasps(replace(_alone(task, taker), **meeting.in_the_air), seed)
@@ -211,8 +215,8 @@ def _sides(task: GraspTask, to: str | None) -> tuple[Side, Side]:
             "two_allegro_hands or allegro_hand+shadow_hand_left"
         )
     to = list(sides)[-1] if to is None else to
-    if to not in sides:
-        raise NotFoundError("hand to take the object", to, sides)
+    if not isinstance(to, str) or to not in sides:
+        raise NotFoundError("hand to take the object", str(to), sides)
     (giver,) = (side for name, side in sides.items() if name != to)
     return giver, sides[to]
 

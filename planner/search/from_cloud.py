@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import checked_number
-from planner.attempt import Attempt
+from planner.arrays import checked_kind, checked_number
+from planner.attempt import Attempt, check_seed
 from planner.certify import Tolerance, contact_tolerances
 from planner.clouds.belief import STEP, Belief
 from planner.clouds.cloud import PointCloud
@@ -173,6 +173,9 @@ def plan_from_cloud(
         ObjectError: The cloud is not usable.
         PlannerError: What ``GraspTask.create`` raises.
     """
+    cloud = checked_kind("cloud", cloud, PointCloud)
+    check_seed(seed)
+    checked_number("mass", mass, above=0.0, unit="kg", error=TaskError)
     for value, unit in zip(pose_error, ("m", "rad"), strict=True):
         checked_number("pose_error", value, least=0.0, most=0.5, unit=unit, error=TaskError)
     belief = Belief.of(cloud)

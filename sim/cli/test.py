@@ -183,6 +183,14 @@ def _hold(
             "out, or give one plan"
         )
     keep_inputs(output, *files)
+    if truth is not None:
+        from sim.scan import scanned_truth
+
+        if scanned_truth(truth) is None:
+            raise TaskError(
+                f"--truth {truth} does not say what there was; give a cloud that opposable scan "
+                "wrote"
+            )
     handed = [format_told(file) == HANDOVER_FORMAT for file in files]
     loaded: list[Any] = [
         read_handover(file) if is_handover else one_plan(file)
