@@ -3,7 +3,7 @@
 Scan k of an object is drawn by seed, object and k, and is the same for every hand and way:
 
 cloud    the uncertain surface, with its margins; abstains where none is kept
-mesh     the true mesh where the scan says that it is: what is lost is lost by the calibration
+mesh     the true mesh at the pose that the scan gives: failures come from the calibration
 hull     the convex hull of the seen points, taken as if it were true
 poisson  their screened Poisson surface, likewise (pip install pymeshlab)
 
@@ -327,7 +327,7 @@ def plan_of(
         shape = Mesh.from_triangles(*surface(prepared(cloud)), name=case["way"], repair=True)
         item = GraspObject(name=case["way"], shape=shape, mass=found.truth.object.mass)
         pose = SE3(np.eye(3), shape.offset)
-    # what is believed may float, or reach into the table by a little: that is an obstacle below it
+    # the object of a scan may float, or be in the table by a little: the table is an obstacle then
     foot = pose.translation[2] - item.shape.support(-pose.rotation[2])
     top = min(TABLE, foot - 1e-4)
     place = SE3(np.eye(3), np.array([*pose.translation[:2], top - TABLE_SIZE[2] / 2]))

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.bench import HandOptions, ObjectsOption
 from benchmarks.common import PRIMITIVES, Setting, cells_of, task_of
 from benchmarks.summary import Columns, of, share, summary
-from planner.errors import NoGraspFoundError
+from planner.errors import NoGraspFoundError, TaskError
 from planner.motion.handover import plan_handover
 from planner.search.grasp import plan_grasp
 from planner.synthesis.problem_cache import problems_for
@@ -59,6 +59,8 @@ class Options(HandOptions):
 def cases(options: Options) -> Iterator[Row]:
     """Seeds of every hand and object."""
     reality = reality_of(options.reality)
+    if options.handover and (options.carry or options.type or not reality.ideal):
+        raise TaskError("--handover goes without --carry, --type and --reality; leave them out")
     setting = Setting(
         joint_error=reality.encoder_offset, grasp_type=options.type, mass=options.mass
     )

@@ -199,10 +199,7 @@ class UncertainError(NoGraspFoundError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How it is sent to another process: without plans, whose hands hold models of MuJoCo."""
-        return type(self), (
-            str(self),
-            tuple(a for a in self.attempts if not getattr(a, "plan", None)),
-        )
+        return type(self), (str(self), tuple(a for a in self.attempts if a.plan is None))
 
 
 class InfeasibleError(PlannerError):

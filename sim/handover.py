@@ -13,9 +13,8 @@ transferred, they press with the shares 1 - s and s of their planned forces
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
@@ -105,7 +104,10 @@ class HandoverController:
         n = len(plan.give.task.finger_names)
         self.giving, self.taking = slice(0, n), slice(n, None)
         (taker,) = (side for side in hand.pair if side.name == plan.taker)
-        joints = [k for k, name in enumerate(hand.joint_names) if name.startswith(f"{taker.name}/")]
+        joints = [
+            *taker.carriage,
+            *(hand.joint_index(taker.called(j)) for j in taker.alone.joint_names),
+        ]
         self._of_taker = hand.actuation.moment[:, joints].any(axis=1)
         self._left = plan.give.q.copy()  # where the giving hand let go
 
@@ -217,7 +219,6 @@ class HandoverTrial(Trial):
             raise TaskError("a handover has more phases than a trial; give a HandoverTimeline")
         timeline = replace(timeline, lift_height=handover.lift_height)
         self.handover = handover
-        self._not_taken = False
         self._controller = HandoverController(handover)
         super().__init__(
             executed(handover), replace(asked, timeline=timeline, controller=self._controller)
@@ -236,8 +237,7 @@ class HandoverTrial(Trial):
                 going_on = run_grasp_phase(simulation, self.recorder, self.timeline, phase)
             else:
                 going_on = self._run(simulation.run(phase, getattr(self.timeline, phase)))
-            self._not_taken = going_on and phase == "take" and not self._felt_enough()
-            if not going_on or self._not_taken:
+            if not going_on or (phase == "take" and not self._felt_enough()):
                 break
 
     def _felt_enough(self) -> bool:
@@ -281,10 +281,6 @@ class HandoverTrial(Trial):
         if early is not None:
             return Verdict(early)
         fault = judge_handover(samples, self.handover, self.thresholds)
-        if self._not_taken and (fault is None or fault.reason == "interrupted"):
-            taker = self.handover.taker
-            detail = f"too few fingers of {taker} felt the object to take it"
-            fault = Fault(reason="no contact", detail=detail, time=float(samples.time[-1]))
         if fault is not None:
             return Verdict(fault)
         off = {c.finger: c.position_error_mm for c in compared}
@@ -327,7 +323,10 @@ def judge_handover(samples: Samples, plan: HandoverPlan, thresholds: Thresholds)
     ]
     found = [fault for fault in faults if fault is not None]
     if not found and not len(samples.during("hold")):
-        return ended_early(samples, interrupted=True)
+        if not len(samples.during("take")):
+            return ended_early(samples, interrupted=True)
+        detail = f"too few fingers of {plan.taker} felt the object to take it"
+        return fault_at(samples, len(samples) - 1, "no contact", detail)
     return first_fault(found, samples, thresholds) if found else None
 
 
@@ -341,36 +340,19 @@ def _first(samples: Samples, bad: NDArray[np.bool_], reason: Reason, what: str) 
 
 
 def hand_over(
-    plan: HandoverPlan,
-    options: TrialOptions | None = None,
-    *,
-    progress: Callable[[float], None] | None = None,
-    on_step: Callable[[Simulation], None] | None = None,
-    view: bool = False,
-    picture: Path | str | None = None,
-    video: Path | str | None = None,
-    arrows: bool = False,
-    **changes: Unpack[TrialKeywords],
+    plan: HandoverPlan, options: TrialOptions | None = None, **changes: Unpack[TrialKeywords]
 ) -> TrialReport:
-    """Execute a handover and judge it.
+    """Execute a handover and judge it; ``HandoverTrial`` and its ``run`` make pictures and films.
 
     Args:
         plan: What to execute.
         options: Under which conditions; defaults if None.
-        progress: See ``Trial.run``, as for the next five.
-        on_step: Called with the simulation after every time step; may stop it.
-        view: Show it in MuJoCo's viewer.
-        picture: File of a picture.
-        video: File of a film.
-        arrows: Draw the measured contact forces into both.
         changes: Fields of ``TrialOptions`` by name; a timeline is a ``HandoverTimeline``.
 
     Raises:
-        PlannerError: See ``HandoverTrial`` and ``Trial.run``.
+        PlannerError: See ``HandoverTrial``.
     """
-    return HandoverTrial(plan, options, **changes).run(
-        progress=progress, on_step=on_step, view=view, picture=picture, video=video, arrows=arrows
-    )
+    return HandoverTrial(plan, options, **changes).run()
 
 
 def executed(handover: HandoverPlan) -> GraspPlan:

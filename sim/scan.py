@@ -75,6 +75,12 @@ DISTANCE, ELEVATION = (0.45, 0.60), (30.0, 60.0)
 WINDOW = 3
 """Half width (pixels) of the square in which an edge is looked for: stereo matches windows of 7."""
 
+FARTHEST, MOST_TURN = 0.1, 0.5
+"""Largest error of a calibration, m and rad: more is no calibration, but a wrong unit."""
+
+MOST_VIEWS = 100
+"""Most cameras of a scan: a cloud keeps 10,000 points, and a file a byte for the view of each."""
+
 JUMP = 0.01
 """Least jump of depth (m) that counts as an edge."""
 
@@ -172,7 +178,8 @@ class Calibration:
 
     def __post_init__(self) -> None:
         """Check that none is negative."""
-        check_fields(self, what="calibration: ", least=0.0)
+        check_fields(self, ("shift", "view_shift"), what="calibration: ", least=0.0, most=FARTHEST)
+        check_fields(self, ("turn", "view_turn"), what="calibration: ", least=0.0, most=MOST_TURN)
 
     def drawn(self, views: int, rng: np.random.Generator) -> list[SE3]:
         """Believed pose of what is seen in its true one, about the object, per view."""
@@ -245,9 +252,12 @@ def scan(
     camera = camera or DepthCamera()
     errors = noise if isinstance(noise, DepthNoise) else DepthNoise.of(noise)
     pose = item.resting_pose(table) if T_world_object is None else T_world_object
+    number = len(views) if isinstance(views, tuple) else views
+    if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= MOST_VIEWS:
+        raise TaskError(
+            f"views is {shown(views)}; give poses or a number, at least one, at most {MOST_VIEWS}"
+        )
     places = views if isinstance(views, tuple) else camera_places(views, pose.translation, rng)
-    if not places:
-        raise TaskError("a scan needs at least one view; give a number >= 1, or poses")
     world = _World(item, pose, table)
     off = (calibration or Calibration()).drawn(len(places), rng)
     seen, masks = [], []

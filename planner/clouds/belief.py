@@ -167,10 +167,6 @@ class Belief:
         root = axes * np.sqrt(np.maximum(values, 0.0))
         return np.asarray(rng.normal(size=(count, len(p))) @ root.T)
 
-    def hidden(self, points: FloatArray) -> FloatArray:
-        """Whether points (n, 3) are where no camera saw through, (n,)."""
-        return np.asarray(self.sight.behind(points + self.offset) > -self.sight.margin)
-
     @cached_property
     def _weights(self) -> FloatArray:
         return np.array([h.weight for h in self.hypotheses])

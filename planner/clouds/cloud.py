@@ -1,8 +1,8 @@
 """``PointCloud``: what depth cameras saw of one object, in one frame, checked and thinned.
 
 ``PointCloud.create`` takes what a user has; ``prepared`` takes the table away, then outliers and
-what is not the object, and thins what is left to evenly spread points with normals. What cannot be
-used is an ``ObjectError`` that says what was given and what to do.
+other things, and thins the rest to evenly spread points with normals. A cloud that is not usable is
+an ``ObjectError`` that says what was given and what to do.
 """
 
 from __future__ import annotations
@@ -126,8 +126,7 @@ class PointCloud:
             ObjectError: Wrong shapes, too few points, millimetres; says what to do.
         """
         p = _rows("points", points)
-        eyes = _rows("views", np.reshape(float_array("views", views, error=ObjectError), (-1, 3)))
-        ends = _rows("past", np.reshape(float_array("past", past, error=ObjectError), (-1, 3)))
+        eyes, ends = _places("views", views), _places("past", past)
         seen_by = _index("view_of", view_of, len(p), len(eyes))
         past_by = _index("past_of", past_of, len(ends), len(eyes))
         n = None if normals is None else _rows("normals", normals)
@@ -397,6 +396,17 @@ def _thinned(cloud: PointCloud, most: int) -> PointCloud:
         return cloud
     drawn = np.random.default_rng(0).choice(len(cloud), most, replace=False)
     return cloud.only(np.sort(drawn))
+
+
+def _places(name: str, value: Any) -> FloatArray:
+    """Places (k, 3), none or several.
+
+    Raises:
+        ObjectError: Something else.
+    """
+    numbers = float_array(name, value, error=ObjectError)
+    one = numbers[None] if numbers.shape == (3,) else numbers
+    return _rows(name, one if numbers.size else np.zeros((0, 3)))
 
 
 def _rows(what: str, value: Any) -> FloatArray:

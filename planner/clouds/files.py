@@ -18,6 +18,7 @@ its pixels above 0 are the object, and rays outside of it went past.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -30,9 +31,6 @@ from planner.clouds.cloud import PointCloud
 from planner.clouds.level import levelled
 from planner.errors import ObjectError, shown
 from planner.spatial import FloatArray
-
-CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".npy", ".json")
-"""Files that may hold a cloud, by their suffix in lower case."""
 
 MOST_BYTES = 1 << 28
 """Largest file (bytes): five million points with normals and colours."""
@@ -82,7 +80,7 @@ def is_cloud_file(spec: str) -> bool:
     """
     path = Path(spec)
     suffix = path.suffix.lower()
-    if suffix not in CLOUD_SUFFIXES:
+    if suffix not in READERS:
         return False
     if suffix not in (".ply", ".json"):
         return True
@@ -115,9 +113,8 @@ def read_cloud(
         ObjectError: Missing, damaged, cut short, too large, or not a cloud; says what to do.
     """
     path = Path(path)
-    readers = {".ply": _ply, ".pcd": _pcd, ".xyz": _xyz, ".npy": _npy, ".json": _images}
-    if path.suffix.lower() not in readers:
-        raise ObjectError(f"{path.name!r} is no cloud; give one of {', '.join(CLOUD_SUFFIXES)}")
+    if path.suffix.lower() not in READERS:
+        raise ObjectError(f"{path.name!r} is no cloud; give one of {', '.join(READERS)}")
     try:
         if path.stat().st_size > MOST_BYTES:
             raise ObjectError(
@@ -128,7 +125,7 @@ def read_cloud(
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ObjectError(f"cannot read the cloud {str(path)[:200]!r}: {reason}") from error
-    found = readers[path.suffix.lower()](path, content)
+    found = READERS[path.suffix.lower()](path, content)
     if noise is not None:
         found["noise"] = noise
     known = found.pop("table", None) if table == "find" else table
@@ -467,3 +464,13 @@ def _image(path: Path) -> FloatArray:
     if array.ndim != 2:
         raise ObjectError(f"{path.name} has the shape {array.shape}; give one channel (h, w)")
     return array.astype(np.float64)
+
+
+READERS: dict[str, Callable[[Path, bytes], dict[str, Any]]] = {
+    ".ply": _ply,
+    ".pcd": _pcd,
+    ".xyz": _xyz,
+    ".npy": _npy,
+    ".json": _images,
+}
+"""What reads a file, by its suffix in lower case, as arguments of ``PointCloud.create``."""

@@ -157,8 +157,13 @@ def checked_file(
     versions = get_args(schema.model_fields["version"].annotation)
     kind = wanted.removeprefix("opposable-")
     if data.get("format") != wanted:
+        run = (
+            f"; opposable test {source} executes it"
+            if data.get("format") == HANDOVER_FORMAT
+            else ""
+        )
         raise FileFormatError(
-            f"{source} is not a {kind} file: its format is {shown(data.get('format'))}"
+            f"{source} is not a {kind} file: its format is {shown(data.get('format'))}{run}"
         )
     if data.get("version") not in versions:
         raise FileFormatError(

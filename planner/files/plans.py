@@ -444,7 +444,7 @@ def read_contacts(path: Path | str) -> tuple[ContactSet, float]:
         ContactError: A normal has no direction.
     """
     data = read_json(path, "plan or contacts file")
-    if data.get("format") == "opposable-plan":
+    if str(data.get("format")).startswith("opposable-"):  # of ours only a plan has contacts
         plan = read_plan(path)
         return plan.contacts, plan.task.object.shape.bounding_radius
     try:

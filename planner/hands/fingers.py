@@ -125,6 +125,10 @@ class Side:
     fingers: tuple[str, ...]
     alone: Any = None
 
+    def called(self, name: str) -> str:
+        """What a body, joint or geometry of the hand alone is called in the whole."""
+        return f"{self.name}/{name}" if self.name else name
+
 
 class Resolver:
     """Resolves the names of a description in its model; ``where`` is what messages call it."""

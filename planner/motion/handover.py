@@ -279,17 +279,16 @@ class _Carried:
         alone, model = side.alone, hand.pin_model
         data = model.createData()
         pin.framesForwardKinematics(model, data, hand.neutral)
-        base = data.oMf[model.getBodyId(f"{side.name}/{alone.description.base_body}")]
+        base = data.oMf[model.getBodyId(side.called(alone.description.base_body))]
         self._hand, self._mine = hand, side.carriage
         self.root = SE3(data.oMi[int(side.carriage[-1]) + 1])
         self.at_rest = base.inverse() * self.root  # of the carriage, in the base
         palm = data.oMf[model.getBodyId(side.palm_body)]
         self.looks = palm.rotation @ side.palm_normal
-        names = [f"{side.name}/{joint}" for joint in alone.joint_names]
+        names = [side.called(joint) for joint in alone.joint_names]
         self._index: IntArray = np.array([hand.joint_names.index(name) for name in names])
-        prefix = f"{side.name}/"
-        self.geometries = frozenset(g.name for g in hand.geometries if g.name.startswith(prefix))
-        self.fingers = {f: f"{side.name}_{f}" for f in alone.fingers}
+        self.geometries = frozenset(side.called(g.name) for g in alone.geometries)
+        self.fingers = dict(zip(alone.fingers, side.fingers, strict=True))
 
     def joints(self, T_pair_base: SE3) -> FloatArray:
         """Joints of the carriage (6,) that bring the base there."""

@@ -48,7 +48,7 @@ SAMPLES = 60
 
 SURVIVES, ENOUGH = 0.3, 0.8
 """Share of samples (-) that a plan must survive, and the merit with which the search ends. Samples
-are harder than the world is: of 32 plans on one-view scans with which this was set, 29 held, and 10
+are harder than the world is: of 32 plans on one-view scans with which this was set, 29 held, and 11
 of 12 of those that survived less than half."""
 
 PLAUSIBLE = 0.08

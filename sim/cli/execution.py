@@ -27,6 +27,7 @@ from sim.cli.options import (
 
 if TYPE_CHECKING:
     from sim.report import TrialReport
+    from sim.scene.build import Truth
 
 POLICY = "policy:"
 """What the name of a learned controller begins with."""
@@ -173,6 +174,28 @@ class ExecutionOptions:
         return replace(request, joint_error=math.degrees(offset))
 
 
+def truth_of(scan: str | Path, *, needed: bool) -> Truth | None:
+    """What a cloud of ``opposable scan`` was of, told on stderr; None where it does not say.
+
+    Args:
+        scan: The file.
+        needed: Whether it has to say.
+
+    Raises:
+        ObjectError: The file cannot be read.
+        TaskError: It does not say, and has to.
+    """
+    from planner.errors import TaskError
+    from sim.scan import scanned_truth
+
+    truth = scanned_truth(scan)
+    if truth is None and needed:
+        raise TaskError(f"{scan} does not say what there was; give a cloud of opposable scan")
+    there = "what was planned on" if truth is None else f"{truth.object.shape.spec}, which it is of"
+    say(err, escape(f"{scan}: executed on {there}"))
+    return truth
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrialOptions(ExecutionOptions):
     """How ``run`` and ``test`` execute the plan of a grasp."""
@@ -194,12 +217,12 @@ class TrialOptions(ExecutionOptions):
             tell(report.drawn)
 
     def trial(
-        self, scan: str = "", *, handover: bool = False
+        self, truth: Truth | None = None, *, handover: bool = False
     ) -> Callable[[Any, Path | None], TrialReport]:
         """What executes a plan, with a progress bar on stderr, and draws it.
 
         Args:
-            scan: Cloud of ``opposable scan``, whose object is what there really is; "" for none.
+            truth: What there really is; as planned if None.
             handover: Whether the plans are of handovers, not of grasps.
 
         Raises:
@@ -208,22 +231,16 @@ class TrialOptions(ExecutionOptions):
         """
         from rich.progress import Progress
 
-        from sim.trial import simulate
+        from sim.trial import Trial
 
-        parts = self.parts()
-        simulated: Callable[..., TrialReport] = simulate
+        parts: dict[str, Any] = {**self.parts(), "truth": truth}
+        kind: Callable[..., Trial] = Trial
         if handover:
-            from sim.handover import hand_over
+            from sim.handover import HandoverTrial
 
-            simulated = hand_over
+            kind = HandoverTrial
             if self.controller == ExecutionOptions.controller:
                 parts["controller"] = None  # its own
-        if scan:
-            from sim.scan import scanned_truth
-
-            parts["truth"] = truth = scanned_truth(scan)
-            there = "it was planned on" if truth is None else truth.object.shape.spec
-            say(err, escape(f"executed on the object that {scan} says was there: {there}"))
         if self.view:
             from sim.show.window import check_display
 
@@ -233,9 +250,7 @@ class TrialOptions(ExecutionOptions):
         def execute(plan: Any, picture: Path | None) -> TrialReport:
             with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
                 bar = progress.add_task("simulating", total=1.0)
-                return simulated(
-                    plan,
-                    **parts,
+                return kind(plan, **parts).run(
                     progress=lambda share: progress.update(bar, completed=share),
                     view=self.view,
                     picture=picture,

@@ -9,7 +9,7 @@ from typing import Annotated, Any, cast
 import typer
 
 from sim.cli.common import check_folder, exit_for, make_folder, out, print_json, tell, told_command
-from sim.cli.execution import TrialOptions
+from sim.cli.execution import TrialOptions, truth_of
 from sim.cli.options import (
     SEARCH,
     ArrowsOption,
@@ -61,7 +61,8 @@ def run(
 
     if out_dir is not None:
         make_folder(out_dir)
-    execute = trial.trial(object if is_cloud(object) else "", handover=handover_to is not None)
+    truth = truth_of(object, needed=False) if is_cloud(object) else None
+    execute = trial.trial(truth, handover=handover_to is not None)
     trial.check_policy(hand, lambda: object_of(object, **request.told_of_object()), None)
     request, write = trial.reckoned(request), cast(Any, write_plan)
     if handover_to is None:

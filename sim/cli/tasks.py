@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.markup import escape
@@ -155,13 +156,9 @@ def table_of(text: str) -> float | None:
         raise TaskError(f"{error}, the height of its top in m, or none for no table") from error
 
 
-CLOUDS = (".ply", ".pcd", ".xyz", ".npy", ".json")
-"""How files of clouds end; a PLY file may be a mesh, and a JSON file of ours."""
-
-
 def is_cloud(spec: str) -> bool:
     """Whether an object is given by the points that cameras saw of it."""
-    if not spec.lower().endswith(CLOUDS):
+    if not Path(spec).suffix[1:].isalpha():  # no file: its reader need not be loaded
         return False
     from planner.clouds.files import is_cloud_file
 

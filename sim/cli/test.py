@@ -28,7 +28,7 @@ from sim.cli.common import (
     tell,
     told_command,
 )
-from sim.cli.execution import TrialOptions, physics_of
+from sim.cli.execution import TrialOptions, physics_of, truth_of
 from sim.cli.options import (
     TRIAL,
     JsonOption,
@@ -183,14 +183,7 @@ def _hold(
             "out, or give one plan"
         )
     keep_inputs(output, *files)
-    if truth is not None:
-        from sim.scan import scanned_truth
-
-        if scanned_truth(truth) is None:
-            raise TaskError(
-                f"--truth {truth} does not say what there was; give a cloud that opposable scan "
-                "wrote"
-            )
+    there = None if truth is None else truth_of(truth, needed=True)
     handed = [format_told(file) == HANDOVER_FORMAT for file in files]
     loaded: list[Any] = [
         read_handover(file) if is_handover else one_plan(file)
@@ -200,7 +193,7 @@ def _hold(
         trial.check_policy(plan.task.hand, partial(getattr, plan.task, "object"), None)
     reports = []
     for file, plan, is_handover in zip(files, loaded, handed, strict=True):
-        execute = trial.trial(str(truth or ""), handover=is_handover)
+        execute = trial.trial(there, handover=is_handover)
         report = replace(execute(plan, picture), command=command)
         reports.append(report)
         page = None if output is None else output.with_suffix(".html")

@@ -107,7 +107,7 @@ class PairSeeder(EnvelopingSeeder):
             float(limits[palm.side.carriage[:3]] @ np.abs(root.rotation.T @ up))
             for palm, root in zip(self._palms, self._roots, strict=True)
         )
-        roots = [hand.mj_model.body(f"{palm.side.name}/carriage").id for palm in self._palms]
+        roots = [hand.mj_model.body(palm.side.called("carriage")).id for palm in self._palms]
         own = pull * float(hand.mj_model.body_subtreemass[roots].sum())
         weight = pull * task.object.mass
         if weight > most - own:
