@@ -214,3 +214,26 @@ def test_a_table_given_by_its_height_is_where_the_cloud_is_brought(tmp_path: Pat
     assert moved.table == pytest.approx(0.01)
     low = np.percentile(moved.points[:, 2], 30)
     assert low == pytest.approx(0.01, abs=1e-3)
+
+
+def test_a_pcd_file_says_where_its_camera_was(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).uniform(-0.03, 0.03, (100, 3))
+    body = "\n".join(" ".join(f"{v:.6f}" for v in row) for row in points)
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 100\nHEIGHT 1\n"
+    (tmp_path / "a.pcd").write_text(
+        f"{head}VIEWPOINT 0.3 -0.1 0.4 1 0 0 0\nPOINTS 100\nDATA ascii\n{body}\n"
+    )
+    cloud = read_cloud(tmp_path / "a.pcd", table=None)
+    np.testing.assert_allclose(cloud.views, [[0.3, -0.1, 0.4]])
+
+
+def test_rays_beside_a_mask_went_past_the_object() -> None:
+    mask = np.zeros((20, 20), dtype=bool)
+    mask[5:15, 5:15] = True
+    depth = np.where(mask, 0.4, 0.6)
+    view = DepthView(
+        depth=depth, intrinsics=(50.0, 50.0, 9.5, 9.5), T_world_camera=np.eye(4), mask=mask
+    )
+    cloud = cloud_of_views([view], table=None, noise=0.001)
+    assert len(cloud.points) == mask.sum() and np.allclose(cloud.points[:, 2], 0.4)
+    assert len(cloud.past) == (~mask).sum() and np.allclose(cloud.past[:, 2], 0.6)

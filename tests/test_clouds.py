@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from functools import cache
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from planner import GraspObject, PointCloud, plan_from_cloud
-from planner.clouds.belief import CERTAIN, Belief
+from planner.clouds.belief import CERTAIN, DIFFER, Belief
 from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
+from planner.clouds.sight import _distance, _reflection
 from planner.errors import ObjectError, TaskError, UncertainError
-from planner.search.from_cloud import CloudPlan
+from planner.search.from_cloud import CONE_SHARE, CloudPlan, _hits, _tried
 from planner.spatial import FloatArray
+from planner.synthesis.options import SynthesisOptions
 
 CAMERA = np.array([0.42, 0.05, 0.36])
 BALL, RADIUS = np.array([0.0, 0.0, 0.035]), 0.035
@@ -302,3 +306,94 @@ def test_wrong_arguments_are_told_before_anything_is_planned() -> None:
         more: dict[str, Any] = {name: value}
         with pytest.raises(TaskError, match=name):
             plan_from_cloud("allegro_hand", scanned("ball"), **more)
+
+
+def test_what_one_view_saw_through_is_free_whatever_another_hides() -> None:
+    """Behind the ball of the first camera, in front of it for the second, and under the table."""
+    sight = belief_of(believed("ball", 2)).sight
+    before = BALL + 1.3 * RADIUS * (BALL - CAMERA) / np.linalg.norm(BALL - CAMERA)
+    alone = belief_of(believed("ball")).sight
+    assert alone.behind(before[None])[0] > RADIUS  # hidden for one camera
+    assert sight.behind(before[None])[0] < 0.0
+    assert sight.behind(BALL[None])[0] > 0.0
+    assert np.isneginf(sight.behind(np.array([[0.0, 0.0, -0.01]]))[0])
+
+
+def test_distances_of_cells_change_sign_between_them() -> None:
+    cells = np.zeros((20, 20, 20), dtype=bool)
+    cells[:10] = True
+    signed = _distance(cells, 0.002)[:, 10, 10]
+    assert signed[9] == pytest.approx(-0.001, abs=2e-4)
+    assert signed[10] == pytest.approx(0.001, abs=2e-4)
+    assert signed[14] == pytest.approx(0.009, abs=2e-4)
+
+
+def test_a_mirror_image_is_as_far_behind_its_plane() -> None:
+    image = _reflection(np.array([1.0, 0.0, 0.0]), 0.3)(np.array([[0.5, 0.2, 0.1]]))
+    np.testing.assert_allclose(image, [[0.1, 0.2, 0.1]], atol=1e-15)
+
+
+@pytest.mark.parametrize("solid", SOLIDS)
+def test_the_most_plausible_comes_first(solid: str) -> None:
+    weights = [h.weight for h in belief_of(believed(solid)).hypotheses]
+    assert weights == sorted(weights, reverse=True) and np.isclose(sum(weights), 1.0)
+    assert len(weights) > 1 and belief_of(believed(solid)).hypotheses[0].name != "shadow"
+
+
+def test_far_from_what_was_seen_the_hypotheses_alone_are_uncertain() -> None:
+    """There the variance is that of the prior, and of how the hypotheses differ from the chosen."""
+    belief = belief_of(believed("box"))
+    _, back = split("box", believed("box"))
+    far = back[np.linalg.norm(back - back.mean(axis=0), axis=1).argsort()[-40:]]
+    means = np.stack([belief.mean(far, k) for k in range(len(belief.hypotheses))])
+    weights = np.array([h.weight for h in belief.hypotheses])[:, None]
+    off = np.clip(means - means[belief.chosen], -DIFFER, DIFFER)
+    between = (weights * off**2).sum(axis=0)
+    differ = between > (0.004**2)
+    assert differ.any()
+    own = belief.deviation(far)[differ] ** 2 - between[differ]
+    prior = belief._scale(far[differ] + belief.offset) ** 2
+    assert (own > 0.2 * prior).all() and (own <= prior * (1.0 + 1e-9)).all()
+
+
+def test_no_mesh_reaches_into_what_a_camera_saw_through() -> None:
+    """A hypothesis that is 30 mm too large all around is cut off before the seen surface."""
+    belief = belief_of(believed("ball"))
+    large = [replace(h, distance=h.distance - 0.03) for h in belief.hypotheses]
+    swollen = replace(belief, hypotheses=tuple(large), places=belief.places[:0],
+                      deviations=belief.deviations[:0], offset=np.zeros(3))  # fmt: skip
+    own, mesh = swollen.of_hypothesis(0)
+    towards = (CAMERA - BALL) / np.linalg.norm(CAMERA - BALL)
+    before, behind = BALL + 1.4 * RADIUS * towards, BALL - 1.4 * RADIUS * towards
+    outside = mesh.signed_distance(np.array([before, behind]) - own.offset)
+    assert outside[0] > 0.0 > outside[1]
+
+
+def test_errors_of_place_and_of_turn_are_both_survived_less() -> None:
+    plan = found("box", 2).plan
+    exact, shifted, turned = (
+        _tried(plan, error, 0, 0.0).survival for error in ((0.0, 0.0), (0.03, 0.0), (0.0, 0.6))
+    )
+    assert shifted < exact - 0.1 and turned < exact - 0.1
+
+
+def test_a_hand_in_another_hypothesis_is_noticed() -> None:
+    plan, belief = found("box", 2).plan, found("box", 2).belief
+    everywhere = replace(belief.hypotheses[0], distance=np.full(belief.grid.shape, -0.05))
+    both = replace(belief, hypotheses=(*belief.hypotheses, everywhere), places=belief.places[:0],
+                   deviations=belief.deviations[:0])  # fmt: skip
+    assert not _hits(plan, both, belief.chosen)
+    assert _hits(plan, both, len(belief.hypotheses))
+
+
+def test_ordinary_margins_are_tried_where_cautious_ones_find_nothing() -> None:
+    """A thin capsule on its side: half of the friction and wide clearances leave no grasp."""
+    made: list[float] = []
+
+    def counted(task: Any, *, seed: int, options: Any) -> Any:
+        made.append(options.cone_share)
+        return iter(())
+
+    with patch("planner.search.from_cloud.attempts", counted), pytest.raises(UncertainError):
+        plan_from_cloud("allegro_hand", scanned("ball"))
+    assert made[0] == CONE_SHARE and made[-1] == SynthesisOptions().cone_share

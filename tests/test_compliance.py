@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 from typer.testing import CliRunner
 
 from planner import ContactSet, GraspTask, plan_grasp
@@ -16,7 +18,7 @@ from planner.certify import breaking_along
 from planner.contacts import ContactModel
 from planner.errors import ContactError
 from planner.forces import GraspCompliance, build_force_problem, distribute_forces
-from planner.forces.compliance import passive_forces
+from planner.forces.compliance import STOP, passive_forces, passive_rows
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.objects import parse_object
@@ -263,3 +265,66 @@ def test_the_problem_of_links_is_shown_and_solvers_are_compared_on_it(
     assert shown.exit_code == 0 and "1 of passive forces" in shown.output
     asked = ["analyse", str(file), "--forces", "--solvers", "daqp", "--steps", "5", "--json"]
     assert json.loads(CliRunner().invoke(app, asked).output)["solvers"]["records"]
+
+
+def test_rows_of_soft_contacts_are_those_of_compliance_in_its_own_units() -> None:
+    """P' C f = 0 with C = c of forces, m/N, and c / (0.01 m)^2 of torsions, rad/(N m)."""
+    positions, c, unit = 0.05 * np.eye(3), 1e-4, 0.01
+    contacts = ContactSet.from_arrays(
+        positions, -np.eye(3), mu=0.5, mu_torsion=0.01, model="soft", center=[0, 0, 0]
+    )
+    scale = np.tile([1.0, 1.0, 1.0, unit], 3)
+    rows = passive_rows(contacts, np.zeros((2, 12)), None, c, scale)
+    null = null_space(contacts.grasp_map())
+    expected = null.T * (c / scale**2)
+    assert rows.shape == expected.shape == (6, 12)
+    # the same rows up to their combination
+    assert np.linalg.matrix_rank(np.vstack([rows, expected / np.abs(expected).max()])) == 6
+
+
+def test_joints_that_a_tie_holds_together_feel_one_force_less() -> None:
+    contacts = three()
+    levers = np.zeros((2, 9))
+    null = null_space(contacts.grasp_map())
+    levers[:] = 0.05 * null[:, :2].T  # each joint feels one internal force
+    unit = np.ones(9)
+    tied: Any = SimpleNamespace(stop_values=np.array([np.inf]), stop_rows=np.array([[1.0, -1.0]]))
+    assert len(passive_rows(contacts, levers, None, 1e-4, unit)) == null.shape[1] - 2
+    assert len(passive_rows(contacts, levers, tied, 1e-4, unit)) == null.shape[1] - 1
+
+
+def test_a_joint_at_its_stop_hardly_gives_way(inner: GraspPlan) -> None:
+    task, q = inner.task, inner.q.copy()
+    joint = 0
+    q[joint] = task.hand.q_upper[joint]
+    assert task.hand.actuation.active_stops(q).any()
+    free, stopped = (
+        GraspCompliance.of(
+            build_force_problem(
+                inner.contacts, **force_arguments(task, inner.contacts, inner.T_world_base, at)
+            ),
+            1e-5,
+        ).joint[joint, joint]
+        for at in (inner.q, q)
+    )
+    assert stopped < free / 2.0 and stopped < 1.05 / STOP
+
+
+def test_forces_that_compliance_does_not_bring_about_are_a_residual(inner: GraspPlan) -> None:
+    problem = inner.forces.problem
+    grasp = GraspCompliance.of(problem, 1e-5)
+    assert grasp.passive.shape[1] > 0
+    forces = np.zeros(problem.rows.shape[1])
+    forces[: problem.n_force] = [f for row in np.nan_to_num(inner.contacts.forces) for f in row[:3]]
+    before = problem.residuals(forces).worst
+    forces[: problem.n_force] += 1e-3 * grasp.passive[:, 0]  # balance and torques stay
+    assert problem.residuals(forces).worst > before + 1e-5
+
+
+def test_contacts_are_stiffer_across_than_along_by_impratio(
+    inner: GraspPlan,
+) -> None:
+    hold = DisturbanceTrial(inner)
+    grasp, contacts, _ = compliance_of(inner, hold.simulation.scene)
+    each = grasp.contact.reshape(len(contacts), -1)
+    assert np.allclose(each[:, 1:3] / each[:, :1], 1.0 / hold.simulation.scene.physics.impratio)

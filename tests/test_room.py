@@ -24,6 +24,7 @@ from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.room import LEAST_ROOM, table_room, tip_reach, with_room
 from planner.task import GraspTask
+from planner.tolerances import EDGE_RADIUS
 
 ROUGH = float(np.deg2rad(3.0))
 
@@ -141,6 +142,12 @@ def test_a_low_narrow_part_leaves_fingers_less_room_over_the_table() -> None:
     rod = GraspObject(name="rod", shape=box_mesh((0.012, 0.06, 0.012)))
     low = GraspTask.create("allegro_hand", rod)
     assert LEAST_ROOM <= table_room(low) < asked
+    bar = GraspObject(name="bar", shape=box_mesh((0.016, 0.06, 0.016)))
+    task = GraspTask.create("allegro_hand", bar)
+    radius = max(f.pad.radius for f in task.fingers)
+    between = 2.0 * (task.T_world_object.translation[2]) - EDGE_RADIUS - radius
+    assert table_room(task) == pytest.approx(max(LEAST_ROOM, between / 2.0), abs=1e-6)
+    assert between / 2.0 > LEAST_ROOM
     assert np.isinf(table_room(replace(low, table_height=None)))
     plate = GraspObject(name="plate", shape=box_mesh((0.08, 0.08, 0.016)))
     for ordinary in ("box:0.04x0.06x0.016", "mug", plate):

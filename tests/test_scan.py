@@ -212,3 +212,16 @@ def test_what_cannot_be_scanned_is_said() -> None:
 def test_a_camera_where_it_looks_is_refused() -> None:
     with pytest.raises(TaskError, match="put it outside"):
         look_at(np.array([0.0, 0.0, 0.04]), np.array([0.0, 0.0, 0.04]))
+
+
+def test_levelling_is_a_rigid_motion_of_cameras_points_and_rays() -> None:
+    off = Calibration(shift=0.005, turn=np.deg2rad(5.0))
+    raw = scan(parse_object("box"), views=2, seed=4, calibration=off).cloud(table=None)
+    flat = levelled(raw, 0.0)
+    for before, after in ((raw.points[::500], flat.points[::500]), (raw.past, flat.past)):
+        gaps = [
+            np.linalg.norm(cloud.views[:, None] - rows, axis=2)
+            for cloud, rows in ((raw, before), (flat, after))
+        ]
+        np.testing.assert_allclose(gaps[0], gaps[1], atol=1e-9)
+    assert np.linalg.norm(flat.views - raw.views, axis=1).min() > 1e-3

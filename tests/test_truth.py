@@ -18,7 +18,7 @@ from planner.spatial import SE3
 from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT
 from sim.scan import scan, write_scan
-from sim.scene.build import OBJECT, Truth
+from sim.scene.build import OBJECT, TABLE, Truth
 from sim.sensing.reality import Reality
 from sim.simulation import Simulation
 from sim.trial import simulate
@@ -100,3 +100,11 @@ def test_a_cloud_takes_no_options_of_an_object(tmp_path: Path) -> None:
         done = RUN.invoke(app, ["plan", "allegro_hand", str(file), *words])
         assert done.exit_code == EXIT_BAD_INPUT
         assert said in " ".join(done.output.split())
+
+
+def test_the_table_is_where_it_really_is(plan: GraspPlan) -> None:
+    task = plan.task
+    lower = Truth(object=task.object, T_world_object=task.T_world_object, table_height=-0.004)
+    model = Simulation(plan, truth=lower).scene.model
+    table = model.geom(TABLE)
+    assert model.body(table.bodyid[0]).pos[2] + table.size[2] == pytest.approx(-0.004)
