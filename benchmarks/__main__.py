@@ -30,7 +30,7 @@ NAMES = (
     "control",
     "motion",
     "manipulate",
-    "reality",
+    "errors",
     "physics",
     "touch",
     "dexgraspbench",

@@ -7,7 +7,7 @@ mesh     the true mesh at the pose that the scan gives: failures come from the c
 hull     the convex hull of the seen points, taken as if it were true
 poisson  their screened Poisson surface, likewise (pip install pymeshlab)
 
-Trials are on the true object, with the errors of ``--reality``. "Right" abstentions are those whose
+Trials are on the true object, with the errors of ``--error-model``. "Right" abstentions are those whose
 best plan, executed all the same, does not hold, or that have no plan at all.
 """
 
@@ -54,8 +54,8 @@ from planner.shapes import Mesh
 from planner.shapes.hulls import hull_of
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
-from sim.cli.execution import controller_of, reality_of
-from sim.cli.options import ControllerOption, RealityOption
+from sim.cli.execution import controller_of, error_model_of
+from sim.cli.options import ControllerOption, ErrorModelOption
 from sim.cli.tasks import error_of, length_of
 from sim.scan import Calibration, Scan, scan
 from sim.tables import Row
@@ -101,7 +101,7 @@ class Options(HandOptions):
     noise: Annotated[str, typer.Option(help="Standard deviation of depth.")] = "2mm"
     calibration: Annotated[str, typer.Option(help="Error of all views together.")] = "5mm,5"
     apart: Annotated[str, typer.Option(help="Error of each view beside that.")] = "0"
-    reality: RealityOption = "lab"
+    error_model: ErrorModelOption = "lab"
     controller: ControllerOption = "feedforward"
     frames: Annotated[
         Path | None,
@@ -122,7 +122,7 @@ def cases(options: Options) -> Iterator[Row]:
         return
     ways = known("way", options.ways, WAYS)
     found = drawn_objects(options.seed) if options.objects == DRAWN else objects_of(options.objects)
-    reality = reality_of(options.reality)
+    error_model = error_model_of(options.error_model)
     shared = {name: getattr(options, name) for name in ("noise", "calibration", "apart")}
     length_of("--noise", options.noise)
     for hand in options.hand_names:
@@ -134,7 +134,7 @@ def cases(options: Options) -> Iterator[Row]:
         yield {
             **{"hand": hand, "object": label, "spec": spec, "way": way, "k": k},
             **{"views": _count(views), "seed": options.seed, **shared},
-            **{"controller": options.controller, "reality": reality},
+            **{"controller": options.controller, "error_model": error_model},
         }
 
 
@@ -276,11 +276,11 @@ def measure(case: Row) -> Row:
     centre = SE3(np.eye(3), found.truth.T_world_object.translation)
     believed = moved * centre * found.calibration[0] * centre.inverse() * found.truth.T_world_object
     row: Row = {"found": False, "abstained": False, "held": None, "right": None, "reason": ""}
-    reality = case["reality"].seeded(scan_seed(case))
+    error_model = case["error_model"].seeded(scan_seed(case))
     begin = time.process_time()
     plan, why = None, ""
     try:
-        plan = plan_of(case, cloud, found, believed, reality.encoder_offset)
+        plan = plan_of(case, cloud, found, believed, error_model.encoder_offset)
     except (NoGraspFoundError, ObjectError) as error:
         why = str(error)
         if isinstance(error, UncertainError) and error.best is not None:
@@ -290,7 +290,10 @@ def measure(case: Row) -> Row:
     if plan is None:
         return row | {"right": True}
     report = simulate(
-        plan, truth=found.truth, reality=reality, controller=controller_of(case["controller"])
+        plan,
+        truth=found.truth,
+        error_model=error_model,
+        controller=controller_of(case["controller"]),
     )
     if why:
         return row | {"right": not report.success, "reason": f"abstained: {report.reason}"}

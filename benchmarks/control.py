@@ -11,7 +11,7 @@ promise  the share of a certified load that impedance control holds: friction is
          the load acts in the weakest direction and grows slowly, or is switched on and off
 
 A cell is a hand and an object. Grasp k belongs to cell k modulo the number of cells; all parts use
-the same grasps. Errors of a reality are drawn from the number of the grasp.
+the same grasps. Errors of an error model are drawn from the number of the grasp.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ from planner.certify import smallest_breaking
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.verification.grasp import with_grip
-from sim.cli.execution import reality_of
-from sim.cli.options import RealityOption
+from sim.cli.execution import error_model_of
+from sim.cli.options import ErrorModelOption
 from sim.controllers import CONTROLLERS, ObjectImpedance
 from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.protocols.disturbance import DROPPED, DisturbanceTrial, Settings
@@ -57,7 +57,7 @@ from sim.protocols.forces import PushCase
 from sim.protocols.outcome import Conditions
 from sim.protocols.variations import robust_cases
 from sim.scene.physics import PhysicsOptions
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.tables import Row, number
 from sim.verdict import Fault
 
@@ -110,9 +110,9 @@ STILL_MM = 0.5
 """Largest drift in ten seconds (mm) that counts as still."""
 
 
-def fc_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
+def fc_row(plan: GraspPlan, rng: np.random.Generator, error_model: ErrorModel) -> dict[str, Any]:
     """The six pushes of DexGraspBench's test, which are exact; it draws nothing."""
-    del rng, reality
+    del rng, error_model
     outcomes = [case.run(plan, conditions("feedforward")) for case in dexgraspbench_cases()]
     return {
         "whole": all(o.held for o in outcomes),
@@ -124,7 +124,7 @@ def fc_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[
     }
 
 
-def push_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
+def push_row(plan: GraspPlan, rng: np.random.Generator, error_model: ErrorModel) -> dict[str, Any]:
     """A force and a torque in random directions that grow until the object is lost.
 
     "feedforward" presses with the planned forces, "best" with those of the grip out of
@@ -140,8 +140,8 @@ def push_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dic
         direction = np.zeros(6)
         direction[offset : offset + 3] = unit(rng)
         case = PushCase(index=0, name=kind, direction=direction, settings=settings)
-        opened = [case.run(tight, conditions("feedforward", reality)) for tight in pressed]
-        closed = case.run(plan, conditions("impedance", reality))
+        opened = [case.run(tight, conditions("feedforward", error_model)) for tight in pressed]
+        closed = case.run(plan, conditions("impedance", error_model))
         best = max(range(len(grips)), key=lambda k: opened[k].largest_load_held)
         row = {"kind": kind, "direction": direction.tolist(), "grip_N": grips[best]}
         row |= {"lost_mm": settings.dropped.mm, "lost_deg": settings.dropped.deg}
@@ -182,14 +182,16 @@ def unit(rng: np.random.Generator) -> FloatArray:
     return np.asarray(drawn / np.linalg.norm(drawn))
 
 
-def conditions(loop: str, reality: Reality | None = None) -> Conditions:
-    """Default physics with a controller by name, under a reality."""
+def conditions(loop: str, error_model: ErrorModel | None = None) -> Conditions:
+    """Default physics with a controller by name, under an error model."""
     return Conditions(
-        physics=PhysicsOptions(), controller=CONTROLLERS[loop], reality=reality or Reality()
+        physics=PhysicsOptions(),
+        controller=CONTROLLERS[loop],
+        error_model=error_model or ErrorModel(),
     )
 
 
-def drift_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
+def drift_row(plan: GraspPlan, rng: np.random.Generator, error_model: ErrorModel) -> dict[str, Any]:
     """How far an object moves in the hand while nothing happens; it draws nothing."""
     del rng
     holds = []
@@ -199,7 +201,7 @@ def drift_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> di
                 plan,
                 controller=make(plan),
                 physics=PhysicsOptions(noslip_iterations=noslip),
-                reality=reality,
+                error_model=error_model,
             )
             fault = hold.close_and_squeeze() or hold.hold_for(DRIFT_S)
             seen = hold.samples.during("hold")
@@ -216,7 +218,9 @@ def drift_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> di
     return {"seconds": DRIFT_S, "holds": holds}
 
 
-def robust_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
+def robust_row(
+    plan: GraspPlan, rng: np.random.Generator, error_model: ErrorModel
+) -> dict[str, Any]:
     """A third of the grid of masses, frictions and pose errors, by each loop.
 
     A Latin square: every mass, friction and error three times, every pair of them once. Three
@@ -235,7 +239,7 @@ def robust_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> d
         if (m + f + e + shift) % len(settings.pose_errors):
             continue
         for loop in CONTROLLERS:
-            outcome = case.run(plan, conditions(loop, reality))
+            outcome = case.run(plan, conditions(loop, error_model))
             trials.append(
                 {
                     "loop": loop,
@@ -249,7 +253,7 @@ def robust_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> d
     return {"trials": trials}
 
 
-def rate_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
+def rate_row(plan: GraspPlan, rng: np.random.Generator, error_model: ErrorModel) -> dict[str, Any]:
     """CPU time (ms) of a step of each loop, physics included, and of MuJoCo alone; draws nothing.
 
     In the median over short stretches of a hold. The loop runs at every time step.
@@ -257,7 +261,7 @@ def rate_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dic
     del rng
     loops: list[dict[str, Any]] = []
     for loop, make in CONTROLLERS.items():
-        hold = DisturbanceTrial(plan, controller=make(plan), reality=reality)
+        hold = DisturbanceTrial(plan, controller=make(plan), error_model=error_model)
         fault = hold.close_and_squeeze() or hold.hold_for(WARM_S)
         if fault is not None:
             loops.append({"loop": loop, "reason": fault.reason})
@@ -288,7 +292,9 @@ def _milliseconds(step: Callable[[], object]) -> list[float]:
     return spent
 
 
-def promise_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
+def promise_row(
+    plan: GraspPlan, rng: np.random.Generator, error_model: ErrorModel
+) -> dict[str, Any]:
     """Shares of certified force and torque at which the object was lost; draws nothing."""
     del rng
     length = plan.task.object.shape.bounding_radius
@@ -300,7 +306,7 @@ def promise_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> 
             continue
         wrench = promised / size * breaking.wrench
         for speed, run in (("slow", _slow), ("sudden", _sudden)):
-            share, fault = run(plan, wrench, reality)
+            share, fault = run(plan, wrench, error_model)
             loads.append(
                 {
                     "kind": kind,
@@ -316,9 +322,11 @@ def promise_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> 
     return {"loads": loads}
 
 
-def _slow(plan: GraspPlan, wrench: FloatArray, reality: Reality) -> tuple[float, Fault | None]:
+def _slow(
+    plan: GraspPlan, wrench: FloatArray, error_model: ErrorModel
+) -> tuple[float, Fault | None]:
     """Share of a slowly growing wrench (6,) at which the grasp failed."""
-    hold = _certified(plan, reality)
+    hold = _certified(plan, error_model)
     share, fault = 0.0, hold.close_and_squeeze()
     while fault is None and share < MOST:
         share += SLOW_FIRST / LEAD_STEPS if share < SLOW_FIRST else SLOW_STEP
@@ -327,9 +335,11 @@ def _slow(plan: GraspPlan, wrench: FloatArray, reality: Reality) -> tuple[float,
     return share, fault
 
 
-def _sudden(plan: GraspPlan, wrench: FloatArray, reality: Reality) -> tuple[float, Fault | None]:
+def _sudden(
+    plan: GraspPlan, wrench: FloatArray, error_model: ErrorModel
+) -> tuple[float, Fault | None]:
     """Share of a sudden wrench (6,) at which the grasp failed."""
-    hold = _certified(plan, reality)
+    hold = _certified(plan, error_model)
     share, fault = SUDDEN_FIRST - SUDDEN_STEP, hold.close_and_squeeze()
     while fault is None and share < MOST:
         share += SUDDEN_STEP
@@ -341,7 +351,7 @@ def _sudden(plan: GraspPlan, wrench: FloatArray, reality: Reality) -> tuple[floa
     return share, fault
 
 
-def _certified(plan: GraspPlan, reality: Reality) -> DisturbanceTrial:
+def _certified(plan: GraspPlan, error_model: ErrorModel) -> DisturbanceTrial:
     """Impedance control at the certified friction."""
     task = plan.task
     torsion = task.mu_torsion if task.contact_model == "soft" else 0.0
@@ -349,7 +359,7 @@ def _certified(plan: GraspPlan, reality: Reality) -> DisturbanceTrial:
         plan,
         controller=ObjectImpedance(plan),
         physics=PhysicsOptions(mu=task.mu, mu_torsion=torsion),
-        reality=reality,
+        error_model=error_model,
     )
 
 
@@ -359,14 +369,14 @@ class Part:
 
     Attributes:
         number: Its place among the numbers of a grasp, from which directions are drawn.
-        measure: Measures a grasp under a reality; draws directions from the generator; gives plain
+        measure: Measures a grasp under an error model; draws directions from the generator; gives plain
             data.
         grasps: How many grasps are asked by default.
         whole_hand: Whether all fingers of the hand must take part.
     """
 
     number: int
-    measure: Callable[[GraspPlan, np.random.Generator, Reality], Mapping[str, Any]]
+    measure: Callable[[GraspPlan, np.random.Generator, ErrorModel], Mapping[str, Any]]
     grasps: int
     whole_hand: bool = False
 
@@ -402,12 +412,12 @@ class Options(HandOptions):
     parts: Annotated[
         str, typer.Option(help="Comma separated: fc, push, drift, slip, robust, rate, promise.")
     ] = "all"
-    reality: RealityOption = "ideal"
+    error_model: ErrorModelOption = "ideal"
 
 
 def cases(options: Options) -> Iterator[Row]:
     """Every part for every grasp, cell by cell, so that a plan serves all parts."""
-    reality = reality_of(options.reality)
+    error_model = error_model_of(options.error_model)
     asked = known("part", options.parts, list(PARTS))
     cells = list(cells_of(options.hand_names, options.objects))
     cells = sorted(cells, key=lambda cell: [c["spec"] for c in cells].index(cell["spec"]))
@@ -420,7 +430,7 @@ def cases(options: Options) -> Iterator[Row]:
                     **cell,
                     **grasp,
                     "plan_seed": options.seed + k // len(cells),
-                    "reality": reality.seeded(k),
+                    "error_model": error_model.seeded(k),
                 }
 
 
@@ -430,7 +440,7 @@ def measure(case: Row) -> Row:
     fingers = tuple(checked_hand(case["hand"]).fingers) if part.whole_hand else None
     plan = plan_of(case["hand"], case["spec"], case["plan_seed"], Setting(fingers=fingers))
     rng = np.random.default_rng([case["seed"], NUMBERS * case["grasp"] + part.number])
-    return dict(part.measure(plan, rng, case["reality"]))
+    return dict(part.measure(plan, rng, case["error_model"]))
 
 
 def tables(result: Row) -> Iterator[Row]:

@@ -18,11 +18,11 @@ from planner.motion.handover import plan_handover
 from planner.search.grasp import plan_grasp
 from planner.synthesis.problem_cache import problems_for
 from planner.task import GraspTask
-from sim.cli.execution import physics_of, reality_of
+from sim.cli.execution import error_model_of, physics_of
 from sim.cli.options import (
+    ErrorModelOption,
     MassOption,
     PhysicsOption,
-    RealityOption,
     SimMuOption,
     TypeOption,
     flag,
@@ -44,7 +44,7 @@ class Options(HandOptions):
     objects: ObjectsOption = PRIMITIVES
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
-    reality: RealityOption = "ideal"
+    error_model: ErrorModelOption = "ideal"
     type: TypeOption = None
     mass: MassOption = None
     carry: Annotated[
@@ -58,11 +58,11 @@ class Options(HandOptions):
 
 def cases(options: Options) -> Iterator[Row]:
     """Seeds of every hand and object."""
-    reality = reality_of(options.reality)
-    if options.handover and (options.carry or options.type or not reality.ideal):
-        raise TaskError("--handover goes without --carry, --type and --reality; leave them out")
+    error_model = error_model_of(options.error_model)
+    if options.handover and (options.carry or options.type or not error_model.ideal):
+        raise TaskError("--handover goes without --carry, --type and --error-model; leave them out")
     setting = Setting(
-        joint_error=reality.encoder_offset, grasp_type=options.type, mass=options.mass
+        joint_error=error_model.encoder_offset, grasp_type=options.type, mass=options.mass
     )
     physics = physics_of(options.physics, options.sim_mu)
     given = {
@@ -72,7 +72,7 @@ def cases(options: Options) -> Iterator[Row]:
     }
     for cell in cells_of(options.hand_names, options.objects):
         for seed in range(options.seed, options.seed + options.n):
-            yield {**cell, "seed": seed, **given, "reality": reality, "setting": setting}
+            yield {**cell, "seed": seed, **given, "error_model": error_model, "setting": setting}
 
 
 def measure(case: Row) -> Row:
@@ -91,8 +91,10 @@ def measure(case: Row) -> Row:
     except NoGraspFoundError as error:
         cpu_s = sum(a.cpu_s for a in error.attempts)
         return row | {"attempts": len(error.attempts), "cpu_s": cpu_s, "reason": str(error)}
-    reality = case["reality"].seeded(case["seed"])
-    report = simulate(plan, physics=case["physics"], reality=reality, timeline=case["timeline"])
+    error_model = case["error_model"].seeded(case["seed"])
+    report = simulate(
+        plan, physics=case["physics"], error_model=error_model, timeline=case["timeline"]
+    )
     row |= {"attempts": plan.record.attempts, "cpu_s": plan.record.cpu_s}
     return row | _told(report) | {"epsilon": plan.quality.epsilon}
 

@@ -1,4 +1,4 @@
-"""``Loop``: what drives the hand in a trial, and what it is told; a column of ``reality``.
+"""``Loop``: what drives the hand in a trial, and what it is told; a column of ``errors``.
 
 All loops execute the same plans against the same draws. A further column is one call of
 ``register_loop``.
@@ -14,12 +14,12 @@ from planner.registry import Registry
 from sim.controllers import GraspController, MakeController, ObjectImpedance
 from sim.learning import open_loop, policy_controller
 from sim.learning.controller import POLICY
+from sim.sensing.errors import ErrorModel
 from sim.sensing.estimation import ESTIMATORS, NONE
-from sim.sensing.reality import Reality
 
 
-def _as_it_is(reality: Reality) -> Reality:
-    return reality
+def _as_it_is(error_model: ErrorModel) -> ErrorModel:
+    return error_model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class Loop:
         turning: Makes what holds and turns the object of a manipulation, out of its grasp; None for
             the closed loop of ``manipulate``.
         estimator: Name of what tells it where the object is, out of ``sim.sensing.estimation``.
-        told: Makes of the trial's reality the one whose sensors the loop reads. It must leave
+        told: Makes of the trial's error model the one whose sensors the loop reads. It must leave
             drives and object as they are, since all loops share them.
         usual: Whether it is a column where none are named.
         tasks: Names of the tasks that it can do; all if empty.
@@ -48,7 +48,7 @@ class Loop:
     holding: MakeController
     turning: MakeController | None = None
     estimator: str = NONE
-    told: Callable[[Reality], Reality] = _as_it_is
+    told: Callable[[ErrorModel], ErrorModel] = _as_it_is
     usual: bool = True
     tasks: tuple[str, ...] = ()
     why_not: Callable[[], str] = lambda: ""
@@ -97,7 +97,7 @@ def _policy(name: str) -> Loop:
     about = make.policy.about
     return Loop(
         name=name,
-        about=f"policy for {about.objects}, trained in the reality {about.reality}: joints and "
+        about=f"policy for {about.objects}, trained in the error model {about.error_model}: joints and "
         "touch",
         driver=f"policy {make.policy.digest}",
         holding=make,
@@ -113,7 +113,7 @@ register_loop(
         about="closed loop, calibrated joints and exact sensors: drives and world are off",
         driver="impedance",
         holding=ObjectImpedance,
-        told=Reality.sensed_exactly,
+        told=ErrorModel.sensed_exactly,
     )
 )
 register_loop(
@@ -130,7 +130,7 @@ register_loop(
         about="the same loop without a camera: the object was seen once, before the hand closed",
         driver="impedance",
         holding=ObjectImpedance,
-        told=Reality.without_camera,
+        told=ErrorModel.without_camera,
         usual=False,
     )
 )

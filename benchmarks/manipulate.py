@@ -47,13 +47,13 @@ from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.objects import object_names, parse_object
 from planner.spatial import SE3
 from planner.task import GraspTask
-from sim.cli.execution import estimate_of, physics_of, reality_of
+from sim.cli.execution import error_model_of, estimate_of, physics_of
 from sim.cli.options import (
     NO_SHIFT,
+    ErrorModelOption,
     EstimateOption,
     FingersOption,
     PhysicsOption,
-    RealityOption,
     RotateOption,
     ShiftOption,
     StandOption,
@@ -65,7 +65,7 @@ from sim.learning import PolicyMaker, named_driver
 from sim.manipulation import ManipulationReport, Push, manipulate, rests, settled
 from sim.manipulation.in_hand import AnyTurningController
 from sim.scene.physics import PhysicsOptions
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation
 from sim.tables import Row
 
@@ -80,7 +80,7 @@ VERTICAL: Vector = (0.0, 0.0, 1.0)
 STILL: Vector = (0.0, 0.0, 0.0)
 """No translation, m."""
 
-OURS, EXACT = PhysicsOptions(), Reality()
+OURS, EXACT = PhysicsOptions(), ErrorModel()
 """How MuJoCo computes if nothing else is asked for; no errors beside the drawn conditions."""
 
 
@@ -102,7 +102,7 @@ class Options(HandOptions):
     fingers: FingersOption = None
     stand: StandOption = 0.0
     physics: PhysicsOption = "ours"
-    reality: RealityOption = "ideal"
+    error_model: ErrorModelOption = "ideal"
     estimate: EstimateOption = None
     controller: Annotated[
         str,
@@ -130,7 +130,7 @@ class Turn:
         shift: Translation in the hand that is asked for with it (3,), m, world.
         spec: Specification of an object that is of no kind in ``KINDS``.
         physics: How MuJoCo computes; friction is drawn.
-        reality: Errors of sensors, drives and object, drawn from the seed and the number; those of
+        error_model: Errors of sensors, drives and object, drawn from the seed and the number; those of
             mass and friction come on top of what ``draw`` gives.
         estimator: Name of what tells the controller where the object is; see ``Simulation``.
         controller: What drives the fingers, as ``sim.learning.named_driver`` takes it; the closed
@@ -149,7 +149,7 @@ class Turn:
     shift: Vector = STILL
     spec: str = ""
     physics: PhysicsOptions = OURS
-    reality: Reality = EXACT
+    error_model: ErrorModel = EXACT
     estimator: str | None = None
     controller: str = ""
 
@@ -226,7 +226,7 @@ def execute_turn(
         true_task=true_task,
         physics=replace(turn.physics, mu=there.mu),
         push=Push(force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME),
-        reality=turn.reality.seeded(turn.seed + turn.number),
+        error_model=turn.error_model.seeded(turn.seed + turn.number),
         estimator=turn.estimator,
         on_step=on_step,
     )
@@ -237,7 +237,7 @@ def believed(turn: Turn) -> GraspTask:
     item = parse_object(turn.draw().spec, mass=REGRASP_MASS if turn.regrasps else MASS[1])
     mu = REGRASP_FRICTION[0] if turn.regrasps else BELIEVED_MU
     task = manipulation_task(turn.hand, item, mu=mu, fingers=turn.fingers)
-    task = replace(task, joint_error=turn.reality.encoder_offset)
+    task = replace(task, joint_error=turn.error_model.encoder_offset)
     if turn.spec:
         task = replace(task, T_world_object=standing(item.shape))
     return settled(on_stand(task, turn.stand) if turn.stand else task)
@@ -281,7 +281,7 @@ def cases(options: Options) -> Iterator[Row]:
                     shift=shift,
                     spec=spec,
                     physics=physics_of(options.physics),
-                    reality=reality_of(options.reality),
+                    error_model=error_model_of(options.error_model),
                     estimator=estimate_of(options.estimate),
                     controller=options.controller,
                 )

@@ -38,11 +38,11 @@ from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import DEFAULT_MU
-from sim.cli.execution import reality_of
-from sim.cli.options import RealityOption
+from sim.cli.execution import error_model_of
+from sim.cli.options import ErrorModelOption
 from sim.report import TrialReport
 from sim.scene.physics import PhysicsOptions
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation
 from sim.tables import Row
 from sim.trial import Timeline, Trial
@@ -120,9 +120,9 @@ def trial_under(
     condition: Condition,
     rng: np.random.Generator,
     record_every: float = RECORD_EVERY,
-    reality: Reality | None = None,
+    error_model: ErrorModel | None = None,
 ) -> TrialReport:
-    """A trial under a condition and a reality, with a sample every so often (s)."""
+    """A trial under a condition and an error model, with a sample every so often (s)."""
     item = plan.task.object
     heavier = replace(item, mass=condition.mass_factor * item.mass)
     changed = replace(plan, task=replace(plan.task, object=heavier))
@@ -131,7 +131,7 @@ def trial_under(
         physics=PhysicsOptions(mu=condition.mu),
         timeline=TIMELINE,
         record_every=record_every,
-        reality=reality,
+        error_model=error_model,
     )
     angle = rng.uniform(0.0, 2 * np.pi)
     aside = condition.shift * np.array([np.cos(angle), np.sin(angle)])
@@ -218,19 +218,19 @@ class Options(HandOptions):
 
     n: Annotated[int, typer.Option("-n", "--number", min=1, help="Grasps in all.")] = 500
     objects: ObjectsOption = PRIMITIVES
-    reality: RealityOption = "ideal"
+    error_model: ErrorModelOption = "ideal"
 
 
 def cases(options: Options) -> Iterator[Row]:
     """Cell after cell, in each of them conditions and grades equally often."""
-    reality = reality_of(options.reality)
+    error_model = error_model_of(options.error_model)
     cells = list(cells_of(options.hand_names, options.objects))
     each = -(-options.n // len(cells))
     grades, conditions = list(GRADES), list(CONDITIONS)
     for index in range(options.n):
         turn, condition = divmod(index % each, len(conditions))
         made = {"grade": grades[turn % len(grades)], "condition": conditions[condition]}
-        given = {"index": index, "seed": options.seed, "reality": reality}
+        given = {"index": index, "seed": options.seed, "error_model": error_model}
         yield {**cells[index // each], **made, **given}
 
 
@@ -247,8 +247,8 @@ def measure(case: Row) -> Row:
         )
     except NoGraspFoundError:
         return {"found": False, "reason": "no plan"}
-    reality = case["reality"].seeded(case["index"])
-    verdict = trial_under(plan, CONDITIONS[case["condition"]], rng, reality=reality).verdict
+    error_model = case["error_model"].seeded(case["index"])
+    verdict = trial_under(plan, CONDITIONS[case["condition"]], rng, error_model=error_model).verdict
     told = {"success": verdict.success, "reason": verdict.reason}
     return {"found": True, **told, "predictors": predictors_of(plan)}
 

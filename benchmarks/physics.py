@@ -21,18 +21,18 @@ from benchmarks.summary import counted, of, share, summary, table_data
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.verification.grasp import plan_forces
-from sim.cli.execution import reality_of
-from sim.cli.options import RealityOption
+from sim.cli.execution import error_model_of
+from sim.cli.options import ErrorModelOption
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.protocols.creep import measure_creep
 from sim.scene.build import build_scene
 from sim.scene.physics import PRESETS, PhysicsOptions
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.tables import Row, number
 from sim.trial import simulate
 
-Measure: TypeAlias = Callable[[GraspPlan, str, Reality], Row]
-"""Measures a variant with a grasp, under a reality."""
+Measure: TypeAlias = Callable[[GraspPlan, str, ErrorModel], Row]
+"""Measures a variant with a grasp, under an error model."""
 
 SOFT = PRESETS["mujoco-default"]
 """The physics of which one number is varied."""
@@ -90,42 +90,42 @@ class Options(HandOptions):
     parts: Annotated[str, typer.Option(help="Comma separated: holds, closed, remedies, creep.")] = (
         "all"
     )
-    reality: RealityOption = "ideal"
+    error_model: ErrorModelOption = "ideal"
 
 
-def _hold(plan: GraspPlan, case: str, reality: Reality) -> Row:
-    return _trial(plan, PRESETS[case], "feedforward", reality)
+def _hold(plan: GraspPlan, case: str, error_model: ErrorModel) -> Row:
+    return _trial(plan, PRESETS[case], "feedforward", error_model)
 
 
-def _closed(plan: GraspPlan, case: str, reality: Reality) -> Row:
-    return _trial(plan, PRESETS[case], "impedance", reality)
+def _closed(plan: GraspPlan, case: str, error_model: ErrorModel) -> Row:
+    return _trial(plan, PRESETS[case], "impedance", error_model)
 
 
-def _remedy(plan: GraspPlan, case: str, reality: Reality) -> Row:
+def _remedy(plan: GraspPlan, case: str, error_model: ErrorModel) -> Row:
     """Under the change of MuJoCo's defaults that the formula asks for."""
     scene = build_scene(plan.task, T_world_base=plan.T_world_base, q=plan.q, physics=SOFT)
     names = plan.task.finger_names
     found = remedies(SOFT, lambda physics: least_creep(scene, names, physics), CREEP_BUDGET)
     for change in found:
         if change.kind == case:
-            trial = _trial(plan, change.physics, "feedforward", reality)
+            trial = _trial(plan, change.physics, "feedforward", error_model)
             return {**trial, "what": change.what}
     return {"held": False, "reason": "there is no such remedy for this grasp"}
 
 
-def _trial(plan: GraspPlan, physics: PhysicsOptions, loop: str, reality: Reality) -> Row:
-    report = simulate(plan, physics=physics, controller=loop, reality=reality)
+def _trial(plan: GraspPlan, physics: PhysicsOptions, loop: str, error_model: ErrorModel) -> Row:
+    report = simulate(plan, physics=physics, controller=loop, error_model=error_model)
     moved, turned = report.largest_slip
     outcome = {"physics": physics.label, "held": report.success, "reason": report.reason}
     return outcome | {"slip_mm": moved, "slip_deg": turned}
 
 
-def _creep(plan: GraspPlan, case: str, reality: Reality) -> Row:
+def _creep(plan: GraspPlan, case: str, error_model: ErrorModel) -> Row:
     """Speed of the object in the palm, and what the formula says of the contacts there were.
 
-    Nothing is off whatever the reality: the formula is about what is planned.
+    Nothing is off whatever the error model: the formula is about what is planned.
     """
-    del reality
+    del error_model
     variant = VARIANTS[case]
     pressed = _gripped(plan, variant.grip)
     seen = measure_creep(pressed, variant.physics)
@@ -164,19 +164,19 @@ PARTS: Mapping[str, tuple[Measure, tuple[str, ...]]] = MappingProxyType(
 
 def cases(options: Options) -> Iterator[Row]:
     """Every variant of every part with every hand and object, grasp by grasp."""
-    reality = reality_of(options.reality)
+    error_model = error_model_of(options.error_model)
     parts = known("part", options.parts, list(PARTS))
     for cell in cells_of(options.hand_names, options.objects):
         for part in parts:
             for variant in PARTS[part][1]:
                 asked = {"part": part, "case": variant, "seed": options.seed}
-                yield {**cell, **asked, "reality": reality}
+                yield {**cell, **asked, "error_model": error_model}
 
 
 def measure(case: Row) -> Row:
     """One grasp under one variant."""
     plan = plan_of(case["hand"], case["spec"], case["seed"])
-    return PARTS[case["part"]][0](plan, case["case"], case["reality"])
+    return PARTS[case["part"]][0](plan, case["case"], case["error_model"])
 
 
 TITLES = {

@@ -22,7 +22,7 @@ from planner.task import GRAVITY
 from sim.controllers import CONTROLLERS, Controller, Observation, SlipDetector
 from sim.controllers.monitors import LOADED, SLIP_SPEED
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.sensing.reality import Reality, RealityOfTrial
+from sim.sensing.errors import ErrorModel, TrialErrors
 from sim.sensing.touch.layout import TIME_TOL
 from sim.verdict import Fault
 
@@ -32,7 +32,7 @@ SLIP_TIME = 0.01
 LATENCY = 0.05
 """A slip counts as found when the alarm comes within this time (s) of its beginning."""
 
-NOISE = Reality(name="pads", touch_noise=0.02, sliding_noise=0.002)
+NOISE = ErrorModel(name="pads", touch_noise=0.02, sliding_noise=0.002)
 """Noise of the pads: 20 mN and 2 mm/s at every step, of the order of a good optical pad."""
 
 PEACE_S = 10.0
@@ -207,19 +207,19 @@ class Watched:
         self.alarms.append(Slip(finger=finger, begin=self._open.pop(finger), end=self.times[-1]))
 
 
-def slip_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
+def slip_row(plan: GraspPlan, rng: np.random.Generator, error_model: ErrorModel) -> dict[str, Any]:
     """Undisturbed hold, then provocations, under each controller.
 
-    Of a reality the drives and the world count: what slips is judged by pads without errors.
+    Of an error model the drives and the world count: what slips is judged by pads without errors.
     """
     pushes = rng.normal(size=(PROVOCATIONS, 3))
     pushes /= np.linalg.norm(pushes, axis=1, keepdims=True)
     seed = int(rng.integers(2**31))
     loops = []
     for loop, make in CONTROLLERS.items():
-        noisy = RealityOfTrial(NOISE.seeded(seed), plan.task)
+        noisy = TrialErrors(NOISE.seeded(seed), plan.task)
         watched = Watched(make(plan), len(plan.task.fingers), noisy.read)
-        hold = DisturbanceTrial(plan, controller=watched, reality=reality.sensed_exactly())
+        hold = DisturbanceTrial(plan, controller=watched, error_model=error_model.sensed_exactly())
         fault = hold.close_and_squeeze() or hold.hold_for(PEACE_S)
         peace = hold.simulation.data.time
         for k, push in enumerate(pushes):

@@ -29,7 +29,7 @@ from planner.task import GRAVITY, GraspTask
 from sim.controllers import Event
 from sim.manipulation.run import ManipulationRun
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.sensing.touch import ContactEstimator, PadContact, TaxelArray, TaxelLayout, contact_image
 from sim.simulation import Simulation
 from sim.tables import Row
@@ -247,8 +247,8 @@ def _push(trial: DisturbanceTrial, push: FloatArray) -> bool:
 
 def _answers(plan: GraspPlan, pushes: FloatArray, seed: int) -> dict[str, Any]:
     """Times (s) from the beginning of a slip to its alarm, and to a normal force that has risen."""
-    reality = Reality(name="taxels", touch="taxels", seed=seed)
-    trial = DisturbanceTrial(plan, controller="impedance", reality=reality)
+    error_model = ErrorModel(name="taxels", touch="taxels", seed=seed)
+    trial = DisturbanceTrial(plan, controller="impedance", error_model=error_model)
     names = plan.task.finger_names
     noted: list[tuple[float, int]] = []
     times: list[float] = []

@@ -20,9 +20,9 @@ from benchmarks.bench import HandOptions, ObjectsOption
 from benchmarks.common import cells_of, plan_of
 from benchmarks.summary import counted, of, summary
 from planner.plan import GraspPlan
-from sim.cli.execution import reality_of
-from sim.cli.options import RealityOption, names
-from sim.sensing.reality import Reality
+from sim.cli.execution import error_model_of
+from sim.cli.options import ErrorModelOption, names
+from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation
 from sim.tables import Row
 from sim.trial import Trial
@@ -37,16 +37,16 @@ class Options(HandOptions):
         "feedforward,impedance"
     )
     repeats: Annotated[int, typer.Option(min=1, help="Timings per cell; medians count.")] = 3
-    reality: RealityOption = "ideal"
+    error_model: ErrorModelOption = "ideal"
 
 
 def cases(options: Options) -> Iterator[Row]:
     """Every controller with every hand and object."""
     given = {"seed": options.seed, "repeats": options.repeats}
-    reality = reality_of(options.reality)
+    error_model = error_model_of(options.error_model)
     for controller in names(options.controllers):
         for cell in cells_of(options.hand_names, options.objects):
-            yield {"controller": controller, **cell, **given, "reality": reality}
+            yield {"controller": controller, **cell, **given, "error_model": error_model}
 
 
 class Replay:
@@ -94,20 +94,20 @@ class Replay:
 
 
 def time_trial(
-    plan: GraspPlan, controller: str, repeats: int = 3, reality: Reality | None = None
+    plan: GraspPlan, controller: str, repeats: int = 3, error_model: ErrorModel | None = None
 ) -> Row:
     """Medians of CPU times, s: building, the trial, MuJoCo's steps alone, and the report's data.
 
     The first trial, which is not counted, warms up and gives the commands. The report's data are
     those of its file: closure, epsilon and min-weight of every sample are computed for it.
     """
-    first = Trial(plan, controller=controller, reality=reality)
+    first = Trial(plan, controller=controller, error_model=error_model)
     replay = Replay(first.simulation)
     report = first.run(on_step=replay)
     spent: dict[str, list[float]] = {"build_s": [], "trial_s": [], "steps_s": [], "report_s": []}
     for _ in range(repeats):
         begin = time.process_time()
-        trial = Trial(plan, controller=controller, reality=reality)
+        trial = Trial(plan, controller=controller, error_model=error_model)
         built = time.process_time()
         again = trial.run()
         ran = time.process_time()
@@ -131,7 +131,7 @@ def measure(case: Row) -> Row:
     """Plan and time one cell."""
     plan = plan_of(case["hand"], case["spec"], case["seed"])
     return time_trial(
-        plan, case["controller"], case["repeats"], case["reality"].seeded(case["seed"])
+        plan, case["controller"], case["repeats"], case["error_model"].seeded(case["seed"])
     )
 
 

@@ -20,8 +20,8 @@ from planner.objects import parse_object
 from planner.search.grasp import attempts
 from planner.shapes import Mesh, Shape
 from planner.task import GraspTask
-from sim.cli.execution import reality_of
-from sim.cli.options import RealityOption
+from sim.cli.execution import error_model_of
+from sim.cli.options import ErrorModelOption
 from sim.tables import Row
 from sim.trial import simulate
 
@@ -43,15 +43,15 @@ class Options(HandOptions):
     trials: Annotated[
         int, typer.Option(min=0, help="How many of them are executed in simulation.")
     ] = 2
-    reality: RealityOption = "ideal"
+    error_model: ErrorModelOption = "ideal"
 
 
 def cases(options: Options) -> Iterator[Row]:
     """Requests of every hand and object."""
-    reality = reality_of(options.reality)
+    error_model = error_model_of(options.error_model)
     for cell in cells_of(options.hand_names, options.objects):
         for k in range(options.n):
-            run = {"seed": options.seed, "execute": k < options.trials, "reality": reality}
+            run = {"seed": options.seed, "execute": k < options.trials, "error_model": error_model}
             yield {**cell, "k": k, **run}
 
 
@@ -67,7 +67,7 @@ def measure(case: Row) -> Row:
     begin = time.process_time()
     item = parse_object(case["spec"])
     shape = item.shape
-    off = case["reality"].encoder_offset if case["execute"] else 0.0
+    off = case["error_model"].encoder_offset if case["execute"] else 0.0
     task = GraspTask.create(
         hand,
         item,
@@ -88,7 +88,7 @@ def measure(case: Row) -> Row:
     plan = plan if cpu_s <= SOON else None
     report = None
     if case["execute"] and plan is not None:
-        report = simulate(plan, reality=case["reality"].seeded(case["k"]))
+        report = simulate(plan, error_model=case["error_model"].seeded(case["k"]))
     return {
         # twice the volume by the area
         "wall_mm": 1e3 * shape.wall_thickness if isinstance(shape, Mesh) else None,

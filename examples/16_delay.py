@@ -20,7 +20,7 @@ from planner.spatial import FloatArray
 from sim.controllers import ImpedanceGains, ObjectImpedance
 from sim.controllers.impedance import BANDWIDTH, LEARNING_RATE, effective_inertia
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 
 HAND = "allegro_hand"
 OBJECT = "sphere"
@@ -48,8 +48,8 @@ def pushed(delay_ms: float, share: float) -> tuple[FloatArray, tuple[str, ...]]:
             learning_rate=share**2 * LEARNING_RATE,
         ),
     )
-    late = Reality(name="late", pose_delay=1e-3 * delay_ms)
-    hold = DisturbanceTrial(plan, controller=controller, dropped=None, reality=late)
+    late = ErrorModel(name="late", pose_delay=1e-3 * delay_ms)
+    hold = DisturbanceTrial(plan, controller=controller, dropped=None, error_model=late)
     hold.close_and_squeeze()
     first = hold.simulation.T_palm_object.translation
     towards = (

@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     from sim.scene.build import Scene
     from sim.scene.carrier import Timeline
     from sim.scene.physics import PhysicsOptions
-    from sim.sensing.reality import Reality
+    from sim.sensing.errors import ErrorModel
     from sim.simulation import Simulation
     from sim.trial import Trial, TrialOptions, simulate
 
 __all__ = [
     "Controller",
+    "ErrorModel",
     "GraspController",
     "HandoverTimeline",
     "ManipulationReport",
@@ -39,7 +40,6 @@ __all__ = [
     "Observation",
     "PhysicsOptions",
     "ProtocolReport",
-    "Reality",
     "Scene",
     "Simulation",
     "Timeline",
@@ -63,7 +63,7 @@ _HOMES = {
     "Observation": "sim.controllers",
     "PhysicsOptions": "sim.scene.physics",
     "ProtocolReport": "sim.protocols",
-    "Reality": "sim.sensing.reality",
+    "ErrorModel": "sim.sensing.errors",
     "Scene": "sim.scene.build",
     "Simulation": "sim.simulation",
     "Timeline": "sim.scene.carrier",

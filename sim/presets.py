@@ -1,6 +1,6 @@
 """``Presets``: sets of numbers by name, and files that change one: TOML or JSON with their fields.
 
-Used for physics (``sim.scene.physics``) and for realities (``sim.sensing.reality``). What a file
+Used for physics (``sim.scene.physics``) and for error models (``sim.sensing.errors``). What a file
 leaves out is that of the preset that its field ``preset`` names, or of the usual one. The set is
 called as the file unless its field ``name`` says otherwise.
 """

@@ -26,7 +26,7 @@ from planner.version import written_by
 from sim.controllers.base import Event
 from sim.recording import Recording, SampleData, Samples
 from sim.report_file import ComparisonData, ExecutionFile, ReportFile
-from sim.screen import Report, reality_lines
+from sim.screen import Report, error_lines
 from sim.tables import table
 from sim.verdict import Reason, Thresholds, Verdict, largest
 
@@ -77,7 +77,7 @@ class ExecutionReport(Report, Shown):
         recording: States at the times of the samples.
         plan: What was executed.
         physics: Name and numbers of ``PhysicsOptions``, as plain data.
-        reality: Fields of ``sim.sensing.reality.Reality``, and under "drawn" what was drawn of
+        error_model: Fields of ``sim.sensing.errors.ErrorModel``, and under "drawn" what was drawn of
             them; None where sensors, drives and object were as believed.
         controller: Name of the controller's class.
         events: What the controller noticed and did, in order; empty for one that notices nothing.
@@ -94,7 +94,7 @@ class ExecutionReport(Report, Shown):
     recording: Recording
     plan: GraspPlan | MovementPlan
     physics: dict[str, Any]
-    reality: dict[str, Any] | None = None
+    error_model: dict[str, Any] | None = None
     controller: str = ""
     events: tuple[Event, ...] = ()
     picture_reason: str = "none was asked for"
@@ -138,7 +138,7 @@ class ExecutionReport(Report, Shown):
             "seed": self.seed,
             "fingers": list(self.fingers),
             "physics": self.physics,
-            "reality": self.reality,
+            "error_model": self.error_model,
             "controller": self.controller,
             "events": [
                 {"time_s": e.time, "kind": e.kind, "finger": e.finger, "detail": e.detail}
@@ -294,7 +294,7 @@ class TrialReport(ExecutionReport):
             "mm/s in MuJoCo's friction whatever the grip, before "
             f"{self.physics['noslip_iterations']} noslip iterations"
         )
-        yield from (Text(line) for line in reality_lines(self.reality))
+        yield from (Text(line) for line in error_lines(self.error_model))
         for event in self.events[:MOST_EVENTS]:
             who = f" {event.finger}" if event.finger else ""
             yield Text(f"  {event.time:.3f} s: {event.kind}{who}: {event.detail}")

@@ -34,7 +34,7 @@ __all__ = [
 
 REPORT_VERSION: Literal[3] = 3
 """Version of ``ReportFile``; another number means another schema. Version 1 had no states, versions
-1 and 2 no reality."""
+1 and 2 no error model."""
 
 
 class ComparisonData(StrictData):
@@ -64,7 +64,7 @@ class ExecutionFile(StrictData):
 
     ``plan`` is the plan as its file has it, null for a hand that no file can name. ``recording``
     are the states, null where they were left out and in files of version 1. ``command`` is what the
-    command line was told, "" of a script. ``reality`` are the errors that the plan did not know, as
+    command line was told, "" of a script. ``error_model`` are the errors that the plan did not know, as
     given and as drawn; null where there were none.
     """
 
@@ -81,7 +81,7 @@ class ExecutionFile(StrictData):
     fingers: list[str]
     timeline: dict[str, float]
     physics: dict[str, float | str | list[float]]
-    reality: dict[str, Any] | None
+    error_model: dict[str, Any] | None
     controller: str = ""
     events: list[EventData] = Field(default_factory=list)
     picture_reason: str
@@ -142,7 +142,7 @@ def check_lengths(samples: StrictData, recording: RecordingData | None) -> None:
 def read_report(path: Path | str) -> ReportFile:
     """Read a trial report, from its JSON file or out of its page.
 
-    Files of versions 1 and 2 are read too: they have no reality, those of version 1 neither plan
+    Files of versions 1 and 2 are read too: they have no error model, those of version 1 neither plan
     nor recording.
 
     Raises:
@@ -169,8 +169,8 @@ PAGE_SUFFIXES = (".html", ".htm")
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
     """Data of an older version as the newest: what it did not have is None."""
     missing: dict[int, dict[str, Any]] = {
-        1: {"plan": None, "recording": None, "reality": None},
-        2: {"reality": None},
+        1: {"plan": None, "recording": None, "error_model": None},
+        2: {"error_model": None},
     }
     version = data.get("version")
     if not isinstance(version, int) or version not in missing:

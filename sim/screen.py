@@ -12,7 +12,7 @@ from rich.console import Console
 
 from planner.arrays import short_repr
 
-__all__ = ["Report", "number", "percent", "reality_lines"]
+__all__ = ["Report", "error_lines", "number", "percent"]
 
 WIDTH = 100
 """Characters of a line of a report that is printed as text."""
@@ -57,20 +57,20 @@ def percent(value: float) -> str:
     return "" if math.isnan(value) else f"{100 * value:.0f} %"
 
 
-def reality_lines(reality: Mapping[str, Any] | None) -> list[str]:
-    """The reality of a report in lines: name, seed, estimator, pads; and what was drawn.
+def error_lines(error_model: Mapping[str, Any] | None) -> list[str]:
+    """The error model of a report in lines: name, seed, estimator, pads; and what was drawn.
 
     Args:
-        reality: ``reality`` of a report; None where all was as believed.
+        error_model: ``error_model`` of a report; None where all was as believed.
     """
-    if reality is None:
+    if error_model is None:
         return []
-    touch = reality.get("touch", "exact")
+    touch = error_model.get("touch", "exact")
     pads = "" if touch == "exact" else f", pads: {touch}"
     lines = [
-        f"reality: {reality['name']}, seed {reality['seed']}, "
-        f"estimator: {reality.get('estimator', 'none')}{pads}"
+        f"error_model: {error_model['name']}, seed {error_model['seed']}, "
+        f"estimator: {error_model.get('estimator', 'none')}{pads}"
     ]
-    if drawn := reality.get("drawn_in_words"):
+    if drawn := error_model.get("drawn_in_words"):
         lines.append(f"drawn: {drawn}")
     return lines

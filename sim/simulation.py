@@ -43,14 +43,14 @@ from sim.controllers import (
 from sim.scene.build import Scene, Truth, build_scene
 from sim.scene.carrier import Carrier, Timeline, carrier_of
 from sim.scene.physics import AnyPhysics
-from sim.sensing.reality import REALITIES, AnyReality, Reality
+from sim.sensing.errors import ERROR_MODELS, AnyErrorModel, ErrorModel
 from sim.show.picture import FRAME_RATE, Tape, draw_tape
 from sim.show.window import Viewer
 
 if TYPE_CHECKING:
     from sim.controllers.readings import TouchReading
+    from sim.sensing.errors import TrialErrors
     from sim.sensing.estimation import AnyEstimator, Estimator
-    from sim.sensing.reality import RealityOfTrial
 
 __all__ = ["Simulation", "filmed"]
 
@@ -77,7 +77,7 @@ class Simulation:
         data: ``mujoco.MjData``, as it is now.
         controller: What drives the hand's actuators.
         carrier: What moves the hand as a whole; may be replaced between steps.
-        reality: What stands between truth and controller; None if nothing does.
+        error_model: What stands between truth and controller; None if nothing does.
         estimator: What tells the controller where the object is; None if it reads the sensors.
         told: The truth and what the estimator told of it, of the last time step; None without one.
         phase: The phase that it is in.
@@ -99,7 +99,7 @@ class Simulation:
         carrier: Carrier | None = None,
         q: FloatArray | None = None,
         T_world_base: SE3 | None = None,
-        reality: AnyReality | None = None,
+        error_model: AnyErrorModel | None = None,
         estimator: AnyEstimator | None = None,
         truth: Truth | None = None,
     ) -> None:
@@ -115,8 +115,8 @@ class Simulation:
             carrier: What moves the hand as a whole; the scene's gantry or the arm if None.
             q: Joints (nq,) at the start, rad or m; the plan's start if None.
             T_world_base: Base pose at the start; the plan's start if None.
-            reality: Errors of sensors, drives and object that the plan does not know, or their name
-                as ``--reality`` takes it; none if None.
+            error_model: Errors of sensors, drives and object that the plan does not know, or their name
+                as ``--error-model`` takes it; none if None.
             estimator: What tells the controller where the object is: a name, or what makes one of
                 task and sensor errors; if None, that with all senses where the pose that is read
                 has errors, and none else.
@@ -124,31 +124,33 @@ class Simulation:
 
         Raises:
             ModelError: MuJoCo refuses the scene.
-            NotFoundError: No controller, estimator or reality has that name.
-            TaskError: The controller is none, the reality is none, the plan has no path for an
-                arm, or a ``scene`` is given together with a reality or truth that changes it.
+            NotFoundError: No controller, estimator or error model has that name.
+            TaskError: The controller is none, the error model is none, the plan has no path for an
+                arm, or a ``scene`` is given together with an error model or truth that changes it.
         """
         self.plan = plan
-        self.reality: RealityOfTrial | None = None
-        reality = REALITIES.given(reality)
-        if truth is not None and (scene or reality.object_size or reality.object_center):
+        self.error_model: TrialErrors | None = None
+        error_model = ERROR_MODELS.given(error_model)
+        if truth is not None and (scene or error_model.object_size or error_model.object_center):
             raise TaskError(
                 "a truth tells object and table, and so does a scene, or object_size and "
-                "object_center of a reality; leave one out"
+                "object_center of an error model; leave one out"
             )
-        if not reality.ideal:
+        if not error_model.ideal:
             if scene is not None:
-                raise TaskError("give a scene or a reality: a reality changes the scene it builds")
-            from sim.sensing.reality import RealityOfTrial
+                raise TaskError(
+                    "give a scene or an error model: an error model changes the scene it builds"
+                )
+            from sim.sensing.errors import TrialErrors
 
-            self.reality = RealityOfTrial(reality, plan.task)
+            self.error_model = TrialErrors(error_model, plan.task)
         self.estimator: Estimator | None = None
         self._estimator_name = "none"
-        if estimator is not None or reality.has_pose_errors:
+        if estimator is not None or error_model.has_pose_errors:
             from sim.sensing.estimation import estimator_for, estimator_name
 
-            self.estimator = estimator_for(plan.task, estimator, reality)
-            self._estimator_name = estimator_name(estimator, reality)
+            self.estimator = estimator_for(plan.task, estimator, error_model)
+            self._estimator_name = estimator_name(estimator, error_model)
         self.told: tuple[Observation, Observation] | None = None
         self.controller: Controller = controller_for(plan, controller)
         self.scene: Scene = scene or build_scene(
@@ -156,16 +158,16 @@ class Simulation:
             T_world_base=plan.T_world_base,
             q=plan.q,
             physics=physics,
-            change=None if self.reality is None else self.reality.change,
+            change=None if self.error_model is None else self.error_model.change,
             truth=truth,
         )
         self.data: Any = self.scene.start(
             plan.q_start if q is None else q,
             plan.T_world_base_start if T_world_base is None else T_world_base,
         )
-        if self.reality is not None:
-            self.reality.place(self.scene, self.data)
-            self.reality.attach_touch(self.scene, self.data, plan)
+        if self.error_model is not None:
+            self.error_model.place(self.scene, self.data)
+            self.error_model.attach_touch(self.scene, self.data, plan)
         self.carrier: Carrier = carrier or carrier_of(plan, self.scene, timeline or Timeline())
         self.phase: Phase = PHASES[0]
         self.steps = 0
@@ -181,8 +183,8 @@ class Simulation:
         self._ctrl: FloatArray = self.data.ctrl[self.scene.hand_ctrl].copy()
         actuation = plan.task.hand.actuation
         ranges = np.concatenate([actuation.force_range.T, actuation.ctrl_range.T])
-        if self.reality is not None:
-            ranges[:2] *= 1.0 + self.reality.drawn.torque_constant
+        if self.error_model is not None:
+            ranges[:2] *= 1.0 + self.error_model.drawn.torque_constant
         self._limits = ranges + LIMIT_MARGIN * np.array([[1.0], [-1.0], [1.0], [-1.0]])
         tapes = _tapes.get()
         if tapes is not None:
@@ -260,7 +262,7 @@ class Simulation:
         commands = self._commands(told)
         data.ctrl[scene.hand_ctrl] = self._driven(commands, observation)
         self.carrier.drive(data, phase, share)
-        self._ctrl = data.ctrl[scene.hand_ctrl] if self.reality is None else commands
+        self._ctrl = data.ctrl[scene.hand_ctrl] if self.error_model is None else commands
         mujoco.mj_step(scene.model, data)
         self.steps += 1
         return observation
@@ -285,11 +287,11 @@ class Simulation:
         )
 
     def sensed(self, truth: Observation) -> Observation:
-        """What a controller sees of the truth: by the sensors of ``reality``, then ``estimator``.
+        """What a controller sees of the truth: by the sensors of ``error_model``, then ``estimator``.
 
         Asked again at the same time, it is the same.
         """
-        read = truth if self.reality is None else self.reality.read(truth)
+        read = truth if self.error_model is None else self.error_model.read(truth)
         if self.estimator is None:
             return read
         last = None if self.told is None else self.told[1]
@@ -302,9 +304,9 @@ class Simulation:
 
     def _driven(self, commands: FloatArray, truth: Observation) -> FloatArray:
         """What the hand's drives make of commands (nu,): ctrl (nu,)."""
-        if self.reality is None:
+        if self.error_model is None:
             return commands
-        return self.reality.drive(truth.time, commands, truth.q)
+        return self.error_model.drive(truth.time, commands, truth.q)
 
     def _commands(self, observation: Observation) -> FloatArray:
         ctrl = np.asarray(self.controller.step(observation), dtype=np.float64)
@@ -438,10 +440,10 @@ class Simulation:
         return tuple(sorted(names))
 
     def senses(self) -> dict[str, Any] | None:
-        """Reality and what was drawn of it, with the estimator's name; None where all is exact."""
-        if self.reality is None and self.estimator is None:
+        """ErrorModel and what was drawn of it, with the estimator's name; None where all is exact."""
+        if self.error_model is None and self.estimator is None:
             return None
-        told = Reality().to_dict() if self.reality is None else self.reality.to_dict()
+        told = ErrorModel().to_dict() if self.error_model is None else self.error_model.to_dict()
         return told | {"estimator": self._estimator_name}
 
     @property

@@ -39,7 +39,7 @@ from sim.report import FingerComparison, TrialReport
 from sim.scene.build import Truth
 from sim.scene.carrier import Timeline
 from sim.scene.physics import AnyPhysics
-from sim.sensing.reality import AnyReality
+from sim.sensing.errors import AnyErrorModel
 from sim.show.picture import check_video, draw_tape, moments_of
 from sim.simulation import Simulation
 from sim.verdict import Fault, Thresholds, Verdict, judge
@@ -62,7 +62,7 @@ class TrialKeywords(TypedDict, total=False):
     timeline: Timeline | None
     thresholds: Thresholds | None
     record_every: float
-    reality: AnyReality | None
+    error_model: AnyErrorModel | None
     estimator: AnyEstimator | None
     truth: Truth | None
 
@@ -78,7 +78,7 @@ class TrialOptions:
         timeline: Durations; defaults if None.
         thresholds: Where success ends; defaults if None.
         record_every: Time between samples, s.
-        reality: Errors of sensors, drives and object that the plan does not know; none if None.
+        error_model: Errors of sensors, drives and object that the plan does not know; none if None.
         estimator: What tells the controller where the object is; see ``Simulation``.
         truth: Object and table that there really are, unknown to the plan; as planned if None.
     """
@@ -88,7 +88,7 @@ class TrialOptions:
     timeline: Timeline | None = None
     thresholds: Thresholds | None = None
     record_every: float = 0.02
-    reality: AnyReality | None = None
+    error_model: AnyErrorModel | None = None
     estimator: AnyEstimator | None = None
     truth: Truth | None = None
 
@@ -147,7 +147,7 @@ class Trial:
             physics=asked.physics,
             controller=asked.controller,
             timeline=self.timeline,
-            reality=asked.reality,
+            error_model=asked.error_model,
             estimator=asked.estimator,
             truth=asked.truth,
         )
@@ -294,7 +294,7 @@ class Trial:
             object_deviation_mm=1e3 * simulation.scene.deviation,
             controller=type(simulation.controller).__name__,
             events=simulation.events,
-            reality=simulation.senses(),
+            error_model=simulation.senses(),
         )
 
     def _remedies(self, verdict: Verdict) -> tuple[str, ...]:
@@ -371,7 +371,7 @@ def simulate(
         video: File of a film.
         arrows: Draw the measured contact forces into both.
         changes: Fields of ``TrialOptions`` by name: ``controller="impedance"``, ``physics``,
-            ``timeline``, ``thresholds``, ``record_every``, ``reality``, ``estimator``,
+            ``timeline``, ``thresholds``, ``record_every``, ``error_model``, ``estimator``,
             ``truth``.
 
     Raises:

@@ -35,7 +35,7 @@ from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.system.package import models_dir
 from planner.task import GraspTask
-from sim.sensing.reality import Drawn, Reality, drawn_numbers, drawn_text
+from sim.sensing.errors import Drawn, ErrorModel, drawn_numbers, drawn_text
 
 # Craig's Denavit-Hartenberg parameters of the Panda: a (m), alpha (rad), d (m) of joints 1 to 7
 DH = [
@@ -325,5 +325,5 @@ def test_the_offset_of_a_slide_is_a_length(gantry: Path) -> None:
     hand = load_hand(gantry)
     offset = np.zeros(hand.nq)
     offset[hand.joint_index("arm/z")] = 0.002
-    drawn = dataclasses.replace(Drawn.of(Reality(), hand), encoder_offset=offset)
+    drawn = dataclasses.replace(Drawn.of(ErrorModel(), hand), encoder_offset=offset)
     assert drawn_text([drawn_numbers(drawn, hand)]) == "slides up to 2.0 mm off"

@@ -131,7 +131,7 @@ def test_the_options_of_run_are_those_of_batch() -> None:
     # but for how a plan is executed and chosen among several, which a batch does not do
     run, batch = (set(signature(command).parameters) for command in (grasp.run, commands.batch))
     executed = {"sim_mu", "physics", "controller", "view", "video", "arrows", "verbose"}
-    executed |= {"reality", "reality_seed", "estimate", "pads"}
+    executed |= {"error_model", "error_seed", "estimate", "pads"}
     chosen = {"best_of", "keep", "metric", "handover_to"}
     assert run - batch == {"object", "out_dir"} | executed | chosen
 

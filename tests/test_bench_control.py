@@ -27,7 +27,7 @@ from sim.protocols.disturbance import DROPPED, DisturbanceTrial
 from sim.protocols.forces import PushCase
 from sim.protocols.outcome import Outcome
 from sim.protocols.variations import RobustCase
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.verdict import Fault
 
 DT = 0.002
@@ -41,7 +41,7 @@ def test_every_part_sees_the_same_grasps() -> None:
     for case in made:
         grasp = (case["hand"], case["spec"], case["plan_seed"])
         by_grasp.setdefault(case["grasp"], set()).add(grasp)
-        assert case["reality"] == Reality().seeded(case["grasp"])
+        assert case["error_model"] == ErrorModel().seeded(case["grasp"])
     assert all(len(grasps) == 1 for grasps in by_grasp.values())
     # four cells: grasps 0 to 3 have the first seed, 8 the third
     assert [next(iter(by_grasp[k]))[2] for k in (0, 3, 4, 8)] == [3, 3, 4, 5]
@@ -97,7 +97,7 @@ def test_both_loops_meet_the_same_pushes(plan: GraspPlan, monkeypatch: pytest.Mo
         )
 
     monkeypatch.setattr(PushCase, "run", borne)
-    row = control.push_row(plan, np.random.default_rng(0), Reality())
+    row = control.push_row(plan, np.random.default_rng(0), ErrorModel())
     grips = control.tried_grips(plan)
     assert grips[0] == plan.task.grip_force
     assert len(grips) == control.GRIPS + 1
@@ -139,7 +139,7 @@ def test_a_promise_is_tested_along_its_weakest_direction(
     monkeypatch.setattr(DisturbanceTrial, "close_and_squeeze", lambda self: None)
     monkeypatch.setattr(DisturbanceTrial, "push", lambda self, wrench: pushed.append(wrench))
     monkeypatch.setattr(DisturbanceTrial, "hold_for", hold_for)
-    row = control.promise_row(plan, np.random.default_rng(0), Reality())
+    row = control.promise_row(plan, np.random.default_rng(0), ErrorModel())
     assert json.loads(json.dumps(row, allow_nan=False)) == row
     told = {(load["kind"], load["speed"]): load["broke_at"] for load in row["loads"]}
     assert told["force", "slow"] == pytest.approx(0.86)
@@ -156,7 +156,7 @@ def test_the_grid_is_seen_by_a_latin_square(
     monkeypatch.setattr(RobustCase, "run", lambda self, plan, conditions: outcome(self))
     squares = set()
     for seed in range(10):
-        trials = control.robust_row(plan, np.random.default_rng(seed), Reality())["trials"]
+        trials = control.robust_row(plan, np.random.default_rng(seed), ErrorModel())["trials"]
         cells = [
             (t["mass"], t["friction"], t["pose"]) for t in trials if t["loop"] == "feedforward"
         ]
@@ -233,7 +233,7 @@ def test_provoked_slips_are_found(plan: GraspPlan, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(slips, "PEACE_S", 0.3)
     monkeypatch.setattr(slips, "PROVOCATIONS", 1)
     monkeypatch.setattr(slips, "GROW_S", 0.5)
-    row = slips.slip_row(plan, np.random.default_rng(0), Reality())
+    row = slips.slip_row(plan, np.random.default_rng(0), ErrorModel())
     for loop in row["loops"]:
         assert loop["slips"] >= 1
         assert loop["found"] >= 1

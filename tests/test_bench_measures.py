@@ -34,7 +34,7 @@ SLOW: list[tuple[str, Row]] = [
     ("control", {**BALL, "parts": "fc"}),
     ("physics", {**BALL, "parts": "remedies"}),
     ("touch", {**ONE, "parts": "arrays"}),
-    ("clouds", {**BALL, "ways": "cloud,mesh,hull", "views": "2", "reality": "ideal"}),
+    ("clouds", {**BALL, "ways": "cloud,mesh,hull", "views": "2", "error_model": "ideal"}),
 ]
 
 

@@ -15,7 +15,7 @@ from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 from planner.verification.grasp import with_grip
 from sim.scene.physics import PRESETS, PhysicsOptions
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 
 HEIGHT_M = 0.08
 
@@ -33,7 +33,7 @@ def amid() -> GraspPlan:
 
 
 def creep_of(plan: GraspPlan, case: str) -> dict[str, Any]:
-    return PARTS["creep"][0](plan, case, Reality())
+    return PARTS["creep"][0](plan, case, ErrorModel())
 
 
 def test_variants_change_what_they_say() -> None:

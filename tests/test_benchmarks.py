@@ -205,7 +205,7 @@ def test_every_measurement_is_listed_with_a_line() -> None:
         (["grasps", "--objetcs", "box"], 2, "No such option"),
         (["grasps", "--objects", "bxo"], 3, "Did you mean 'box'"),
         (["grasps", "alegro_hand"], 3, "Did you mean 'allegro_hand'"),
-        (["grasps", "--reality", "labs"], 3, "lab"),
+        (["grasps", "--error-model", "labs"], 3, "lab"),
         (["grasps", "--out", "no/folder.json"], 3, "there is no folder"),
         (["control", "--parts", "pull"], 3, "no part is called 'pull'"),
         (["best", "--ways", "clim"], 3, "Did you mean 'climb'"),

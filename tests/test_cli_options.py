@@ -80,11 +80,11 @@ def test_the_command_line_loads_no_engine_before_a_command_runs() -> None:
     assert not {"mujoco", "pinocchio", "coal", "casadi", "numpy"} & set(run.stdout.split())
 
 
-def test_planning_reckons_with_the_encoders_of_the_reality_unless_it_is_told() -> None:
-    asked = ExecutionOptions(reality="rough").reckoned(PlanOptions())
+def test_planning_reckons_with_the_encoders_of_the_error_model_unless_it_is_told() -> None:
+    asked = ExecutionOptions(error_model="rough").reckoned(PlanOptions())
     assert asked.joint_error == pytest.approx(3.0)
     assert asked.task("allegro_hand", "sphere").joint_error == pytest.approx(np.deg2rad(3.0))
     told = PlanOptions(joint_error=0.0)
-    assert ExecutionOptions(reality="rough").reckoned(told).joint_error == 0.0
+    assert ExecutionOptions(error_model="rough").reckoned(told).joint_error == 0.0
     assert ExecutionOptions().reckoned(PlanOptions()).joint_error == 0.0
     assert PlanOptions().task("allegro_hand", "sphere").joint_error == 0.0

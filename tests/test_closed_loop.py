@@ -33,7 +33,7 @@ from sim.protocols.disturbance import DisturbanceTrial
 from sim.report import TrialReport
 from sim.report_file import ReportFile
 from sim.scene.build import PhysicsOptions
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 
@@ -67,7 +67,7 @@ def run(
     *,
     timeline: Timeline = SHORT,
     mu: float = 0.6,
-    reality: Reality | None = None,
+    error_model: ErrorModel | None = None,
 ) -> TrialReport:
     """A short trial; ``on_hold`` is called after every step of the hold with the time since."""
     trial = Trial(
@@ -75,7 +75,7 @@ def run(
         controller=controller,
         timeline=timeline,
         physics=PhysicsOptions(mu=mu),
-        reality=reality,
+        error_model=error_model,
     )
     began: list[float] = []
 
@@ -222,9 +222,9 @@ def test_no_delay_and_no_noise_are_the_same_as_none(
     plan: GraspPlan, plain: tuple[ObjectImpedance, TrialReport]
 ) -> None:
     short, exact = replace(SHORT, hold=0.3), plain[1]
-    nothing = Reality(pose_noise=0.0, turn_noise=0.0, pose_delay=0.0, seed=3)
-    same = run(plan, ObjectImpedance(plan), timeline=short, reality=nothing)
-    late = run(plan, ObjectImpedance(plan), timeline=short, reality=Reality(pose_delay=0.01))
+    nothing = ErrorModel(pose_noise=0.0, turn_noise=0.0, pose_delay=0.0, seed=3)
+    same = run(plan, ObjectImpedance(plan), timeline=short, error_model=nothing)
+    late = run(plan, ObjectImpedance(plan), timeline=short, error_model=ErrorModel(pose_delay=0.01))
     np.testing.assert_array_equal(exact.samples.slip_mm, same.samples.slip_mm)
     np.testing.assert_array_equal(exact.samples.normal_force, same.samples.normal_force)
     assert np.abs(exact.samples.normal_force - late.samples.normal_force).max() > 1e-6
@@ -232,11 +232,11 @@ def test_no_delay_and_no_noise_are_the_same_as_none(
 
 @pytest.mark.slow
 def test_it_holds_with_noise_and_delay(plan: GraspPlan) -> None:
-    noisy = Reality(
+    noisy = ErrorModel(
         pose_noise=3e-4, turn_noise=3e-3, pose_delay=0.01, touch_noise=0.02, sliding_noise=0.002
     )
     controller = ObjectImpedance(plan, mass=1.3 * plan.task.object.mass)
-    report = run(plan, controller, reality=noisy)
+    report = run(plan, controller, error_model=noisy)
     assert report.success, report.verdict.detail
     assert "gave up" not in kinds(controller)
 
@@ -319,7 +319,7 @@ def test_a_contact_that_is_lost_is_noticed_and_found_again(plan: GraspPlan) -> N
 
 def test_slips_are_noticed_and_answered(plan: GraspPlan) -> None:
     """Friction falls to less than is believed, while the object is pulled."""
-    noisy = Reality(touch_noise=0.02, sliding_noise=0.002)
+    noisy = ErrorModel(touch_noise=0.02, sliding_noise=0.002)
     controller = ObjectImpedance(plan)
     rows: list[tuple[float, FloatArray, FloatArray]] = []
 
@@ -330,7 +330,7 @@ def test_slips_are_noticed_and_answered(plan: GraspPlan) -> None:
         pads = read_pads(trial.scene, trial.data, plan.task.finger_names)
         rows.append((float(trial.data.time), pads.sliding_speed, pads.normal_force))
 
-    run(plan, controller, on_hold, timeline=replace(SHORT, hold=0.8), reality=noisy)
+    run(plan, controller, on_hold, timeline=replace(SHORT, hold=0.8), error_model=noisy)
     times, speed, force = (np.array(column) for column in zip(*rows, strict=True))
     slips = true_slips(times, speed, force)
     noticed = [e for e in controller.events if e.kind == "slip"]

@@ -18,7 +18,7 @@ from sim.controllers import ObjectImpedance, Phase
 from sim.controllers.impedance import DEVIATIONS, EstimateCorrection
 from sim.controllers.readings import PoseUncertainty
 from sim.scene.carrier import Timeline
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation
 
 DT = 0.002
@@ -137,11 +137,11 @@ def test_fingers_that_close_around_an_object_that_stands_do_not_move_it(held: Si
 @pytest.mark.slow
 def test_a_camera_that_drifts_moves_no_object(plan: GraspPlan) -> None:
     """Five degrees and five millimetres of it: the loop that believed it turned the object."""
-    drifting = Reality(
+    drifting = ErrorModel(
         name="drift", pose_drift=0.005, turn_drift=np.deg2rad(5.0), pose_rate=60.0, seed=4
     )
     brief = Timeline.quick(approach=0.2, lift=0.4, lift_height=0.04, hold=0.5)
-    report = simulate(plan, controller=ObjectImpedance(plan), reality=drifting, timeline=brief)
+    report = simulate(plan, controller=ObjectImpedance(plan), error_model=drifting, timeline=brief)
     assert report.success, report.reason
     moved, turned = report.largest_slip
     assert moved < 0.5

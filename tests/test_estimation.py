@@ -18,14 +18,14 @@ from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation, PadReading, Phase
 from sim.controllers.readings import MeasuredPose
+from sim.sensing.errors import ErrorModel
+from sim.sensing.errors.senses import Drift
 from sim.sensing.estimation import ContactNoise, ObjectEstimator, SensorErrors
 from sim.sensing.estimation.contacts import Grip, TipKinematics, Tips, rolling, touch_equations
 from sim.sensing.estimation.estimator import PERIOD
 from sim.sensing.estimation.filter import TOO_MANY, PoseFilter
 from sim.sensing.estimation.state import Estimate, PoseMeasurement, SensorSample
 from sim.sensing.estimation.track import FOUND, LOST, LossDetector
-from sim.sensing.reality import Reality
-from sim.sensing.reality.senses import Drift
 
 DT = 0.002
 FINE = 1e-6
@@ -227,8 +227,8 @@ def test_looks_at_an_object_at_rest_average(task: GraspTask) -> None:
 def test_felt_normals_count_as_much_as_draws_of_their_drift(task: GraspTask) -> None:
     """The mean of many equations is as uncertain as the mean of pads whose error drifts."""
     place, samples, axes = 1e-3, 500, 4000
-    reality = Reality(touch_place=place, drift_time=0.2)
-    known = PoseFilter(task, SensorErrors.of(reality), ContactNoise(normal=1e-9), feels=True)
+    error_model = ErrorModel(touch_place=place, drift_time=0.2)
+    known = PoseFilter(task, SensorErrors.of(error_model), ContactNoise(normal=1e-9), feels=True)
     n, q = len(task.fingers), task.hand.neutral
     estimate = known.first(
         PoseMeasurement(SE3(np.eye(3), np.array([0.0, 0.0, 0.1])), 0, np.inf)
@@ -250,7 +250,7 @@ def test_felt_normals_count_as_much_as_draws_of_their_drift(task: GraspTask) -> 
         estimate.T_base_object, estimate.offsets, estimate.size, 1e6 * np.eye(7 + len(q))
     )
     noise = known._contact_update(wide, sample, PERIOD).noise[n:].reshape(n, 2) / samples
-    drift = Drift(np.full(axes, place), reality.drift_time, np.random.default_rng(0))
+    drift = Drift(np.full(axes, place), error_model.drift_time, np.random.default_rng(0))
     mean = np.mean([drift.step(PERIOD) for _ in range(samples)], axis=0)
     assert np.sqrt(noise) == pytest.approx((mean.std() / radii)[:, None].repeat(2, 1), rel=0.05)
 
@@ -275,8 +275,8 @@ def test_an_object_may_have_been_pushed_before_a_late_pad_says_that_it_touches(
     )
 
     def moved(delay: float, begin: SensorSample, end: float) -> FloatArray:
-        reality = Reality(touch_delay=delay)
-        known = PoseFilter(task, SensorErrors.of(reality), ContactNoise(), feels=False)
+        error_model = ErrorModel(touch_delay=delay)
+        known = PoseFilter(task, SensorErrors.of(error_model), ContactNoise(), feels=False)
         estimate = known.first(PoseMeasurement(pose, 0, 0.1)).estimate
         prior, information = known._prior(estimate, begin, replace(later, time=end))
         assert not prior.any()

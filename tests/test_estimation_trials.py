@@ -15,8 +15,8 @@ from planner.plan import GraspPlan
 from planner.task import GraspTask
 from sim.controllers import Event, Observation
 from sim.scene.carrier import Timeline
+from sim.sensing.errors import ERROR_MODELS, ErrorModel
 from sim.sensing.estimation import EstimateLog, ObjectEstimator, SensorErrors, register_estimator
-from sim.sensing.reality import REALITIES, Reality
 from sim.simulation import Simulation
 from sim.trial import simulate
 
@@ -29,22 +29,22 @@ def plan(plan_of: PlanOf) -> GraspPlan:
 
 
 @pytest.mark.parametrize(
-    ("reality", "name"),
+    ("error_model", "name"),
     [
         (None, "none"),
-        (Reality(), "none"),
-        (Reality(name="late", command_delay=0.004), "none"),
-        (REALITIES["lab"], "all"),
-        (REALITIES["rough"], "all"),
+        (ErrorModel(), "none"),
+        (ErrorModel(name="late", command_delay=0.004), "none"),
+        (ERROR_MODELS["lab"], "all"),
+        (ERROR_MODELS["rough"], "all"),
     ],
 )
 def test_an_estimator_by_default_where_the_pose_has_errors(
-    plan: GraspPlan, reality: Reality | None, name: str
+    plan: GraspPlan, error_model: ErrorModel | None, name: str
 ) -> None:
-    simulation = Simulation(plan, reality=reality)
+    simulation = Simulation(plan, error_model=error_model)
     assert (simulation.estimator is None) == (name == "none")
     told = simulation.senses()
-    assert told is None if simulation.reality is None else (told or {})["estimator"] == name
+    assert told is None if simulation.error_model is None else (told or {})["estimator"] == name
 
 
 @pytest.mark.slow
@@ -55,10 +55,10 @@ def test_an_estimate_is_near_the_truth_and_says_how_near(
     plan: GraspPlan, tmp_path: Path, name: str, most_mm: float, most_deg: float
 ) -> None:
     log = EstimateLog()
-    lab = REALITIES["lab"].seeded(2)
-    report = simulate(plan, timeline=SHORT, reality=lab, estimator=name, on_step=log)
+    lab = ERROR_MODELS["lab"].seeded(2)
+    report = simulate(plan, timeline=SHORT, error_model=lab, estimator=name, on_step=log)
     assert report.success
-    assert (report.reality or {})["estimator"] == name
+    assert (report.error_model or {})["estimator"] == name
     late = np.array(log.phase) == "hold"
     error = np.abs(log.error[late]).max(axis=0)
     assert 1e3 * np.linalg.norm(error[:3]) < most_mm
@@ -93,11 +93,11 @@ class Numb:
 
 @pytest.mark.slow
 def test_without_touch_and_camera_a_held_object_is_soon_unknown(plan: GraspPlan) -> None:
-    report = simulate(plan, timeline=SHORT, reality=REALITIES["lab"], estimator=Numb)
+    report = simulate(plan, timeline=SHORT, error_model=ERROR_MODELS["lab"], estimator=Numb)
     begin = report.samples.time[report.samples.during("hold")[0]]
     (lost,) = (e for e in report.events if e.kind == "pose lost")
     assert begin - 0.02 < lost.time < begin + 0.15
-    assert (report.reality or {})["estimator"] == "Numb"
+    assert (report.error_model or {})["estimator"] == "Numb"
 
 
 def test_bad_estimators_are_refused(plan: GraspPlan) -> None:
@@ -132,7 +132,7 @@ def test_an_empty_log_is_refused_whatever_is_asked_of_it(tmp_path: Path) -> None
 
 
 def test_an_estimator_is_told_the_size_of_errors_and_no_draw() -> None:
-    one, other = (SensorErrors.of(REALITIES["rough"].seeded(seed)) for seed in (1, 2))
+    one, other = (SensorErrors.of(ERROR_MODELS["rough"].seeded(seed)) for seed in (1, 2))
     assert one == other
-    assert one.joint_offset == REALITIES["rough"].encoder_offset
+    assert one.joint_offset == ERROR_MODELS["rough"].encoder_offset
     assert SensorErrors.of(None).camera > 0

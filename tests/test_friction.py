@@ -15,7 +15,7 @@ from sim.controllers import GraspController, Observation
 from sim.controllers.hand_dynamics import FAST, LEAST_TIME, FrictionEstimate, joint_drag
 from sim.controllers.torques import LEVER, HoldingTorques
 from sim.scene.carrier import Timeline
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.trial import simulate
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -93,8 +93,8 @@ def test_a_trial_finds_the_friction_that_the_model_does_not_have(
         made.append(Watched(plan))
         return made[0]
 
-    reality = Reality(name="dry", dry_friction=friction, encoder_offset=1e-9)
-    simulate(plan, controller=make, reality=reality, timeline=BRIEF)
+    error_model = ErrorModel(name="dry", dry_friction=friction, encoder_offset=1e-9)
+    simulate(plan, controller=make, error_model=error_model, timeline=BRIEF)
     expected = friction * of_fingers(plan.task.hand)
     np.testing.assert_allclose(made[0].found, expected, atol=0.002)
 

@@ -30,7 +30,7 @@ from planner.synthesis.terms.fingers import nearest
 from planner.task import GraspTask
 from sim.crosscheck import reader
 from sim.manipulation.run import ManipulationRun
-from sim.sensing.reality import REALITIES
+from sim.sensing.errors import ERROR_MODELS
 from sim.sensing.touch.estimate import GRID, ContactEstimate, TaxelFrictionEstimator
 
 
@@ -111,7 +111,7 @@ ROWS = {
     "centre of mass, share of half the extents": "object_center",
     "object friction": "object_friction",
 }
-"""Rows of the page's table of presets and the fields of ``Reality`` that they tell."""
+"""Rows of the page's table of presets and the fields of ``ErrorModel`` that they tell."""
 
 UNITS = {"°": math.pi / 180, "%": 0.01, "mm": 1e-3, "ms": 1e-3, "mm/s": 1e-3}
 """Others are those of the fields."""
@@ -123,7 +123,7 @@ def test_presets_of_sensor_errors_are_those_of_the_page(name: str, column: int) 
     cells = [[c.strip() for c in line.strip("| ").split(" | ")] for line in lines]
     told = {row[0]: row[column] for row in cells if len(row) == 4 and row[0] in ROWS}
     assert set(told) == set(ROWS)
-    preset = REALITIES[name]
+    preset = ERROR_MODELS[name]
     for row, names in ROWS.items():
         values = told[row].split(", ")
         for field, value in zip(names.split(), values * len(names.split()), strict=False):

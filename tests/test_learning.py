@@ -60,12 +60,12 @@ from sim.learning.senses import (
 from sim.learning.training import POLICY, fit, read_episode, run_episode, trained_network
 from sim.manipulation import ManipulationReport, ManipulationRun
 from sim.scene.physics import PhysicsOptions
-from sim.sensing.reality import Reality, named_reality
+from sim.sensing.errors import ErrorModel, named_errors
 from sim.simulation import Simulation
 
 OBJECT = "cylinder:0.03x0.08"
 TASK = TurnTask(
-    hand="allegro_hand", objects=OBJECT, angle=math.pi / 4, reality=named_reality("lab")
+    hand="allegro_hand", objects=OBJECT, angle=math.pi / 4, error_model=named_errors("lab")
 )
 WITHOUT_POSE = tuple(name for name in SENSES if name != "object")
 CALM = Conditions(
@@ -94,7 +94,7 @@ def policy(plan: ManipulationPlan) -> Policy:
             hand,
             objects=OBJECT,
             angle_deg=90.0,
-            reality="lab",
+            error_model="lab",
             senses=WITHOUT_POSE,
             command="by hand",
         ),
@@ -300,7 +300,9 @@ def test_a_policy_brings_its_estimator_unless_another_is_asked_for(
     touching = replace(policy, about=replace(policy.about, estimator="touch"))
     for asked, got in ((None, "touch"), ("contact", "contact")):
         driver = PolicyController(plan.grasp, touching)
-        run = ManipulationRun(plan, controller=driver, reality=TASK.reality, estimator=asked)
+        run = ManipulationRun(
+            plan, controller=driver, error_model=TASK.error_model, estimator=asked
+        )
         assert (run.sim.simulation.senses() or {})["estimator"] == got
 
 
@@ -345,11 +347,11 @@ def test_senses_that_do_not_exist_are_refused(
 @pytest.mark.usefixtures("brief_manipulations")
 def test_a_policy_reads_nothing_of_the_camera(plan: ManipulationPlan, policy: Policy) -> None:
     """With a camera that is half a metre off it does exactly the same."""
-    blind = Reality(name="blind", pose_noise=0.5, turn_noise=1.0, pose_rate=7.0)
+    blind = ErrorModel(name="blind", pose_noise=0.5, turn_noise=1.0, pose_rate=7.0)
     task = replace(TASK, physics=PhysicsOptions())
     runs = [
-        CALM.run(replace(task, reality=reality), plan, PolicyController(plan.grasp, policy))
-        for reality in (Reality(), blind)
+        CALM.run(replace(task, error_model=error_model), plan, PolicyController(plan.grasp, policy))
+        for error_model in (ErrorModel(), blind)
     ]
     one, other = map(until_turned, runs)
     until = int(one.log.during("turn")[-1])  # where it is put down after that is for the camera
@@ -361,7 +363,7 @@ def test_a_policy_reads_nothing_of_the_camera(plan: ManipulationPlan, policy: Po
 @pytest.mark.slow
 @pytest.mark.usefixtures("brief_manipulations")
 def test_the_open_loop_turns_the_object_where_all_is_as_planned(plan: ManipulationPlan) -> None:
-    task = replace(TASK, reality=Reality(), physics=PhysicsOptions())
+    task = replace(TASK, error_model=ErrorModel(), physics=PhysicsOptions())
     report = CALM.run(task, plan, open_loop(plan.grasp)).perform()
     assert report.success, report
     assert report.controller == "PolicyController"
@@ -376,7 +378,7 @@ def test_a_policy_computes_what_its_trainer_computes(plan: ManipulationPlan) -> 
     m, nu = SenseHistory(plan.task).size, 16
     senses = (3.0 * rng.normal(size=(3000, m)) + 1.0).astype(np.float32)
     wanted = (0.1 * np.tanh(senses[:, :nu])).astype(np.float32)
-    about = PolicyFor.of(plan.task.hand, objects=OBJECT, angle_deg=90.0, reality="lab")
+    about = PolicyFor.of(plan.task.hand, objects=OBJECT, angle_deg=90.0, error_model="lab")
     policy = fit(about, senses, wanted, epochs=20, seed=1)
     x = normalised(senses, policy.mean, policy.scale)
     unit = float(wanted.std())
@@ -516,7 +518,7 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(
         return made[key]
 
     monkeypatch.setattr("sim.learning.training.run_episode", once)
-    task = replace(TASK, reality=Reality(), physics=PhysicsOptions())
+    task = replace(TASK, error_model=ErrorModel(), physics=PhysicsOptions())
     at_once, in_two = tmp_path / "at-once", tmp_path / "in-two"
     (at_once / "plans").mkdir(parents=True)
     file = folder / "plan-0000.json"
@@ -583,41 +585,45 @@ def test_a_policy_says_in_a_line_what_it_was_not_trained_for(policy: Policy) -> 
 def test_a_policy_says_what_mass_friction_physics_and_errors_it_was_not_trained_for(
     policy: Policy, tmp_path: Path
 ) -> None:
-    lab, ours = named_reality("lab"), PhysicsOptions()
+    lab, ours = named_errors("lab"), PhysicsOptions()
     about = replace(
         policy.about,
         objects="cylinder:0.025..0.035x0.08",
-        reality="lab",
+        error_model="lab",
         errors=error_numbers(lab),
         physics=physics_numbers(ours),
     )
     replace(policy, about=about).save(tmp_path / "policy.npz")
     about = Policy.load(tmp_path / "policy.npz").about  # what is told comes back out of a file
 
-    def told(mass: float = 0.1, physics: PhysicsOptions = ours, reality: Reality = lab) -> str:
+    def told(
+        mass: float = 0.1, physics: PhysicsOptions = ours, error_model: ErrorModel = lab
+    ) -> str:
         item = parse_object("cylinder:0.03x0.08", mass=mass)
-        return about.outside_training(item, 90.0, physics, reality)
+        return about.outside_training(item, 90.0, physics, error_model)
 
     within = replace(lab, name="mine", encoder_offset=0.5 * lab.encoder_offset, touch_rate=200.0)
-    for reality in (lab, lab.seeded(7), Reality(), within, lab.sensed_exactly()):
-        assert told(reality=reality) == ""
+    for error_model in (lab, lab.seeded(7), ErrorModel(), within, lab.sensed_exactly()):
+        assert told(error_model=error_model) == ""
     assert told(physics=replace(ours, mu=0.9)) == ""
     assert "the mass is 0.5 kg (trained with 0.05 to 0.3)" in told(mass=0.5)
     assert "the friction is 0.4 (trained with 0.5 to 1)" in told(physics=replace(ours, mu=0.4))
     assert "the physics is ours with impratio 1" in told(physics=replace(ours, impratio=1.0))
-    assert "larger than in its training: encoder_offset 0.0" in told(reality=named_reality("rough"))
+    assert "larger than in its training: encoder_offset 0.0" in told(
+        error_model=named_errors("rough")
+    )
     for slow in (replace(lab, touch_rate=50.0), replace(lab, touch="effort")):
-        assert "touch" in told(reality=slow)
-    assert "command_rate" in told(reality=replace(lab, command_rate=100.0))
-    assert "\n" not in told(mass=0.5, reality=named_reality("rough"))
+        assert "touch" in told(error_model=slow)
+    assert "command_rate" in told(error_model=replace(lab, command_rate=100.0))
+    assert "\n" not in told(mass=0.5, error_model=named_errors("rough"))
 
 
 def test_an_older_policy_says_only_what_it_knows(policy: Policy) -> None:
-    old = replace(policy.about, objects=OBJECT, reality="lab", errors={}, physics={})
+    old = replace(policy.about, objects=OBJECT, error_model="lab", errors={}, physics={})
     item = parse_object(OBJECT)
-    for reality in ("ideal", "lab"):
-        assert old.outside_training(item, 90.0, PhysicsOptions(), named_reality(reality)) == ""
-    assert "rough" in old.outside_training(item, 90.0, PhysicsOptions(), named_reality("rough"))
+    for error_model in ("ideal", "lab"):
+        assert old.outside_training(item, 90.0, PhysicsOptions(), named_errors(error_model)) == ""
+    assert "rough" in old.outside_training(item, 90.0, PhysicsOptions(), named_errors("rough"))
 
 
 @pytest.mark.parametrize(
@@ -744,7 +750,7 @@ TRAINED = Policy.load(Path("models/policies/allegro_turn.npz")).about.errors
 SHIPPED = TurnTask(  # with the errors that it was trained with: `lab` has had more since
     hand="allegro_hand",
     objects="cylinder:0.025..0.035x0.08",
-    reality=Reality(name="as trained", **TRAINED),
+    error_model=ErrorModel(name="as trained", **TRAINED),
 )
 
 
@@ -753,7 +759,7 @@ SHIPPED = TurnTask(  # with the errors that it was trained with: `lab` has had m
 def test_the_shipped_policy_turns_where_the_open_loop_does_not() -> None:
     """A trial that neither plan nor conditions of the training have; angle as asked, and strict."""
     # planned for exact joints: with room for joints that are off the open loop gets there as well
-    plan = Plans(replace(SHIPPED, reality=named_reality("ideal")))(104)
+    plan = Plans(replace(SHIPPED, error_model=named_errors("ideal")))(104)
     conditions = Conditions.draw(np.random.default_rng([777, 104]))
     driver = policy_controller("allegro_turn")(plan.grasp)
     by_policy = until_turned(conditions.run(SHIPPED, plan, driver))

@@ -14,7 +14,7 @@ from planner.errors import NotFoundError, TaskError
 from sim.learning import Conditions, Plans, TurnTask
 from sim.learning.teacher import Demonstrator
 from sim.manipulation.log import ASKED_SHARE, force_limit
-from sim.sensing.reality import named_reality
+from sim.sensing.errors import named_errors
 
 gymnasium = pytest.importorskip("gymnasium")
 pytest.importorskip("greenlet")
@@ -41,7 +41,7 @@ def make(folder: Path, **options: Any) -> TurnEnv:
 
 @pytest.fixture
 def env(folder: Path) -> Iterator[TurnEnv]:
-    made = make(folder, reality="lab")
+    made = make(folder, error_model="lab")
     yield made
     made.close()
 
@@ -77,7 +77,7 @@ def test_gymnasium_finds_nothing_wrong_with_it(folder: Path) -> None:
 def test_the_same_seed_gives_the_same_rollout_bit_for_bit(env: TurnEnv, folder: Path) -> None:
     first = rollout(env, 5, 15)
     assert equal(first, rollout(env, 5, 15))  # also after an episode that was left
-    other = make(folder, reality="lab")
+    other = make(folder, error_model="lab")
     assert equal(first, rollout(other, 5, 15))
     assert not equal(first, rollout(other, 6, 15))
     other.close()
@@ -89,8 +89,8 @@ def test_reward_and_success_are_the_verdict_on_the_teachers_own_run(
 ) -> None:
     """The teacher's actions, given from outside, make the run that it made itself."""
     angle = math.radians(ANGLE_DEG)
-    lab = named_reality("lab")
-    task = TurnTask(hand="allegro_hand", objects=OBJECT, angle=angle, reality=lab)
+    lab = named_errors("lab")
+    task = TurnTask(hand="allegro_hand", objects=OBJECT, angle=angle, error_model=lab)
     plan = Plans(task, folder)(0)
     rng, _ = np_random(11)
     rng.integers(1)
@@ -184,7 +184,7 @@ def test_it_is_registered_and_makes_vectors(folder: Path) -> None:
         ({"senses": "object_pose"}, r"give a list of names: \['object_pose'\]"),
         ({"rate_hz": 0.0}, "rate_hz is 0.0; give"),
         ({"angle_deg": 0.0}, "the turn is 0 degrees"),
-        ({"reality": "moon"}, "no reality is called 'moon'"),
+        ({"error_model": "moon"}, "no error model is called 'moon'"),
         ({"objects": "cylinder:0.04..0.03x0.1"}, "ends below its beginning"),
     ],
 )

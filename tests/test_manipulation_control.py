@@ -31,7 +31,7 @@ from sim.manipulation import (
 from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.in_hand import AnyTurningController
 from sim.manipulation.simulation import Reading
-from sim.sensing.reality import REALITIES
+from sim.sensing.errors import ERROR_MODELS
 from sim.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("coarse_steps")
@@ -291,7 +291,7 @@ def test_the_deviation_that_is_read_is_that_about_the_axis(
     axis = np.array(about)
     recorder: Any = None  # knows the truth, which is not asked
     assert Reading(Simulation(plan.grasp), recorder, axis).deviation() == 0.0
-    simulation = Simulation(plan.grasp, reality=REALITIES["lab"])
+    simulation = Simulation(plan.grasp, error_model=ERROR_MODELS["lab"])
     assert simulation.estimator is not None
     tell = simulation.estimator.step
     wide = np.diag([1.0, 1.0, 1.0, 0.01**2, 0.02**2, 0.03**2])

@@ -47,9 +47,9 @@ from sim.scan import Calibration, DepthCamera, DepthNoise
 from sim.scene.build import Truth
 from sim.scene.carrier import Timeline
 from sim.scene.physics import PhysicsOptions
+from sim.sensing.errors import ErrorModel
 from sim.sensing.estimation.filter import ContactNoise
 from sim.sensing.estimation.state import SensorErrors
-from sim.sensing.reality import Reality
 from sim.trial import TrialOptions
 from sim.verdict import DropCriteria, Thresholds
 
@@ -59,7 +59,7 @@ POSITIVE, NOT_NEGATIVE, SIGNED, SHARE = "> 0", ">= 0", "any", "0 to 1"
 POSITIVE_OR_INFINITE = "> 0, inf"
 
 POLICY = PolicyFor(
-    hand="h", joints=(), actuators=(), fingers=(), objects="box", angle_deg=90.0, reality="lab"
+    hand="h", joints=(), actuators=(), fingers=(), objects="box", angle_deg=90.0, error_model="lab"
 )
 ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
     (Neighbourhood(), {"": NOT_NEGATIVE}),
@@ -124,7 +124,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
     (Settings(), {"random": NOT_NEGATIVE, "": POSITIVE}),
     (TrialOptions(), {"record_every": POSITIVE}),
     (Safety(), {"joint_margin": NOT_NEGATIVE, "": POSITIVE}),
-    (Reality(), {"drift_time": POSITIVE, "seed": "", "": NOT_NEGATIVE}),
+    (ErrorModel(), {"drift_time": POSITIVE, "seed": "", "": NOT_NEGATIVE}),
     (
         Draws(),
         {

@@ -13,11 +13,11 @@ from sim.controllers.hand_dynamics import ContactForceLimit
 from sim.controllers.joint_stops import StopCorrection
 from sim.report import TrialReport
 from sim.scene.carrier import Timeline
-from sim.sensing.reality import REALITIES
+from sim.sensing.errors import ERROR_MODELS
 from sim.trial import simulate
 
 QUICK = Timeline(hold=0.5)
-OFFSETS = REALITIES["rough"].only("encoder_offset")  # 3 degrees
+OFFSETS = ERROR_MODELS["rough"].only("encoder_offset")  # 3 degrees
 SEED = 201
 """A draw in which closed stops of the Shadow-type hand are read as open."""
 
@@ -28,7 +28,7 @@ def plan(plan_of: PlanOf) -> GraspPlan:
 
 
 def held(plan: GraspPlan, controller: str, seed: int = SEED) -> TrialReport:
-    return simulate(plan, controller=controller, reality=OFFSETS.seeded(seed), timeline=QUICK)
+    return simulate(plan, controller=controller, error_model=OFFSETS.seeded(seed), timeline=QUICK)
 
 
 @pytest.mark.parametrize("controller", ["feedforward", "impedance"])

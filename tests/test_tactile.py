@@ -24,7 +24,7 @@ from planner.spatial import FloatArray
 from sim import simulate
 from sim.controllers import PHASES, Observation
 from sim.scene.carrier import Timeline
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.sensing.touch import (
     TOUCH_SENSES,
     ContactEstimator,
@@ -431,7 +431,7 @@ def run(simulation: Simulation, **seconds: float) -> None:
 
 def held(plan: GraspPlan, touch: str, seconds: float = 0.3) -> tuple[Observation, Observation]:
     """What a sense says while the object is held, and the truth, at the end."""
-    simulation = Simulation(plan, reality=Reality(name="touch", touch=touch, seed=3))
+    simulation = Simulation(plan, error_model=ErrorModel(name="touch", touch=touch, seed=3))
     run(simulation, approach=0.3, close=0.6, squeeze=0.4, settle=seconds)
     truth = simulation.observe("settle", 1.0)
     return simulation.sensed(truth), truth
@@ -476,20 +476,20 @@ def test_effort_and_binary_say_that_all_fingers_touch_and_roughly_where(plan: Gr
 def test_every_controller_holds_with_every_sense(
     plan: GraspPlan, touch: str, controller: str
 ) -> None:
-    reality = Reality(name="t", touch=touch)
-    report = simulate(plan, controller=controller, timeline=BRIEF, reality=reality)
+    error_model = ErrorModel(name="t", touch=touch)
+    report = simulate(plan, controller=controller, timeline=BRIEF, error_model=error_model)
     assert report.success, report.verdict
-    assert report.reality is not None and report.reality["touch"] == touch
+    assert report.error_model is not None and report.error_model["touch"] == touch
 
 
-def touches_in_the_air(plan: GraspPlan, reality: Reality, told: bool = True) -> int:
+def touches_in_the_air(plan: GraspPlan, error_model: ErrorModel, told: bool = True) -> int:
     """How often effort feels something before anything is touched."""
-    simulation = Simulation(plan, reality=reality)
-    real = simulation.reality
+    simulation = Simulation(plan, error_model=error_model)
+    real = simulation.error_model
     assert real is not None
     if not told:
         context = TouchContext(
-            scene=simulation.scene, data=simulation.data, plan=plan, seed=reality.seed
+            scene=simulation.scene, data=simulation.data, plan=plan, seed=error_model.seed
         )
         real._touch = make_sense("effort", context)
     count = 0
@@ -503,17 +503,17 @@ def touches_in_the_air(plan: GraspPlan, reality: Reality, told: bool = True) -> 
 
 @pytest.mark.slow
 def test_the_friction_of_joints_is_no_touch_for_effort(plan: GraspPlan) -> None:
-    stiff = Reality(name="stiff", touch="effort", dry_friction=0.02)
+    stiff = ErrorModel(name="stiff", touch="effort", dry_friction=0.02)
     known, unknown = (touches_in_the_air(plan, stiff, told) for told in (True, False))
     assert known < 0.1 * unknown
 
 
 @pytest.mark.slow
 def test_the_exact_sense_changes_nothing(plan: GraspPlan) -> None:
-    assert Reality(name="t", touch="exact").ideal
+    assert ErrorModel(name="t", touch="exact").ideal
     ideal, same = (
-        simulate(plan, reality=reality, timeline=Timeline.quick(lift=0.2, hold=0.2))
-        for reality in (None, Reality(name="t", touch="exact"))
+        simulate(plan, error_model=error_model, timeline=Timeline.quick(lift=0.2, hold=0.2))
+        for error_model in (None, ErrorModel(name="t", touch="exact"))
     )
     assert (ideal.samples.normal_force == same.samples.normal_force).all()
 
@@ -529,7 +529,7 @@ def test_the_same_seed_gives_the_same_images(
 
 def test_an_unknown_sense_is_refused_with_those_there_are() -> None:
     with pytest.raises(NotFoundError, match="binary"):
-        Reality(touch="vision")
+        ErrorModel(touch="vision")
     with pytest.raises(TaskError, match="already"):
         register_touch("taxels", ExactSense)
     assert set(TOUCH_SENSES) == {"exact", "taxels", "effort", "binary"}
@@ -538,10 +538,10 @@ def test_an_unknown_sense_is_refused_with_those_there_are() -> None:
 @pytest.mark.slow
 def test_a_reading_of_four_pads_calls_few_functions(plan: GraspPlan) -> None:
     """``python -m benchmarks touch`` times it, in microseconds per step of the simulation."""
-    simulation = Simulation(plan, reality=Reality(name="t", touch="taxels"))
+    simulation = Simulation(plan, error_model=ErrorModel(name="t", touch="taxels"))
     run(simulation, approach=0.3, close=0.6, squeeze=0.2)
-    assert simulation.reality is not None
-    sense, truth = simulation.reality.touch, simulation.observe("squeeze", 1.0)
+    assert simulation.error_model is not None
+    sense, truth = simulation.error_model.touch, simulation.observe("squeeze", 1.0)
     assert sense is not None
     sense.read(truth)  # builds what it keeps
     readings = [replace(truth, time=truth.time + 0.002 * (k + 1)) for k in range(20)]

@@ -19,7 +19,7 @@ from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT
 from sim.scan import scan, write_scan
 from sim.scene.build import OBJECT, TABLE, Truth
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation
 from sim.trial import simulate
 
@@ -84,7 +84,7 @@ def test_two_truths_are_refused(plan: GraspPlan) -> None:
     wrongs: tuple[dict[str, Any], ...] = ({"object_size": 0.1}, {"object_center": 0.1})
     for wrong in wrongs:
         with pytest.raises(TaskError, match="a truth tells"):
-            Simulation(plan, truth=truth, reality=replace(Reality(name="other"), **wrong))
+            Simulation(plan, truth=truth, error_model=replace(ErrorModel(name="other"), **wrong))
 
 
 def test_a_cloud_takes_no_options_of_an_object(tmp_path: Path) -> None:

@@ -312,7 +312,7 @@ def test_what_two_hands_cannot_do_is_refused_by_name(pair: Hand, plan: GraspPlan
     with refused("a motion takes one hand, and two_allegro_hands is two"):
         check_task(plan.task, 1e-3, 0)
     with refused("a trial with sensor errors takes one hand"):
-        simulate(plan, reality="lab")
+        simulate(plan, error_model="lab")
     assert "is two" in unsuitable_for_dexgraspbench(pair)
     assert "is two" in unsuitable_for_drake(pair)
 

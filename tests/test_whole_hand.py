@@ -247,7 +247,7 @@ def test_what_is_known_of_fingertips_alone_is_not_claimed_of_links(plan: GraspPl
     bound = bound_nearby(plan, np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0]))
     assert bound.factor == np.inf and "links" in bound.reason
     with pytest.raises(TaskError, match="takes fingertips alone, and thumb_distal"):
-        simulate(plan, reality="lab")
+        simulate(plan, error_model="lab")
     with pytest.raises(TaskError, match="the closed loop takes fingertips alone"):
         simulate(plan, controller="impedance")
     with pytest.raises(TaskError, match="a motion takes fingertips alone"):

@@ -14,11 +14,11 @@ from sim.cli.common import check_films, err, out, say, tell
 from sim.cli.options import (
     ArrowsOption,
     ControllerOption,
+    ErrorModelOption,
+    ErrorSeedOption,
     EstimateOption,
     PadsOption,
     PhysicsOption,
-    RealityOption,
-    RealitySeedOption,
     SimMuOption,
     VerboseOption,
     VideoOption,
@@ -63,16 +63,16 @@ def controller_of(name: str) -> Any:
     return named_driver(name)
 
 
-def reality_of(
+def error_model_of(
     text: str, seed: int | None = None, pads: str | None = None, *, draws: bool = False
 ) -> Any:
-    """Reality as ``--reality``, ``--reality-seed`` and ``--pads`` give it.
+    """ErrorModel as ``--error-model``, ``--error-seed`` and ``--pads`` give it.
 
     Args:
         text: Name of a preset, or a file.
-        seed: Of what is drawn; that of the reality if None.
-        pads: Sense of touch; that of the reality if None.
-        draws: Whether something is drawn without ``--reality`` too.
+        seed: Of what is drawn; that of the error model if None.
+        pads: Sense of touch; that of the error model if None.
+        draws: Whether something is drawn without ``--error-model`` too.
 
     Raises:
         NotFoundError: There is none of that name, or no such sense of touch.
@@ -80,16 +80,16 @@ def reality_of(
         TaskError: A field that there is not, a value out of range, or a seed of nothing.
     """
     from planner.errors import TaskError
-    from sim.sensing.reality import REALITIES
+    from sim.sensing.errors import ERROR_MODELS
 
-    found = REALITIES.given(text)
+    found = ERROR_MODELS.given(text)
     found = found if pads is None else replace(found, touch=pads)
     if seed is None:
         return found
     if found.ideal and not draws:
         raise TaskError(
-            f"--reality-seed {seed} seeds errors, and the reality {found.name!r} has none; give "
-            "--reality lab, rough or a file, or leave the seed out"
+            f"--error-seed {seed} seeds errors, and the error model {found.name!r} has none; give "
+            "--error-model lab, rough or a file, or leave the seed out"
         )
     return found.seeded(seed)
 
@@ -113,8 +113,8 @@ class ExecutionOptions:
 
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
-    reality: RealityOption = "ideal"
-    reality_seed: RealitySeedOption = None
+    error_model: ErrorModelOption = "ideal"
+    error_seed: ErrorSeedOption = None
     estimate: EstimateOption = None
     pads: PadsOption = None
     controller: ControllerOption = "feedforward"
@@ -123,7 +123,7 @@ class ExecutionOptions:
     arrows: ArrowsOption = False
 
     def parts(self, *, draws: bool = False) -> dict[str, Any]:
-        """Arguments of an execution: controller, physics, reality and estimator.
+        """Arguments of an execution: controller, physics, error model and estimator.
 
         Raises:
             PlannerError: One of them that there is not.
@@ -131,7 +131,9 @@ class ExecutionOptions:
         return {
             "controller": controller_of(self.controller),
             "physics": physics_of(self.physics, self.sim_mu),
-            "reality": reality_of(self.reality, self.reality_seed, self.pads, draws=draws),
+            "error_model": error_model_of(
+                self.error_model, self.error_seed, self.pads, draws=draws
+            ),
             "estimator": estimate_of(self.estimate),
         }
 
@@ -155,22 +157,22 @@ class ExecutionOptions:
         about = controller_of(self.controller).policy.about
         about.check(load_hand(hand) if isinstance(hand, str) else hand)
         physics = physics_of(self.physics, self.sim_mu)
-        reality = reality_of(self.reality, pads=self.pads)
-        if beyond := about.outside_training(item(), degrees, physics, reality):
+        error_model = error_model_of(self.error_model, pads=self.pads)
+        if beyond := about.outside_training(item(), degrees, physics, error_model):
             say(err, escape(beyond))
 
     def reckoned(self, request: Any) -> Any:
-        """A request that reckons with the encoders of the reality, unless it says how far off.
+        """A request that reckons with the encoders of the error model, unless it says how far off.
 
         Args:
             request: Options of planning, with ``joint_error``.
 
         Raises:
-            PlannerError: See ``reality_of``.
+            PlannerError: See ``error_model_of``.
         """
         if request.joint_error is not None:
             return request
-        offset = reality_of(self.reality).encoder_offset
+        offset = error_model_of(self.error_model).encoder_offset
         return replace(request, joint_error=math.degrees(offset))
 
 

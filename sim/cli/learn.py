@@ -22,12 +22,12 @@ from sim.cli.common import (
     tell,
     told_command,
 )
-from sim.cli.execution import physics_of, reality_of
+from sim.cli.execution import error_model_of, physics_of
 from sim.cli.options import (
+    ErrorModelOption,
     HandArgument,
     JsonOption,
     PhysicsOption,
-    RealityOption,
     SeedOption,
     argument,
     command,
@@ -69,7 +69,7 @@ def learn(
     asked: CourseOptions,
     seed: SeedOption = 0,
     physics: PhysicsOption = "ours",
-    reality: RealityOption = "lab",
+    error_model: ErrorModelOption = "lab",
     as_json: JsonOption = False,
 ) -> None:
     """Learn to turn objects in the hand without a camera.
@@ -86,7 +86,7 @@ def learn(
         hand=hand,
         objects=objects,
         angle=math.radians(rotate),
-        reality=reality_of(reality),
+        error_model=error_model_of(error_model),
         physics=physics_of(physics),
         seed=seed,
     )
@@ -106,7 +106,7 @@ def learn(
     out.print(_table(told))
     tell(
         f"written to {folder}: policy.npz, progress.csv, curves.png",
-        f"to use it: opposable manipulate {hand} OBJECT --rotate {rotate:g} --reality {reality} "
+        f"to use it: opposable manipulate {hand} OBJECT --rotate {rotate:g} --error-model {error_model} "
         f"--controller policy:{folder / 'policy.npz'}",
     )
 

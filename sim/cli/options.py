@@ -84,7 +84,7 @@ JointErrorOption = Annotated[
     float | None,
     option(
         "Standard deviation of the encoders' errors, for which fingers get room; that of "
-        "--reality if not given.",
+        "--error-model if not given.",
         "DEG",
         GRIP,
         min=0.0,
@@ -138,8 +138,10 @@ PhysicsOption = Annotated[
         "ours, mujoco-default, menagerie, dexgraspbench, or a TOML or JSON file.", "NAME", TRIAL
     ),
 ]
-RealityOption = Annotated[str, option("Errors: ideal, lab, rough, or a file.", "NAME", TRIAL)]
-RealitySeedOption = Annotated[int | None, option("Of what --reality draws; 0.", "N", TRIAL, min=0)]
+ErrorModelOption = Annotated[str, option("Errors: ideal, lab, rough, or a file.", "NAME", TRIAL)]
+ErrorSeedOption = Annotated[
+    int | None, option("Of what --error-model draws; 0.", "N", TRIAL, min=0)
+]
 EstimateOption = Annotated[
     str | None, option("Object's pose by: all, touch, contact, none.", "NAME", TRIAL)
 ]

@@ -57,7 +57,7 @@ OF_HOLD = {"picture", "truth", "view", "arrows", "verbose"}
 OF_CREEP = {"budget"}
 OF_TRIALS = {"only", "workers", "pages", "seed"}
 OF_EXECUTION = {
-    *("sim_mu", "reality", "reality_seed", "estimate", "pads", "controller"),
+    *("sim_mu", "error_model", "error_seed", "estimate", "pads", "controller"),
     *("video", "output"),
 }
 """Parameters that mean something for some protocols alone: for ``hold``, for ``creep``, for those
@@ -93,7 +93,7 @@ def test(
     protocol: Annotated[
         str,
         option(
-            "hold, creep, dexgraspbench, forces, shake, robust, drake, reality, pushes, or all.",
+            "hold, creep, dexgraspbench, forces, shake, robust, drake, errors, pushes, or all.",
             "NAME",
         ),
     ] = HOLD,
@@ -130,7 +130,7 @@ def test(
 
     The protocol "hold" executes a plan and judges whether the object is held. "creep" measures how
     fast a held object creeps and tries what would slow it; by default in MuJoCo's own physics.
-    "all" leaves out hold, creep, reality (of lab), pushes, drake
+    "all" leaves out hold, creep, errors (of lab), pushes, drake
     (pip install "opposable\[drake]"), and what a hand cannot take.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
@@ -305,7 +305,7 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
     if asked.pages not in PAGES:  # bad input ends here
         raise NotFoundError("choice of pages", asked.pages, PAGES)
     # the protocol draws from the errors of a laboratory where none are named
-    parts = options.parts(draws=asked.protocol == "reality")
+    parts = options.parts(draws=asked.protocol == "errors")
     film = options.video
     ending = "" if film is None else film.suffix or f".{film}"
     check_video(f"film{ending}" if ending else None)

@@ -1,7 +1,7 @@
 """``TurnEnv``: an object is picked up and turned in the hand, as a Gymnasium environment.
 
     import gymnasium
-    env = gymnasium.make("sim.learning.environment:Opposable/Turn-v0", reality="lab")
+    env = gymnasium.make("sim.learning.environment:Opposable/Turn-v0", error_model="lab")
 
 An episode is one ``ManipulationRun``, the very protocol by which turns are judged, with its phases
 and its verdict. It waits for an action ``rate_hz`` times a second from the squeeze to the release;
@@ -53,7 +53,7 @@ from sim.learning.policy import RATE_HZ
 from sim.learning.trials import Conditions, Plans, TurnTask
 from sim.manipulation import ManipulationReport, ManipulationRun
 from sim.scene.physics import PhysicsOptions
-from sim.sensing.reality import named_reality
+from sim.sensing.errors import named_errors
 
 ENVIRONMENT = "Opposable/Turn-v0"
 """Name under which it is registered when this module is imported."""
@@ -91,7 +91,7 @@ class TurnEnv(gymnasium.Env[SenseData, NDArray[Any]]):
         hand: str = "allegro_hand",
         objects: str = "cylinder:0.025..0.035x0.08",
         angle_deg: float = 90.0,
-        reality: str = "ideal",
+        error_model: str = "ideal",
         senses: Sequence[str] = (),
         action: str = "playback",
         rate_hz: float = RATE_HZ,
@@ -106,7 +106,7 @@ class TurnEnv(gymnasium.Env[SenseData, NDArray[Any]]):
             hand: Name or path of the hand; its actuators must be position servos.
             objects: Objects as ``sim.learning.ObjectRange`` takes them.
             angle_deg: Turn about the vertical that is asked for, degrees.
-            reality: Name of the errors of sensors, drives and object.
+            error_model: Name of the errors of sensors, drives and object.
             senses: More senses, of ``object_pose``.
             action: What an action means: playback, increment or absolute.
             rate_hz: Actions per second.
@@ -116,7 +116,7 @@ class TurnEnv(gymnasium.Env[SenseData, NDArray[Any]]):
             render_mode: None: films are drawn by ``opposable manipulate --controller``.
 
         Raises:
-            NotFoundError: No such hand, reality, sense or meaning of an action.
+            NotFoundError: No such hand, error model, sense or meaning of an action.
             TaskError: A number that is not positive, or senses that are no list.
         """
         if action not in ACTIONS:
@@ -141,7 +141,7 @@ class TurnEnv(gymnasium.Env[SenseData, NDArray[Any]]):
             hand=hand,
             objects=objects,
             angle=math.radians(angle_deg),
-            reality=named_reality(reality),
+            error_model=named_errors(error_model),
             seed=seed,
         )
         self._plans = _shared_plans(self.task, None if folder is None else Path(folder))
@@ -211,7 +211,7 @@ class TurnEnv(gymnasium.Env[SenseData, NDArray[Any]]):
                 return self._observation(), about
         raise TaskError(
             f"{REDRAWS} trials of {self.task.objects} ended before the first action; give another "
-            "object or a milder reality"
+            "object or a milder error model"
         )
 
     def step(self, action: NDArray[Any]) -> tuple[SenseData, float, bool, bool, dict[str, Any]]:

@@ -29,8 +29,8 @@ from planner.version import written_by
 from sim.learning.senses import AIM, SENSES, ObjectRange, SenseHistory, checked_senses
 from sim.learning.trials import FRICTION, MASS
 from sim.scene.physics import PhysicsOptions
+from sim.sensing.errors import ErrorModel
 from sim.sensing.estimation import NONE
-from sim.sensing.reality import Reality
 
 POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 3
 """What a file says it is, and the version of its contents. Version 1 had no ``estimator``; 2 did
@@ -50,7 +50,7 @@ SAME_TURN = 0.01
 """Turns (degrees) that differ by less are the same."""
 
 RATES = ("command_rate", "pose_rate", "touch_rate")
-"""Numbers of a reality that are worse if they are smaller; 0 is every time step."""
+"""Numbers of an error model that are worse if they are smaller; 0 is every time step."""
 
 MOST_NAMED = 3
 """Errors that a warning names; the others are counted."""
@@ -67,7 +67,7 @@ class PolicyFor:
         fingers: Its fingers, in order.
         objects: Objects that it was trained on, a dimension ``a..b`` is a range in m.
         angle_deg: Turn that it was trained on, degrees.
-        reality: Name of the reality in which it was trained.
+        error_model: Name of the error model in which it was trained.
         errors: Its numbers and its sense of touch by their fields; empty if a file does not tell.
         physics: Numbers of the physics, friction aside; empty if a file does not tell.
         mass: Least and largest mass of the object, kg.
@@ -87,7 +87,7 @@ class PolicyFor:
     fingers: tuple[str, ...]
     objects: str
     angle_deg: float
-    reality: str
+    error_model: str
     errors: Mapping[str, Any] = field(default_factory=dict)
     physics: Mapping[str, Any] = field(default_factory=dict)
     mass: tuple[float, float] = MASS
@@ -143,7 +143,7 @@ class PolicyFor:
         item: GraspObject,
         angle_deg: float | None,
         physics: PhysicsOptions | None = None,
-        reality: Reality | None = None,
+        error_model: ErrorModel | None = None,
     ) -> str:
         """In one line what it was not trained for, "" if there is nothing.
 
@@ -152,7 +152,7 @@ class PolicyFor:
             angle_deg: Turn about the vertical that is asked for, degrees; None for a movement of
                 another kind, or none.
             physics: How MuJoCo computes, with the friction; not looked at if None.
-            reality: Errors of sensors, drives and object; not looked at if None.
+            error_model: Errors of sensors, drives and object; not looked at if None.
         """
         beyond = []
         if not ObjectRange(self.objects).holds(item):
@@ -167,7 +167,7 @@ class PolicyFor:
             beyond.append(f"the friction is {physics.mu:g} ({_range(self.friction)})")
         if physics is not None and self.physics and self.physics != physics_numbers(physics):
             beyond.append(f"the physics is {physics.label}")
-        larger = [] if reality is None else self._larger_errors(reality)
+        larger = [] if error_model is None else self._larger_errors(error_model)
         if larger:
             more = len(larger) - MOST_NAMED
             named = ", ".join(larger[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
@@ -181,19 +181,19 @@ class PolicyFor:
             f"{listed}: expect less of it"
         )
 
-    def _larger_errors(self, reality: Reality) -> list[str]:
-        """Errors of a reality that are larger than any that it was trained with, by name."""
+    def _larger_errors(self, error_model: ErrorModel) -> list[str]:
+        """Errors of an error model that are larger than any that it was trained with, by name."""
         if not self.errors:
-            known = reality.ideal or reality.name == self.reality
-            return [] if known else [f"those of {reality.name}, as far as is known"]
+            known = error_model.ideal or error_model.name == self.error_model
+            return [] if known else [f"those of {error_model.name}, as far as is known"]
         worse = [
             f"{name} {value:g}"
-            for name, value in reality.numbers.items()
+            for name, value in error_model.numbers.items()
             if name != "drift_time" and _worse(name, value, self.errors.get(name, 0.0))
         ]
-        exact = Reality().touch
-        if reality.touch not in (exact, self.errors.get("touch", exact)):
-            worse.append(f"touch by {reality.touch}")
+        exact = ErrorModel().touch
+        if error_model.touch not in (exact, self.errors.get("touch", exact)):
+            worse.append(f"touch by {error_model.touch}")
         return worse
 
 
@@ -350,9 +350,9 @@ def physics_numbers(physics: PhysicsOptions) -> dict[str, Any]:
     return {k: v for k, v in physics.to_dict().items() if k not in ("name", "mu")}
 
 
-def error_numbers(reality: Reality) -> dict[str, Any]:
+def error_numbers(error_model: ErrorModel) -> dict[str, Any]:
     """What a policy's file says of the errors it was trained with."""
-    return {**reality.numbers, "touch": reality.touch}
+    return {**error_model.numbers, "touch": error_model.touch}
 
 
 def _worse(name: str, now: float, trained: float) -> bool:

@@ -469,8 +469,8 @@ def learn(
         plans.hand,
         objects=task.objects,
         angle_deg=float(np.rad2deg(task.angle)),
-        reality=task.reality.name,
-        errors=error_numbers(task.reality),
+        error_model=task.error_model.name,
+        errors=error_numbers(task.error_model),
         physics=physics_numbers(task.physics),
         rate_hz=RATE_HZ,
         senses=checked_senses(course.senses),
@@ -516,11 +516,11 @@ def _begin(task: TurnTask, course: Course, folder: Path) -> None:
     Raises:
         FileFormatError: It was not, or it cannot be made.
     """
-    physics, reality = task.physics.to_dict(), task.reality.to_dict()
+    physics, error_model = task.physics.to_dict(), task.error_model.to_dict()
     request = {
         "format": LEARN_FORMAT,
         "version": LEARN_VERSION,
-        "task": asdict(task) | {"physics": physics, "reality": reality},
+        "task": asdict(task) | {"physics": physics, "error_model": error_model},
         "course": asdict(course) | {"senses": list(checked_senses(course.senses))},
     }
     file = folder / "learn.json"

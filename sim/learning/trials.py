@@ -33,7 +33,7 @@ from sim.learning.senses import ObjectRange
 from sim.manipulation import ManipulationRun, Push, rests, settled
 from sim.manipulation.in_hand import AnyTurningController
 from sim.scene.physics import PhysicsOptions
-from sim.sensing.reality import IDEAL, REALITIES, Reality
+from sim.sensing.errors import ERROR_MODELS, IDEAL, ErrorModel
 
 FRICTION, MASS = (0.5, 1.0), (0.05, 0.3)
 """True sliding friction (-) and mass (kg), as in ``benchmarks.conditions``."""
@@ -66,7 +66,7 @@ class TurnTask:
         hand: Name or path of the hand.
         objects: Objects; a dimension ``a..b`` is a range.
         angle: Turn about the vertical that is asked for, rad.
-        reality: Errors of sensors, drives and object.
+        error_model: Errors of sensors, drives and object.
         physics: How MuJoCo computes; friction is drawn.
         seed: Of plans.
     """
@@ -74,7 +74,7 @@ class TurnTask:
     hand: str
     objects: str
     angle: float = math.pi / 2
-    reality: Reality = REALITIES[IDEAL]
+    error_model: ErrorModel = ERROR_MODELS[IDEAL]
     physics: PhysicsOptions = field(default_factory=PhysicsOptions)
     seed: int = 0
 
@@ -106,7 +106,7 @@ class Conditions:
         heading: The same of its heading, rad.
         push: Force of the push, x and y, N.
         push_after: Its beginning, s after the turn began.
-        seed: Of what the reality draws.
+        seed: Of what the error model draws.
     """
 
     mass: float
@@ -161,7 +161,7 @@ class Conditions:
             true_task=there,
             physics=replace(task.physics, mu=self.mu),
             push=Push(force=np.array([*self.push, 0.0]), after=self.push_after, duration=PUSH_TIME),
-            reality=task.reality.seeded(self.seed),
+            error_model=task.error_model.seeded(self.seed),
         )
 
 
@@ -217,7 +217,7 @@ class Plans:
         for k in range(TRIES):
             item = parse_object(sizes.at((GOLDEN * (number + k / TRIES)) % 1.0), mass=MASS[1])
             task = manipulation_task(self.hand, item, mu=BELIEVED_MU)
-            believed = settled(replace(task, joint_error=self.task.reality.encoder_offset))
+            believed = settled(replace(task, joint_error=self.task.error_model.encoder_offset))
             seed = PLAN_SEEDS + TRIES * (self.task.seed + number) + k
             try:
                 plan = plan_manipulation(believed, angle=self.task.angle, seed=seed, rests=rests)

@@ -30,6 +30,7 @@ from sim.show.parts import (
     bare_scene,
     command_plot,
     cone_plot,
+    error_blocks,
     event_marks,
     events_block,
     facts_of,
@@ -41,7 +42,6 @@ from sim.show.parts import (
     plan_blocks,
     quality_plot,
     quality_rows,
-    reality_blocks,
     shown,
     source_blocks,
     task_of_plan,
@@ -279,7 +279,7 @@ def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
     if report.made_backwards_because:
         text = f"Made backwards before it was put down: {report.made_backwards_because}."
         blocks.append(Sentence(text=text))
-    blocks += [*reality_blocks(report.reality), PlotsHere(), *pressure_blocks(report.reality)]
+    blocks += [*error_blocks(report.error_model), PlotsHere(), *pressure_blocks(report.error_model)]
     for part in parts:
         blocks += _phases(part)
     numbers = dict(report.numbers)

@@ -25,7 +25,7 @@ from sim.manipulation.timeline import (
     short_of,
 )
 from sim.report import ExecutionReport
-from sim.screen import reality_lines
+from sim.screen import error_lines
 from sim.verdict import Fault, first_collision, lost
 
 
@@ -207,7 +207,7 @@ class ManipulationReport(ExecutionReport):
             lines += [f"normal forces, largest mean over 20 ms {limit}:"]
             lines += [f"  {force}" for force in self.forces]
         lines += [f"controller: {line}" for line in event_lines(self.events)]
-        lines += reality_lines(self.reality)
+        lines += error_lines(self.error_model)
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])
 

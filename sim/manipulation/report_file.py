@@ -80,7 +80,7 @@ class ManipulationReportFile(ExecutionFile):
 def read_manipulation_report(path: Path | str) -> ManipulationReportFile:
     """Read a report of a manipulation, from its JSON file or out of its page.
 
-    Files of versions 1 and 2 are read too: they have no reality, those of version 1 neither plan
+    Files of versions 1 and 2 are read too: they have no error model, those of version 1 neither plan
     nor recording.
 
     Raises:

@@ -207,7 +207,7 @@ class ManipulationRun:
             force_limit=self._force_limit,
             events=simulation.events,
             physics=simulation.scene.physics.to_dict(),
-            reality=simulation.senses(),
+            error_model=simulation.senses(),
             pictures={},
             picture_reason="",
         )
@@ -256,7 +256,7 @@ def manipulate(
             the hand from where it let go to where it begins anew is not simulated.
         view: Show it in MuJoCo's viewer, in real time.
         changes: Fields of ``ManipulationOptions`` by name: ``controller="impedance"``,
-            ``true_task``, ``physics``, ``timeline``, ``criteria``, ``push``, ``reality``,
+            ``true_task``, ``physics``, ``timeline``, ``criteria``, ``push``, ``error_model``,
             ``estimator``.
 
     Raises:

@@ -4,7 +4,7 @@
 
 What a robot decides by is read here: whether a turn is made, where the hand must carry the object,
 which fingers may be lifted. What a run is judged by is the truth (``ManipulationRecorder``).
-Without a reality both are the same, to the last bit.
+Without an error model both are the same, to the last bit.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from sim.manipulation.timeline import (
     SuccessCriteria,
 )
 from sim.scene.physics import AnyPhysics
+from sim.sensing.errors import AnyErrorModel
 from sim.sensing.estimation import AnyEstimator
-from sim.sensing.reality import AnyReality
 from sim.simulation import Simulation
 from sim.verdict import DropCriteria, lost
 
@@ -76,7 +76,7 @@ class ManipulationKeywords(TypedDict, total=False):
     timeline: ManipulationTimeline | None
     criteria: SuccessCriteria | None
     push: Push | None
-    reality: AnyReality | None
+    error_model: AnyErrorModel | None
     estimator: AnyEstimator | None
 
 
@@ -93,7 +93,7 @@ class ManipulationOptions:
         timeline: Durations.
         criteria: Where phases fail.
         push: A disturbance during the turn.
-        reality: Errors of sensors, drives and object that the plan does not know; none if None.
+        error_model: Errors of sensors, drives and object that the plan does not know; none if None.
         estimator: What tells the controller where the object is: a name, or what makes one; see
             ``sim.simulation.Simulation``.
     """
@@ -104,7 +104,7 @@ class ManipulationOptions:
     timeline: ManipulationTimeline = field(default_factory=ManipulationTimeline)
     criteria: SuccessCriteria = field(default_factory=SuccessCriteria)
     push: Push | None = None
-    reality: AnyReality | None = None
+    error_model: AnyErrorModel | None = None
     estimator: AnyEstimator | None = None
 
     def __post_init__(self) -> None:
@@ -161,7 +161,7 @@ class ManipulationSim:
             replace(grasp, task=there),
             physics=options.physics,
             controller=self.driver,
-            reality=options.reality,
+            error_model=options.error_model,
             estimator=options.estimator or getattr(holding, "estimator", None),
         )
         self.mover = mover_of(grasp, self.simulation.scene)

@@ -4,7 +4,7 @@
 ``forces``         gravity from six sides, then forces and torques that grow until it is lost
 ``shake``          the gantry shaken in six degrees of freedom
 ``robust``         another mass, friction and object pose than planned
-``reality``        sensors, drives and object off, drawn anew (``sim.sensing.reality``)
+``errors``        sensors, drives and object off, drawn anew (``sim.sensing.errors``)
 ``pushes``         held for a minute under random pushes
 ``drake``          the exported scene held and pushed in another engine, if that is installed
 

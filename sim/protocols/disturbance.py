@@ -32,8 +32,8 @@ from sim.recording import Recording, Samples
 from sim.scene.build import Scene
 from sim.scene.carrier import Carrier, Timeline
 from sim.scene.physics import PhysicsOptions
+from sim.sensing.errors import AnyErrorModel, ErrorModel
 from sim.sensing.estimation import AnyEstimator
-from sim.sensing.reality import AnyReality, Reality
 from sim.simulation import Simulation
 from sim.trial import felt_by, run_grasp_phase
 from sim.verdict import DropCriteria, Fault, Reason, lost, put_down_to_actuators
@@ -80,7 +80,7 @@ class DisturbanceTrial:
         timeline: Timeline = GRIP,
         scene: Scene | None = None,
         carrier: Carrier | None = None,
-        reality: AnyReality | None = None,
+        error_model: AnyErrorModel | None = None,
         estimator: AnyEstimator | None = None,
     ) -> None:
         """Put the hand, fingers open, where it grasps.
@@ -93,7 +93,7 @@ class DisturbanceTrial:
             timeline: Durations up to the hold.
             scene: Another scene than that of the plan's task in the air.
             carrier: What carries the hand in it.
-            reality: Errors of sensors, drives and object that the plan does not know; none if None.
+            error_model: Errors of sensors, drives and object that the plan does not know; none if None.
             estimator: What tells the controller where the object is; see ``Simulation``.
 
         Raises:
@@ -111,7 +111,7 @@ class DisturbanceTrial:
             carrier=carrier,
             q=plan.q_pregrasp,
             T_world_base=plan.T_world_base,
-            reality=reality,
+            error_model=error_model,
             estimator=estimator,
         )
         self.simulation.carrier = _Still(self.simulation.carrier)
@@ -128,7 +128,7 @@ class DisturbanceTrial:
         conditions: Conditions,
         plan: GraspPlan,
         settings: Settings,
-        reality: Reality | None = None,
+        error_model: ErrorModel | None = None,
     ) -> DisturbanceTrial:
         """A trial of a plan under the conditions of a run.
 
@@ -136,13 +136,13 @@ class DisturbanceTrial:
             conditions: Of the run.
             plan: What to execute, and what the controller is made from.
             settings: Say when the object is lost.
-            reality: Errors of this trial; those of all trials if None.
+            error_model: Errors of this trial; those of all trials if None.
         """
         return cls(
             plan,
             controller=conditions.controller(plan),
             physics=conditions.physics,
-            reality=conditions.reality if reality is None else reality,
+            error_model=conditions.error_model if error_model is None else error_model,
             estimator=conditions.estimator,
             dropped=settings.dropped,
         )
@@ -316,7 +316,7 @@ class Settings:
         friction_factors: Of the friction in simulation (-).
         pose_errors: How far the object is from where the plan has it, pairs of mm and degrees, in a
             random direction each.
-        realities: Draws of the protocol ``reality``.
+        error_draws: Draws of the protocol ``errors``.
         pushes: Holds of the protocol ``pushes``.
         pushes_s: Duration of each, s.
         push_load: Of the object's weight under 9.81 m/s2, the strongest push (-).
@@ -336,7 +336,7 @@ class Settings:
     mass_factors: tuple[float, ...] = (0.5, 1.0, 2.0)
     friction_factors: tuple[float, ...] = (0.7, 1.0, 1.3)
     pose_errors: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.5, 2.5), (5.0, 5.0))
-    realities: int = 10
+    error_draws: int = 10
     pushes: int = 3
     pushes_s: float = 60.0
     push_load: float = 1.5
@@ -348,7 +348,7 @@ class Settings:
         check_fields(self, numbers, above=0.0)
         check_fields(self, ("growth",), above=1.0)
         check_fields(self, ("random",))
-        check_fields(self, ("realities", "pushes"), least=1)
+        check_fields(self, ("error_draws", "pushes"), least=1)
         if not self.mass_factors or not self.friction_factors:
             raise TaskError("there are no factors of mass or friction; give at least one of each")
         for errors in self.pose_errors:

@@ -21,8 +21,8 @@ from planner.spatial import FloatArray
 from sim.controllers import Event, MakeController
 from sim.recording import Recording, Samples
 from sim.scene.physics import PhysicsOptions
+from sim.sensing.errors import ErrorModel
 from sim.sensing.estimation import AnyEstimator
-from sim.sensing.reality import Reality
 from sim.verdict import Fault, Reason
 
 
@@ -183,14 +183,14 @@ class Conditions:
     Attributes:
         physics: How MuJoCo computes.
         controller: Makes what drives the hand, out of the plan.
-        reality: Errors of sensors, drives and object; those of ``dexgraspbench`` and ``drake`` are
+        error_model: Errors of sensors, drives and object; those of ``dexgraspbench`` and ``drake`` are
             exact whatever it is.
         estimator: What tells the controller where the object is; see ``Simulation``.
     """
 
     physics: PhysicsOptions
     controller: MakeController
-    reality: Reality = field(default_factory=Reality)
+    error_model: ErrorModel = field(default_factory=ErrorModel)
     estimator: AnyEstimator | None = None
 
 

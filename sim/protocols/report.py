@@ -19,8 +19,8 @@ from planner.arrays import finite
 from planner.errors import FileFormatError
 from planner.version import written_by
 from sim.protocols.outcome import Outcome
-from sim.screen import Report, number, percent, reality_lines
-from sim.sensing.reality import drawn_text
+from sim.screen import Report, error_lines, number, percent
+from sim.sensing.errors import drawn_text
 from sim.tables import table
 
 PROTOCOL_VERSION = 2
@@ -183,7 +183,7 @@ class ProtocolReport(Report):
                 f"{p['cone']} cones, impratio {p['impratio']:g}, noslip {p['noslip_iterations']}, "
                 f"friction {p['friction']:g} and {p['torsional_friction_m']:g} m)"
             )
-        yield from (Text(line) for line in self._reality_lines())
+        yield from (Text(line) for line in self._error_lines())
         if s["of"]:
             other = s["held_by_another_grasp"]
             note = f", {other} of them by another grasp than was planned" if other else ""
@@ -207,14 +207,14 @@ class ProtocolReport(Report):
                 f"[bold red]contradiction:[/] {escape(name)}: more than is proven {NEARBY}"
             )
 
-    def _reality_lines(self) -> list[str]:
+    def _error_lines(self) -> list[str]:
         """Which errors there were, and what was drawn of them in all trials; none of exact ones."""
         estimator = self.settings.get("estimator", "none")
-        if "reality" not in self.settings:
+        if "error_model" not in self.settings:
             return [] if estimator == "none" else [f"estimator: {estimator}"]
-        told = {**self.settings["reality"], "estimator": estimator}
+        told = {**self.settings["error_model"], "estimator": estimator}
         drawn = drawn_text(o.conditions for o in self.outcomes)
-        return reality_lines(told | ({"drawn_in_words": drawn} if drawn else {}))
+        return error_lines(told | ({"drawn_in_words": drawn} if drawn else {}))
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data; what is not a finite number becomes None."""

@@ -41,13 +41,13 @@ from sim.protocols.forces import forces_cases
 from sim.protocols.outcome import Case, Conditions, Outcome
 from sim.protocols.report import ProtocolReport
 from sim.protocols.shake_pushes import on_an_arm, pushes_cases, shake_cases
-from sim.protocols.variations import reality_cases, robust_cases, with_errors
+from sim.protocols.variations import error_cases, robust_cases, with_errors
 from sim.recording import Samples
 from sim.runner import Runner, made_with
 from sim.scene.build import build_scene
 from sim.scene.physics import PRESETS, AnyPhysics, PhysicsOptions
+from sim.sensing.errors import ERROR_MODELS, AnyErrorModel, Drawn, drawn_numbers, drawn_text
 from sim.sensing.estimation import NONE, AnyEstimator, estimator_name
-from sim.sensing.reality import REALITIES, AnyReality, Drawn, drawn_numbers, drawn_text
 from sim.simulation import filmed
 from sim.verdict import Fault
 
@@ -78,7 +78,7 @@ class Protocol:
 
 PROTOCOLS: Registry[Protocol | MakeCases] = Registry("protocol", group="protocols")
 """Name -> protocol; installed packages bring more (``planner.system.plugins``). "drake", which
-needs another package, and "reality" and "pushes", which test the controller more than the grasp,
+needs another package, and "errors" and "pushes", which test the controller more than the grasp,
 are run by their names alone."""
 
 PROTOCOLS.update(
@@ -100,7 +100,7 @@ PROTOCOLS.update(
         unsuitable=lambda task: unsuitable_for_drake(task.hand),
         replayed=True,
     ),
-    reality=Protocol(cases=reality_cases, draws_anew=True),
+    errors=Protocol(cases=error_cases, draws_anew=True),
     pushes=Protocol(cases=pushes_cases, draws_anew=True),
 )
 
@@ -194,7 +194,7 @@ def run_protocol(
     controller: AnyController | None = None,
     physics: AnyPhysics | None = None,
     settings: Settings | None = None,
-    reality: AnyReality | None = None,
+    error_model: AnyErrorModel | None = None,
     estimator: AnyEstimator | None = None,
     seed: int = 0,
     workers: int = 1,
@@ -216,8 +216,8 @@ def run_protocol(
         physics: How MuJoCo computes, or the name of a preset; defaults if None. ``dexgraspbench``
             has its own, and ``drake`` takes the friction alone.
         settings: Numbers of the protocols; defaults if None.
-        reality: Errors of sensors, drives and object, or their name; none if None, or those of a
-            laboratory in the protocol ``reality``, which draws them anew for every trial.
+        error_model: Errors of sensors, drives and object, or their name; none if None, or those of a
+            laboratory in the protocol ``errors``, which draws them anew for every trial.
             ``dexgraspbench`` and ``drake`` have none.
         estimator: What tells the controller where the object is: a name, or what makes one; see
             ``sim.simulation.Simulation``.
@@ -255,10 +255,12 @@ def run_protocol(
         raise TaskError(reason)
     label = "replay" if about.replayed else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
-    reality = REALITIES.given(reality)
-    if protocol == "reality":
-        reality = with_errors(reality)  # the report then names what was drawn from
-    conditions = Conditions(physics=physics, controller=make, reality=reality, estimator=estimator)
+    error_model = ERROR_MODELS.given(error_model)
+    if protocol == "errors":
+        error_model = with_errors(error_model)  # the report then names what was drawn from
+    conditions = Conditions(
+        physics=physics, controller=make, error_model=error_model, estimator=estimator
+    )
     jobs = [
         _Job(plan=text, case=case, conditions=conditions, video=_film(video, case))
         for case in cases
@@ -284,12 +286,12 @@ def run_protocol(
         raise TaskError(f"no trial could be run: {outcomes[0].fault.detail}")
     task = plan.task
     own = {} if about.replayed else asdict(settings)
-    if not (about.replayed or reality.ideal):
-        own["reality"] = reality.to_dict()
+    if not (about.replayed or error_model.ideal):
+        own["error_model"] = error_model.to_dict()
         if not about.draws_anew:
-            drawn = drawn_numbers(Drawn.of(reality, plan.task.hand), plan.task.hand)
-            own["reality"]["drawn_in_words"] = drawn_text([drawn])
-    if not about.replayed and (used := estimator_name(estimator, reality)) != NONE:
+            drawn = drawn_numbers(Drawn.of(error_model, plan.task.hand), plan.task.hand)
+            own["error_model"]["drawn_in_words"] = drawn_text([drawn])
+    if not about.replayed and (used := estimator_name(estimator, error_model)) != NONE:
         own["estimator"] = used
     stated = drake_physics(physics.mu) if protocol == "drake" else physics_of(plan, physics)
     if protocol == "dexgraspbench":

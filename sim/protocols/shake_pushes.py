@@ -200,7 +200,7 @@ class PushesCase:
     """One hold.
 
     Attributes:
-        index: Its number; added to the reality's seed.
+        index: Its number; added to the error model's seed.
         settings: Duration, force and threshold.
         seed: Of the pushes, with the number.
     """
@@ -216,10 +216,10 @@ class PushesCase:
 
     def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
         """Grip, then hold on while it is pushed."""
-        settings, reality = self.settings, conditions.reality
-        drawn_anew = reality.seeded(reality.seed + self.index)
+        settings, error_model = self.settings, conditions.error_model
+        drawn_anew = error_model.seeded(error_model.seed + self.index)
         hold = DisturbanceTrial.under(conditions, plan, settings, drawn_anew)
-        drawn = hold.simulation.reality
+        drawn = hold.simulation.error_model
         strongest = -GRAVITY[2] * settings.push_load * plan.task.object.mass
         rng = np.random.default_rng([self.seed, self.index])
         pushes = drawn_pushes(settings.pushes_s, strongest, rng)

@@ -1,4 +1,4 @@
-"""Protocols ``robust`` and ``reality``: whole trials where things differ from what was planned.
+"""Protocols ``robust`` and ``errors``: whole trials where things differ from what was planned.
 
 ``robust``: the whole trial again with another mass, friction and object pose than planned.
 
@@ -7,9 +7,9 @@ controller knows nothing of that. On a table it is moved and turned on the table
 direction; without one in space. The verdict is that of every trial (``sim.verdict``): approach,
 closing, lift and hold.
 
-``reality``: the whole trial again and again, each time with other errors drawn.
+``errors``: the whole trial again and again, each time with other errors drawn.
 
-Sensors, drives and object are off as a ``Reality`` says, and neither plan nor controller knows how.
+Sensors, drives and object are off as a ``ErrorModel`` says, and neither plan nor controller knows how.
 The verdict is that of every trial (``sim.verdict``), on the truth.
 """
 
@@ -27,7 +27,7 @@ from sim.protocols.disturbance import Settings
 from sim.protocols.outcome import Case, Conditions, Outcome
 from sim.report import TrialReport
 from sim.scene.carrier import Timeline
-from sim.sensing.reality import LAB, Drawn, Reality, drawn_numbers
+from sim.sensing.errors import LAB, Drawn, ErrorModel, drawn_numbers
 from sim.sensing.touch import EXACT
 from sim.trial import TrialOptions, simulate
 
@@ -135,11 +135,11 @@ def _unit(rng: np.random.Generator) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealityCase:
+class ErrorsCase:
     """One draw.
 
     Attributes:
-        index: Number of the trial; added to the reality's seed.
+        index: Number of the trial; added to the error model's seed.
     """
 
     index: int
@@ -151,26 +151,26 @@ class RealityCase:
 
     def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
         """Execute it all."""
-        asked = with_errors(conditions.reality)
-        reality = asked.seeded(asked.seed + self.index)
-        report = simulate(plan, replace(_options(plan, conditions), reality=reality))
-        drawn = drawn_numbers(Drawn.of(reality, plan.task.hand), plan.task.hand)
-        return _outcome(self, report, {"reality_seed": reality.seed, **drawn})
+        asked = with_errors(conditions.error_model)
+        error_model = asked.seeded(asked.seed + self.index)
+        report = simulate(plan, replace(_options(plan, conditions), error_model=error_model))
+        drawn = drawn_numbers(Drawn.of(error_model, plan.task.hand), plan.task.hand)
+        return _outcome(self, report, {"error_seed": error_model.seed, **drawn})
 
 
-def with_errors(reality: Reality) -> Reality:
+def with_errors(error_model: ErrorModel) -> ErrorModel:
     """What the protocol draws from: a laboratory where no errors were asked for.
 
     Pads are no error: a sense of touch that was chosen is kept.
     """
-    if replace(reality, touch=EXACT).ideal:
-        return replace(LAB, touch=reality.touch, seed=reality.seed)
-    return reality
+    if replace(error_model, touch=EXACT).ideal:
+        return replace(LAB, touch=error_model.touch, seed=error_model.seed)
+    return error_model
 
 
-def reality_cases(settings: Settings, seed: int) -> tuple[RealityCase, ...]:
+def error_cases(settings: Settings, seed: int) -> tuple[ErrorsCase, ...]:
     """As many draws as the settings say."""
-    return tuple(RealityCase(index=k) for k in range(settings.realities))
+    return tuple(ErrorsCase(index=k) for k in range(settings.error_draws))
 
 
 def _options(plan: GraspPlan, conditions: Conditions) -> TrialOptions:
@@ -180,7 +180,7 @@ def _options(plan: GraspPlan, conditions: Conditions) -> TrialOptions:
         controller=conditions.controller(plan),
         timeline=Timeline.quick(),
         record_every=RECORD_EVERY,
-        reality=conditions.reality,
+        error_model=conditions.error_model,
         estimator=conditions.estimator,
     )
 

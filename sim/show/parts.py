@@ -25,7 +25,7 @@ from planner.task import GraspTask, Obstacle
 from sim.controllers.base import COMMANDED
 from sim.recording import Recording
 from sim.report_file import EventData
-from sim.screen import reality_lines
+from sim.screen import error_lines
 
 DIGITS = 3
 """Significant digits of a number."""
@@ -135,9 +135,9 @@ def physics_blocks(
     return (Heading(text="Simulation"), Facts(rows=(*first, *rows)), every)
 
 
-def reality_blocks(reality: Mapping[str, Any] | None) -> tuple[Block, ...]:
+def error_blocks(error_model: Mapping[str, Any] | None) -> tuple[Block, ...]:
     """Which errors the trial had, and what was drawn of them; nothing where there were none."""
-    lines = reality_lines(reality)
+    lines = error_lines(error_model)
     return tuple(Sentence(text=f"{line[:1].upper()}{line[1:]}.") for line in lines)
 
 

@@ -1,6 +1,6 @@
 """``trial_page``: a trial as a page: what happened, why, and the motion.
 
-``pressure_blocks`` shows what taxels felt, as a picture per finger, from the ``reality`` of a
+``pressure_blocks`` shows what taxels felt, as a picture per finger, from the ``error_model`` of a
 report; trials without taxels have nothing to show.
 """
 
@@ -39,6 +39,7 @@ from sim.show.parts import (
     column,
     command_plot,
     cone_plot,
+    error_blocks,
     event_marks,
     events_block,
     facts_of,
@@ -53,7 +54,6 @@ from sim.show.parts import (
     plan_file,
     quality_plot,
     quality_rows,
-    reality_blocks,
     shown,
     source_blocks,
     task_of_plan,
@@ -70,9 +70,9 @@ LEAST_ARROW = 0.02
 """Shear (N) of a taxel from which on an arrow shows it."""
 
 
-def pressure_blocks(reality: Mapping[str, Any] | None) -> list[Block]:
+def pressure_blocks(error_model: Mapping[str, Any] | None) -> list[Block]:
     """Heading and picture of what taxels felt; nothing where there were none."""
-    felt = None if reality is None else reality.get("felt")
+    felt = None if error_model is None else error_model.get("felt")
     if not felt:
         return []
     source = b64encode(pressure_svg(felt).encode()).decode()
@@ -301,8 +301,8 @@ def _summary(report: ReportFile, plan: PlanFile | None, stage: Moving | None) ->
     if report.remedies:
         blocks.append(Sentence(text="Each of these keeps the object from creeping:"))
         blocks += [Sentence(text=remedy) for remedy in report.remedies]
-    blocks += [*reality_blocks(report.reality), PlotsHere()]
-    blocks += [*pressure_blocks(report.reality), *_comparison(report)]
+    blocks += [*error_blocks(report.error_model), PlotsHere()]
+    blocks += [*pressure_blocks(report.error_model), *_comparison(report)]
     blocks += events_block(report.events)
     rows = [("hand", report.hand), ("object", report.object), ("mass", shown(report.mass_kg, "kg"))]
     blocks += [Heading(text="Task")]

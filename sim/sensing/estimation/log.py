@@ -3,7 +3,7 @@
 It is called with the simulation after every time step::
 
     log = EstimateLog()
-    simulate(plan, reality=REALITIES["lab"], on_step=log)
+    simulate(plan, error_model=ERROR_MODELS["lab"], on_step=log)
     log.write_csv("errors.csv")
     log.draw("errors.png")
 """

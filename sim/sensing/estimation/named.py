@@ -18,9 +18,9 @@ from planner.errors import NotFoundError, TaskError, shown
 from planner.registry import Registry
 from planner.task import GraspTask
 from sim.controllers import Event, Observation
+from sim.sensing.errors import ErrorModel
 from sim.sensing.estimation.estimator import ObjectEstimator
 from sim.sensing.estimation.state import SensorErrors
-from sim.sensing.reality import Reality
 
 NONE = "none"
 """Name of no estimator: the controller reads the sensors themselves."""
@@ -94,19 +94,19 @@ register_estimator("touch", "joints and pads; no camera once the hand closes")(
 )
 
 
-def default_estimator(reality: Reality | None) -> str:
+def default_estimator(error_model: ErrorModel | None) -> str:
     """Name of the estimator where none is asked for.
 
     It is the one with all senses where the pose that is read has errors: a controller that acts on
     each pose by itself multiplies their noise by its stiffness. An exact pose needs none.
     """
-    return "all" if reality is not None and reality.has_pose_errors else NONE
+    return "all" if error_model is not None and error_model.has_pose_errors else NONE
 
 
-def estimator_name(estimator: AnyEstimator | None, reality: Reality | None) -> str:
+def estimator_name(estimator: AnyEstimator | None, error_model: ErrorModel | None) -> str:
     """What reports call the estimator of a trial."""
     if estimator is None:
-        return default_estimator(reality)
+        return default_estimator(error_model)
     if isinstance(estimator, str):
         return estimator
     return str(getattr(estimator, "__name__", type(estimator).__name__))
@@ -123,7 +123,7 @@ def check_estimator(name: str) -> None:
 
 
 def estimator_for(
-    task: GraspTask, estimator: AnyEstimator | None, reality: Reality | None
+    task: GraspTask, estimator: AnyEstimator | None, error_model: ErrorModel | None
 ) -> Estimator | None:
     """The estimator of a trial; None for none.
 
@@ -131,15 +131,15 @@ def estimator_for(
         task: What it is to believe.
         estimator: A name, or what makes one; if None, that with all senses where the
             pose that is read has errors, and none where it is exact.
-        reality: How large the errors of the senses are; their size is all that is told of it.
+        error_model: How large the errors of the senses are; their size is all that is told of it.
 
     Raises:
         NotFoundError: No estimator has that name.
         TaskError: It is none.
     """
     if estimator is None:
-        estimator = default_estimator(reality)
-    errors = SensorErrors.of(reality)
+        estimator = default_estimator(error_model)
+    errors = SensorErrors.of(error_model)
     if isinstance(estimator, str):
         if estimator == NONE:
             return None

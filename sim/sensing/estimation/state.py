@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from planner.arrays import check_fields
 from planner.spatial import SE3, FloatArray, skew
-from sim.sensing.reality import Reality
+from sim.sensing.errors import ErrorModel
 
 LEAST_CAMERA, LEAST_TURN = 2e-4, math.radians(0.2)
 """Least errors of a camera, m and rad, that an estimator believes: a better one would be believed
@@ -73,9 +73,9 @@ class SensorErrors:
         check_fields(self, what="sensor errors: ", least=0.0)
 
     @classmethod
-    def of(cls, reality: Reality | None) -> SensorErrors:
-        """What the data sheets of a reality say; those of no reality if None."""
-        r = reality or Reality()
+    def of(cls, error_model: ErrorModel | None) -> SensorErrors:
+        """What the data sheets of an error model say; those of no error model if None."""
+        r = error_model or ErrorModel()
         return cls(
             camera=max(LEAST_CAMERA, math.hypot(r.pose_noise, r.pose_bias)),
             camera_turn=max(LEAST_TURN, math.hypot(r.turn_noise, r.turn_bias)),

@@ -1,7 +1,7 @@
 """Senses of touch by name: what turns the truth of a step into what pads say.
 
 Each has a file and one registration. All give the same ``PadReading``, so that a controller or an
-estimator runs with any of them; ``Reality.touch`` names the one of a trial.
+estimator runs with any of them; ``ErrorModel.touch`` names the one of a trial.
 
     exact     MuJoCo's own contacts: force, place, normal and sliding without error
     taxels    arrays of taxels (``sim.sensing.touch.taxels``)

@@ -1,9 +1,9 @@
-"""``Reality``: how far a laboratory is from the world that planner and controller believe in.
+"""``ErrorModel``: how far a laboratory is from the world that planner and controller believe in.
 
 Without arguments there is no difference. Every error has a field of its own, and all of them are
-drawn from ``seed``, each from a stream of its own: ``sim.sensing.reality.drawn``. Sets of errors
+drawn from ``seed``, each from a stream of its own: ``sim.sensing.errors.drawn``. Sets of errors
 have names, those below and others that are registered; a file holds one too, TOML or JSON with
-fields of ``Reality`` under their names (``sim.presets``)::
+fields of ``ErrorModel`` under their names (``sim.presets``)::
 
     preset = "lab"
     encoder_offset = 0.035  # rad
@@ -22,7 +22,7 @@ from sim.controllers.readings import EXACT
 from sim.presets import Presets
 
 IDEAL = "ideal"
-"""Name of the reality without errors."""
+"""Name of the error model without errors."""
 
 BELOW_ONE = (
     "encoder_scale",
@@ -37,7 +37,7 @@ BELOW_ONE = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reality:
+class ErrorModel:
     """What sensors, drives and object have for errors; each 0 unless given.
 
     "Standard deviation" means a normal distribution, "at most" a uniform one about 0. The joints
@@ -128,22 +128,22 @@ class Reality:
     def __post_init__(self) -> None:
         """Check every number."""
         if not (isinstance(self.seed, int) and self.seed >= 0) or isinstance(self.seed, bool):
-            raise TaskError(f"reality: seed is {shown(self.seed)}; give an integer >= 0")
+            raise TaskError(f"error_model: seed is {shown(self.seed)}; give an integer >= 0")
         if not (isinstance(self.name, str) and self.name):
-            raise TaskError(f"reality: name is {shown(self.name)}; give a text")
+            raise TaskError(f"error_model: name is {shown(self.name)}; give a text")
         if self.touch != EXACT:
             from sim.sensing.touch import check_touch
 
             check_touch(self.touch)
         given: dict[str, Any] = dict(self.numbers)  # dataclasses check no types
         for name, value in given.items():
-            checked_number(f"reality: {name}", value, least=0.0, error=TaskError)
+            checked_number(f"error_model: {name}", value, least=0.0, error=TaskError)
             if name in BELOW_ONE and value >= 1:
-                raise TaskError(f"reality: {name} is {value}; give a share in [0, 1)")
+                raise TaskError(f"error_model: {name} is {value}; give a share in [0, 1)")
         if self.drift_time == 0:
-            raise TaskError("reality: drift_time is 0; give a time in s above 0")
+            raise TaskError("error_model: drift_time is 0; give a time in s above 0")
         if self.dropout > 1:
-            raise TaskError(f"reality: dropout is {self.dropout}; give a probability in [0, 1]")
+            raise TaskError(f"error_model: dropout is {self.dropout}; give a probability in [0, 1]")
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -162,11 +162,11 @@ class Reality:
         """Whether the object's pose, as it is read, is not the one of now."""
         return any(self.numbers[name] for name in POSE_ERRORS)
 
-    def seeded(self, seed: int) -> Reality:
+    def seeded(self, seed: int) -> ErrorModel:
         """The same with another seed."""
         return replace(self, seed=seed)
 
-    def only(self, *names: str) -> Reality:
+    def only(self, *names: str) -> ErrorModel:
         """The same with only some of its errors: to find which one does the harm.
 
         Args:
@@ -185,12 +185,12 @@ class Reality:
                     "it with dataclasses.replace"
                 )
             if name not in self.numbers:
-                raise NotFoundError("error of a reality", name, tuple(self.numbers))
+                raise NotFoundError("error of an error model", name, tuple(self.numbers))
         kept = {name: self.numbers[name] for name in (*names, "drift_time")}
         label = f"{self.name}: {', '.join(names)}"
-        return Reality(name=label, touch=self.touch, seed=self.seed, **kept)
+        return ErrorModel(name=label, touch=self.touch, seed=self.seed, **kept)
 
-    def sensed_exactly(self) -> Reality:
+    def sensed_exactly(self) -> ErrorModel:
         """The same world and drives with calibrated joints, and sensors without errors.
 
         What is left is drawn as before. It is the best that any estimator could do.
@@ -199,7 +199,7 @@ class Reality:
         exact: dict[str, Any] = dict.fromkeys(sensed, 0.0)
         return replace(self, name=f"{self.name}, sensed exactly", **exact)
 
-    def without_camera(self) -> Reality:
+    def without_camera(self) -> ErrorModel:
         """The same with a camera that sees the object once, when a trial begins."""
         return replace(self, name=f"{self.name}, no camera", dropout=1.0, dropout_time=FOREVER)
 
@@ -244,27 +244,27 @@ the joints."""
 FOREVER = 1e9
 """A time (s) that no trial lasts."""
 
-REALITIES = Presets("reality", Reality())
-"""Realities by their names; ``ideal`` has no error."""
+ERROR_MODELS = Presets("error model", ErrorModel())
+"""error models by their names; ``ideal`` has no error."""
 
-AnyReality: TypeAlias = Reality | str
-"""What is accepted as a reality: itself, the name of a preset, or the path of a file."""
+AnyErrorModel: TypeAlias = ErrorModel | str
+"""What is accepted as an error model: itself, the name of a preset, or the path of a file."""
 
-register_reality = REALITIES.register
+register_errors = ERROR_MODELS.register
 
 
-def named_reality(name: str, seed: int = 0) -> Reality:
-    """A registered reality with a seed.
+def named_errors(name: str, seed: int = 0) -> ErrorModel:
+    """A registered error model with a seed.
 
     Raises:
         NotFoundError: There is none of that name.
         TaskError: The seed is no integer >= 0.
     """
-    return REALITIES.named(name).seeded(seed)
+    return ERROR_MODELS.named(name).seeded(seed)
 
 
-LAB = REALITIES.register(
-    Reality(
+LAB = ERROR_MODELS.register(
+    ErrorModel(
         name="lab",
         encoder_offset=math.radians(1.0),
         encoder_noise=math.radians(0.05),
@@ -294,8 +294,8 @@ LAB = REALITIES.register(
 What is no calibration is taken from data sheets and papers; docs/how/sensors.md names them.
 """
 
-ROUGH = REALITIES.register(
-    Reality(
+ROUGH = ERROR_MODELS.register(
+    ErrorModel(
         name="rough",
         encoder_offset=math.radians(3.0),
         encoder_scale=0.01,

@@ -1,4 +1,4 @@
-"""``RealityOfTrial``: the reality of one trial, between a simulation and its controller.
+"""``TrialErrors``: the error model of one trial, between a simulation and its controller.
 
 truth -> read -> controller -> drive -> ctrl
 
@@ -49,27 +49,29 @@ from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation
 from sim.scene.build import HAND_PREFIX, OBJECT, Scene
-from sim.sensing.reality.drawn import Drawn, drawn_numbers, drawn_text, hand_actuators
-from sim.sensing.reality.errors import Reality
-from sim.sensing.reality.senses import RealSenses, encoder_error
+from sim.sensing.errors.drawn import Drawn, drawn_numbers, drawn_text, hand_actuators
+from sim.sensing.errors.model import ErrorModel
+from sim.sensing.errors.senses import RealSenses, encoder_error
 from sim.sensing.touch import TaxelSense, TouchContext, TouchSense, make_sense
 from sim.sensing.touch.layout import Delayed
 
 
-class RealityOfTrial:
+class TrialErrors:
     """Errors as drawn, with what applies them.
 
     Attributes:
-        reality: How large errors are.
+        error_model: How large errors are.
         drawn: What was drawn of them.
         task: What there is without errors.
     """
 
-    def __init__(self, reality: Reality, task: GraspTask, drawn: Drawn | None = None) -> None:
+    def __init__(
+        self, error_model: ErrorModel, task: GraspTask, drawn: Drawn | None = None
+    ) -> None:
         """Draw the errors of a trial.
 
         Args:
-            reality: How large they are.
+            error_model: How large they are.
             task: What there is without them.
             drawn: What stays the same, if it is not to be drawn: that of a report, say.
 
@@ -77,17 +79,17 @@ class RealityOfTrial:
             TaskError: Links or palm touch, of which nobody has sensors.
         """
         task.require_fingertips("a trial with sensor errors")
-        self.reality, self.task = reality, task
-        self.drawn = drawn or Drawn.of(reality, task.hand)
-        self._senses = RealSenses(reality, self.drawn, task)
-        self._drive = RealDrive(reality, self.drawn, task.hand.actuation)
+        self.error_model, self.task = error_model, task
+        self.drawn = drawn or Drawn.of(error_model, task.hand)
+        self._senses = RealSenses(error_model, self.drawn, task)
+        self._drive = RealDrive(error_model, self.drawn, task.hand.actuation)
         self._touch: TouchSense | None = None
         self._last: Observation | None = None
 
     @property
     def change(self) -> Callable[[Any], None]:
         """Changes a scene's specification to what there really is; for ``build_scene``."""
-        return change_world(self.reality, self.drawn, self.task)
+        return change_world(self.error_model, self.drawn, self.task)
 
     def attach_touch(self, scene: Scene, data: Any, plan: GraspPlan) -> None:
         """Feel touch in a scene from now on.
@@ -101,10 +103,10 @@ class RealityOfTrial:
             scene=scene,
             data=data,
             plan=plan,
-            seed=self.reality.seed,
-            dry_friction=self.reality.dry_friction,
+            seed=self.error_model.seed,
+            dry_friction=self.error_model.dry_friction,
         )
-        self._touch = make_sense(self.reality.touch, context)
+        self._touch = make_sense(self.error_model.touch, context)
 
     def place(self, scene: Scene, data: Any) -> None:
         """Let the object, larger or smaller than believed, stand on what carries it."""
@@ -134,16 +136,16 @@ class RealityOfTrial:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """What was drawn as few numbers; see ``sim.sensing.reality.drawn_numbers``."""
+        """What was drawn as few numbers; see ``sim.sensing.errors.drawn_numbers``."""
         return drawn_numbers(self.drawn, self.task.hand)
 
     def to_dict(self) -> dict[str, Any]:
-        """The reality's fields, what was drawn, and what taxels felt ("felt"), as plain data.
+        """The error model's fields, what was drawn, and what taxels felt ("felt"), as plain data.
 
         "drawn_in_words" is a line for people, "" if nothing was drawn that lasts.
         """
         data = {
-            **self.reality.to_dict(),
+            **self.error_model.to_dict(),
             "drawn": self.drawn.to_dict(),
             "drawn_in_words": drawn_text([self.numbers]),
         }
@@ -157,18 +159,18 @@ SIDES, TILT, WITHIN = 32, 0.01, 0.9
 is read off the support function, and the share (-) of it that the centre of mass stays within."""
 
 
-def change_world(reality: Reality, drawn: Drawn, task: GraspTask) -> Callable[[Any], None]:
+def change_world(error_model: ErrorModel, drawn: Drawn, task: GraspTask) -> Callable[[Any], None]:
     """What changes the ``mujoco.MjSpec`` of a task's scene to what there really is.
 
     Args:
-        reality: Its errors.
+        error_model: Its errors.
         drawn: What was drawn of them.
         task: As it is believed.
     """
 
     def change(spec: Any) -> None:
         _change_object(spec, drawn, task)
-        _change_hand(spec, reality.dry_friction, drawn, task)
+        _change_hand(spec, error_model.dry_friction, drawn, task)
 
     return change
 
@@ -239,18 +241,20 @@ def _change_hand(spec: Any, dry_friction: float, drawn: Drawn, task: GraspTask) 
 class RealDrive:
     """Commands to ctrl; call ``drive`` once a time step."""
 
-    def __init__(self, reality: Reality, drawn: Drawn, actuation: Actuation) -> None:
+    def __init__(self, error_model: ErrorModel, drawn: Drawn, actuation: Actuation) -> None:
         """Nothing has been commanded yet."""
-        self._reality, self._drawn = reality, drawn
+        self._error_model, self._drawn = error_model, drawn
         self._low, self._high = actuation.ctrl_range.T
         servo = -actuation.bias[:, 1] / actuation.gain
         self._shift = servo[:, None] * actuation.moment
         self._actuation, self._servo = actuation, servo
         widest = np.abs(actuation.moment).max(axis=1, initial=0.0)
-        self._half_band = 0.5 * reality.backlash * widest * (servo > 0)
+        self._half_band = 0.5 * error_model.backlash * widest * (servo > 0)
         self._ahead: FloatArray = np.zeros(actuation.moment.shape[1])
         self._to_joints = np.linalg.pinv(actuation.moment * (servo > 0)[:, None])
-        self._commands: Delayed[FloatArray] = Delayed(reality.command_rate, reality.command_delay)
+        self._commands: Delayed[FloatArray] = Delayed(
+            error_model.command_rate, error_model.command_delay
+        )
 
     def drive(self, time: float, commands: FloatArray, q: FloatArray) -> FloatArray:
         """What the actuators do at a time (s): ctrl (nu,).

@@ -33,15 +33,15 @@ from planner.errors import HandError, NotFoundError, PlannerError, TaskError
 from planner.motion.manipulation import ManipulationPlan
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
-from sim.cli.execution import reality_of
+from sim.cli.execution import error_model_of
 from sim.cli.options import names
 from sim.manipulation import ManipulationReport
 from sim.protocols.disturbance import Settings
 from sim.protocols.outcome import Conditions
 from sim.protocols.shake_pushes import PushesCase
 from sim.scene.physics import PhysicsOptions
+from sim.sensing.errors import ErrorModel
 from sim.sensing.estimation import EstimateLog
-from sim.sensing.reality import Reality
 from sim.tables import Row
 from sim.trial import simulate
 
@@ -107,16 +107,16 @@ class ComparedTask:
     Attributes:
         about: What is tried and what counts, in one line.
         objects: Which take turns.
-        plan: Plans a trial: hand, object, seed, and the reality, of which it knows how well joints
+        plan: Plans a trial: hand, object, seed, and the error model, of which it knows how well joints
             are calibrated; raises ``PlannerError`` where there is no plan.
-        execute: Executes a plan: hand, object, seed, plan, loop, reality with its seed. The row has
+        execute: Executes a plan: hand, object, seed, plan, loop, error model with its seed. The row has
             "success", and "reason", the class of what went wrong, "" if nothing did.
     """
 
     about: str
     objects: tuple[str, ...]
-    plan: Callable[[str, str, int, Reality], Any] = field(repr=False)
-    execute: Callable[[str, str, int, Any, Loop, Reality], Row] = field(repr=False)
+    plan: Callable[[str, str, int, ErrorModel], Any] = field(repr=False)
+    execute: Callable[[str, str, int, Any, Loop, ErrorModel], Row] = field(repr=False)
 
     def only(self, objects: Sequence[str]) -> tuple[str, ...]:
         """Those of its objects that are named, or all if none are.
@@ -130,15 +130,17 @@ class ComparedTask:
         return tuple(name for name in self.objects if not objects or name in objects)
 
 
-def _plan_grasp(hand: str, kind: str, seed: int, reality: Reality) -> GraspPlan:
-    task = task_of(hand, kind, Setting(joint_error=reality.encoder_offset))
+def _plan_grasp(hand: str, kind: str, seed: int, error_model: ErrorModel) -> GraspPlan:
+    task = task_of(hand, kind, Setting(joint_error=error_model.encoder_offset))
     return plan_grasp(task, seed=seed)
 
 
-def _hold(hand: str, kind: str, seed: int, plan: GraspPlan, loop: Loop, reality: Reality) -> Row:
+def _hold(
+    hand: str, kind: str, seed: int, plan: GraspPlan, loop: Loop, error_model: ErrorModel
+) -> Row:
     del hand, kind, seed
     report = simulate(
-        plan, controller=loop.holding(plan), reality=reality, estimator=loop.estimator
+        plan, controller=loop.holding(plan), error_model=error_model, estimator=loop.estimator
     )
     slip_mm, slip_deg = report.largest_slip
     return {
@@ -150,7 +152,7 @@ def _hold(hand: str, kind: str, seed: int, plan: GraspPlan, loop: Loop, reality:
     }
 
 
-def _turn(hand: str, kind: str, seed: int, reality: Reality) -> Turn:
+def _turn(hand: str, kind: str, seed: int, error_model: ErrorModel) -> Turn:
     """The trial ``seed`` of ``manipulate --seed 0``, so that both measure the same ones."""
     return Turn(
         hand=hand,
@@ -160,19 +162,19 @@ def _turn(hand: str, kind: str, seed: int, reality: Reality) -> Turn:
         fingers=None,
         stand=0.0,
         seed=0,
-        reality=reality,
+        error_model=error_model,
     )
 
 
-def _plan_turn(hand: str, kind: str, seed: int, reality: Reality) -> ManipulationPlan:
-    turn = _turn(hand, kind, seed, reality)
+def _plan_turn(hand: str, kind: str, seed: int, error_model: ErrorModel) -> ManipulationPlan:
+    turn = _turn(hand, kind, seed, error_model)
     return plan_turn(turn, believed(turn))
 
 
 def _execute_turn(
-    hand: str, kind: str, seed: int, plan: ManipulationPlan, loop: Loop, reality: Reality
+    hand: str, kind: str, seed: int, plan: ManipulationPlan, loop: Loop, error_model: ErrorModel
 ) -> Row:
-    turn = replace(_turn(hand, kind, seed, reality), estimator=loop.estimator)
+    turn = replace(_turn(hand, kind, seed, error_model), estimator=loop.estimator)
     estimate = EstimateLog()
     report = execute_turn(turn, plan, loop.turning, on_step=estimate)
     numbers = report.numbers()
@@ -202,13 +204,15 @@ def _estimated(log: EstimateLog) -> Row:
     }
 
 
-def _pushed(hand: str, kind: str, seed: int, plan: GraspPlan, loop: Loop, reality: Reality) -> Row:
+def _pushed(
+    hand: str, kind: str, seed: int, plan: GraspPlan, loop: Loop, error_model: ErrorModel
+) -> Row:
     del hand, kind
     case = PushesCase(index=0, settings=Settings(), seed=seed)
     conditions = Conditions(
         physics=PhysicsOptions(),
         controller=loop.holding,
-        reality=reality,
+        error_model=error_model,
         estimator=loop.estimator,
     )
     outcome = case.run(plan, conditions)
@@ -250,12 +254,12 @@ TASKS: Mapping[str, ComparedTask] = MappingProxyType(
 
 @dataclass(frozen=True, kw_only=True)
 class Options(HandOptions):
-    """Trials of every hand, task, reality and loop."""
+    """Trials of every hand, task, error model and loop."""
 
     tasks: Annotated[
         str, typer.Option(help="Comma separated: hold, turn, pushes (a minute each).")
     ] = "hold,turn"
-    realities: Annotated[
+    error_models: Annotated[
         str, typer.Option(help="Comma separated: ideal, lab, rough, or TOML or JSON files.")
     ] = "ideal,lab,rough"
     loops: Annotated[
@@ -275,13 +279,15 @@ def cases(options: Options) -> Iterator[Row]:
 
     Raises:
         NotFoundError: A hand, a task, a loop or an object of a task that does not exist.
-        TaskError: A loop that cannot run here, two realities of one name, or nothing that is asked
+        TaskError: A loop that cannot run here, two error models of one name, or nothing that is asked
             for can be done.
     """
-    realities = {r: r.name for r in map(reality_of, names(options.realities))}
-    for name, count in Counter(realities.values()).items():
+    error_models = {r: r.name for r in map(error_model_of, names(options.error_models))}
+    for name, count in Counter(error_models.values()).items():
         if count > 1:
-            raise TaskError(f"{count} realities are called {name!r}; give each a name of its own")
+            raise TaskError(
+                f"{count} error models are called {name!r}; give each a name of its own"
+            )
     usual = [name for name, loop in LOOPS.items() if loop.usual and not loop.why_not()]
     loops = [named_loop(name) for name in (names(options.loops) if options.loops else usual)]
     tasks = known("task", options.tasks, list(TASKS))
@@ -298,27 +304,27 @@ def cases(options: Options) -> Iterator[Row]:
             objects = TASKS[task].only(only)
             draw = options.seed + k // len(objects)
             for hand in options.hand_names:
-                for reality, name in realities.items():
+                for error_model, name in error_models.items():
                     for loop in loops:
                         if loop.does(task):
                             of_ = {"task": task, "under": name, "loop": loop.name, "hand": hand}
                             what = {"object": objects[k % len(objects)], "draw": draw}
                             run = {"driver": loop.driver, "estimator": loop.estimator}
-                            yield {**of_, **what, **run, "reality": reality}
+                            yield {**of_, **what, **run, "error_model": error_model}
 
 
 def measure(case: Row) -> Row:
     """Plan and execute one trial of one loop."""
-    task, loop, reality = TASKS[case["task"]], named_loop(case["loop"]), case["reality"]
+    task, loop, error_model = TASKS[case["task"]], named_loop(case["loop"]), case["error_model"]
     hand, item, draw = case["hand"], case["object"], case["draw"]
-    # realities with the same encoders have the same plans
-    encoders = Reality(encoder_offset=reality.encoder_offset)
+    # error models with the same encoders have the same plans
+    encoders = ErrorModel(encoder_offset=error_model.encoder_offset)
     plan, planning_cpu_s = _planned(case["task"], hand, item, draw, encoders)
     row: Row = {"planning_cpu_s": planning_cpu_s, "planned": not isinstance(plan, str)}
     if isinstance(plan, str):
         return row | {"success": False, "reason": "no plan", "detail": plan}
     begin = time.process_time()
-    told = loop.told(reality).seeded(draw)
+    told = loop.told(error_model).seeded(draw)
     try:
         came = task.execute(hand, item, draw, plan, loop, told)
     except HandError as error:  # a policy of another hand
@@ -327,7 +333,7 @@ def measure(case: Row) -> Row:
 
 
 @lru_cache(maxsize=2)
-def _planned(task: str, hand: str, item: str, draw: int, encoders: Reality) -> tuple[Any, float]:
+def _planned(task: str, hand: str, item: str, draw: int, encoders: ErrorModel) -> tuple[Any, float]:
     """A plan, or why there is none, and its CPU time, s; made once for the loops that follow."""
     begin = time.process_time()
     try:
@@ -349,9 +355,9 @@ def tables(result: Row) -> Iterator[Row | str]:
             columns = {loop.name: _rate(loop.name) for loop in loops}
             several = len({row["hand"] for row in mine}) > 1
             totals = [(None, "all")] if several else []
-            heads = {"under": "reality", "hand": "hand"}
+            heads = {"under": "error model", "hand": "hand"}
             yield summary(f"{title} of Wilson", mine, heads, columns, totals)
-    by = {"task": "task", "under": "reality", "loop": "loop"}
+    by = {"task": "task", "under": "error model", "loop": "loop"}
     yield summary(
         "reasons of failures, counted",
         [row for row in rows if row["reason"]],

@@ -1,4 +1,4 @@
-"""Reality against answers on paper: offsets, delays, rates, noise; nothing else changes."""
+"""ErrorModel against answers on paper: offsets, delays, rates, noise; nothing else changes."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ from sim.report_file import read_report, write_report
 from sim.scene.build import build_scene
 from sim.scene.carrier import Timeline
 from sim.scene.physics import PhysicsOptions
-from sim.sensing.reality import (
-    REALITIES,
+from sim.sensing.errors import (
+    ERROR_MODELS,
     Drawn,
-    Reality,
-    RealityOfTrial,
-    named_reality,
-    register_reality,
+    ErrorModel,
+    TrialErrors,
+    named_errors,
+    register_errors,
 )
-from sim.sensing.reality.drawn import stream
-from sim.sensing.reality.senses import Drift, RealSenses
-from sim.sensing.reality.trial import RealDrive, center_offset
+from sim.sensing.errors.drawn import stream
+from sim.sensing.errors.senses import Drift, RealSenses
+from sim.sensing.errors.trial import RealDrive, center_offset
 from sim.simulation import Simulation
 from sim.trial import Trial, simulate
 
 DT = 0.002
 SHORT = Timeline.quick(approach=0.2, lift=0.3, hold=0.3)
-ERRORS = [name for name in Reality().numbers if name != "drift_time"]
+ERRORS = [name for name in ErrorModel().numbers if name != "drift_time"]
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +63,15 @@ def task(plan: GraspPlan) -> GraspTask:
     return plan.task
 
 
-def changed(reality: Reality, name: str, value: float) -> Reality:
+def changed(error_model: ErrorModel, name: str, value: float) -> ErrorModel:
     """With another number in a field."""
     values: dict[str, Any] = {name: value}
-    return replace(reality, **values)
+    return replace(error_model, **values)
 
 
 def nothing(task: GraspTask, **values: Any) -> Drawn:
     """Draws that are all nominal but those given."""
-    return replace(Drawn.of(Reality(), task.hand), **values)
+    return replace(Drawn.of(ErrorModel(), task.hand), **values)
 
 
 def seen(time: float, x: float = 0.0, *, phase: Phase = "hold", **other: Any) -> Observation:
@@ -92,9 +92,9 @@ def seen(time: float, x: float = 0.0, *, phase: Phase = "hold", **other: Any) ->
 
 
 def test_ideal_has_no_error_and_every_other_preset_has() -> None:
-    assert list(REALITIES) == ["ideal", "lab", "rough"]
-    assert [name for name, reality in REALITIES.items() if reality.ideal] == ["ideal"]
-    lab, rough = REALITIES["lab"].numbers, REALITIES["rough"].numbers
+    assert list(ERROR_MODELS) == ["ideal", "lab", "rough"]
+    assert [name for name, error_model in ERROR_MODELS.items() if error_model.ideal] == ["ideal"]
+    lab, rough = ERROR_MODELS["lab"].numbers, ERROR_MODELS["rough"].numbers
     rates = {"pose_rate", "touch_rate", "command_rate"}
     assert all(rough[name] >= lab[name] for name in ERRORS if name not in rates)
     assert all(0 < rough[name] <= lab[name] for name in rates)
@@ -102,7 +102,7 @@ def test_ideal_has_no_error_and_every_other_preset_has() -> None:
 
 def test_same_seed_same_draws(task: GraspTask) -> None:
     one, again, other = (
-        Drawn.of(named_reality("rough", seed), task.hand).to_dict() for seed in (3, 3, 4)
+        Drawn.of(named_errors("rough", seed), task.hand).to_dict() for seed in (3, 3, 4)
     )
     assert one == again
     undrawn = {name for name in one if not any(np.ravel(one[name]))}
@@ -121,7 +121,7 @@ allegro_of_draws = cache(partial(load_hand, "allegro_hand"))
 )
 @settings(deadline=None)  # the first example builds the hand
 def test_an_error_leaves_the_draws_of_the_others(name: str, value: float, seed: int) -> None:
-    hand, first = allegro_of_draws(), replace(REALITIES["rough"], seed=seed)
+    hand, first = allegro_of_draws(), replace(ERROR_MODELS["rough"], seed=seed)
     before = Drawn.of(first, hand).to_dict()
     after = Drawn.of(changed(first, name, value), hand).to_dict()
     own = name.removeprefix("object_")
@@ -129,12 +129,12 @@ def test_an_error_leaves_the_draws_of_the_others(name: str, value: float, seed: 
         k: v for k, v in after.items() if k != own
     }
     if own in ("size", "mass", "friction"):
-        share = (before[own] - 1.0) / REALITIES["rough"].numbers[name]
+        share = (before[own] - 1.0) / ERROR_MODELS["rough"].numbers[name]
         assert after[own] - 1.0 == pytest.approx(value * share, abs=1e-12)
 
 
 def test_draws_have_the_distribution_that_is_said(task: GraspTask) -> None:
-    rough = REALITIES["rough"]
+    rough = ERROR_MODELS["rough"]
     drawn = [Drawn.of(rough.seeded(seed), task.hand) for seed in range(400)]
     offsets = np.array([d.encoder_offset for d in drawn])
     assert offsets.std() == pytest.approx(rough.encoder_offset, rel=0.03)
@@ -146,7 +146,7 @@ def test_draws_have_the_distribution_that_is_said(task: GraspTask) -> None:
 
 def test_an_arm_is_calibrated() -> None:
     hand = load_hand("allegro_on_arm7")
-    drawn = Drawn.of(REALITIES["rough"], hand)
+    drawn = Drawn.of(ERROR_MODELS["rough"], hand)
     own = np.setdiff1d(np.arange(hand.nq), hand.arm_index)
     assert len(hand.arm_index) > 0
     assert not drawn.encoder_offset[hand.arm_index].any()
@@ -157,40 +157,40 @@ def test_an_arm_is_calibrated() -> None:
 @pytest.mark.parametrize("value", [-1e-3, np.nan, np.inf])
 def test_bad_values_are_refused(name: str, value: float) -> None:
     with pytest.raises(TaskError, match=f"{name} is .*; give a finite number >= 0"):
-        changed(Reality(), name, value)
+        changed(ErrorModel(), name, value)
 
 
 def test_other_bad_values_are_refused() -> None:
     for name in ("object_size", "object_mass", "object_friction", "torque_constant"):
         with pytest.raises(TaskError, match="a share in"):
-            changed(Reality(), name, 1.0)
+            changed(ErrorModel(), name, 1.0)
     with pytest.raises(TaskError, match="a probability"):
-        Reality(dropout=1.1)
+        ErrorModel(dropout=1.1)
     with pytest.raises(TaskError, match="drift_time is 0"):
-        Reality(drift_time=0.0)
+        ErrorModel(drift_time=0.0)
     with pytest.raises(TaskError, match="an integer >= 0"):
-        Reality(seed=-1)
+        ErrorModel(seed=-1)
     with pytest.raises(TaskError, match="an integer >= 0"):
-        Reality(seed=True)
+        ErrorModel(seed=True)
     for wrong in ("1 mm", None, True):
         with pytest.raises(TaskError, match=r"pose_noise is .*; give a finite number >= 0"):
-            changed(Reality(), "pose_noise", cast(Any, wrong))
+            changed(ErrorModel(), "pose_noise", cast(Any, wrong))
     with pytest.raises(TaskError, match="name is ''; give a text"):
-        Reality(name="")
+        ErrorModel(name="")
     with pytest.raises(NotFoundError, match="lab"):
-        named_reality("labs")
+        named_errors("labs")
     with pytest.raises(NotFoundError, match="encoder_offset"):
-        REALITIES["lab"].only("encoder_offsets")
+        ERROR_MODELS["lab"].only("encoder_offsets")
     with pytest.raises(TaskError, match="already"):
-        register_reality(Reality(name="lab"))
+        register_errors(ErrorModel(name="lab"))
 
 
 def test_alone_keeps_one_error() -> None:
-    only = REALITIES["rough"].seeded(7).only("object_mass")
+    only = ERROR_MODELS["rough"].seeded(7).only("object_mass")
     assert [name for name in ERRORS if only.numbers[name]] == ["object_mass"]
     assert only.seed == 7
     no_error = {"name", "touch", "seed", "drift_time"}
-    assert {f.name for f in fields(Reality)} - set(ERRORS) == no_error
+    assert {f.name for f in fields(ErrorModel)} - set(ERRORS) == no_error
 
 
 # --- sensors -----------------------------------------------------------------------------------
@@ -220,8 +220,8 @@ def test_drift_does_not_depend_on_how_time_is_cut() -> None:
 
 @pytest.mark.parametrize("steps", [1, 7, 15])
 def test_a_late_pose_is_that_of_before(task: GraspTask, steps: int) -> None:
-    reality = Reality(pose_delay=DT * steps)
-    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+    error_model = ErrorModel(pose_delay=DT * steps)
+    senses = RealSenses(error_model, Drawn.of(error_model, task.hand), task)
     for k in range(40):
         known = senses.read(seen(DT * k, 0.01 * k)).T_world_object.translation[0]
         assert known == pytest.approx(0.01 * max(0, k - steps), abs=1e-12)
@@ -229,8 +229,8 @@ def test_a_late_pose_is_that_of_before(task: GraspTask, steps: int) -> None:
 
 def test_a_camera_sees_at_its_rate_and_late(task: GraspTask) -> None:
     """At 50 Hz and 30 ms every tenth step is measured, and known 15 steps later."""
-    reality = Reality(pose_rate=50.0, pose_delay=0.03)
-    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+    error_model = ErrorModel(pose_rate=50.0, pose_delay=0.03)
+    senses = RealSenses(error_model, Drawn.of(error_model, task.hand), task)
     for k in range(100):
         known = senses.read(seen(DT * k, float(k))).T_world_object.translation[0]
         assert known == pytest.approx(max(0, (k - 15) // 10 * 10))
@@ -239,8 +239,8 @@ def test_a_camera_sees_at_its_rate_and_late(task: GraspTask) -> None:
 def test_a_late_pose_is_carried_by_the_hand_once_it_holds(task: GraspTask) -> None:
     cases: tuple[tuple[Phase, float], ...] = (("hold", 0.09), ("approach", 0.04))
     for phase, expected in cases:
-        reality = Reality(pose_delay=5 * DT)
-        senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+        error_model = ErrorModel(pose_delay=5 * DT)
+        senses = RealSenses(error_model, Drawn.of(error_model, task.hand), task)
         for k in range(10):
             base = SE3(np.eye(3), np.array([0.01 * k, 0.0, 0.0]))
             truth = seen(DT * k, 0.01 * k, T_world_base=base, phase=phase)
@@ -250,8 +250,8 @@ def test_a_late_pose_is_carried_by_the_hand_once_it_holds(task: GraspTask) -> No
 
 def test_a_pose_seen_before_the_hand_closed_is_carried_from_there(task: GraspTask) -> None:
     """The hand comes 0.2 m to an object at 0.05 m that is seen once, and carries it 0.1 m on."""
-    reality = Reality(turn_noise=1e-9).without_camera()
-    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+    error_model = ErrorModel(turn_noise=1e-9).without_camera()
+    senses = RealSenses(error_model, Drawn.of(error_model, task.hand), task)
 
     def known(k: int, base: float, x: float, phase: Phase) -> float:
         pose = SE3(np.eye(3), np.array([base, 0.0, 0.0]))
@@ -265,8 +265,8 @@ def test_a_pose_seen_before_the_hand_closed_is_carried_from_there(task: GraspTas
 
 
 def test_the_twist_is_the_difference_of_the_last_two_poses(task: GraspTask) -> None:
-    reality = Reality(pose_rate=50.0)
-    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+    error_model = ErrorModel(pose_rate=50.0)
+    senses = RealSenses(error_model, Drawn.of(error_model, task.hand), task)
     read = senses.read(seen(0.0))
     np.testing.assert_array_equal(read.object_twist, np.zeros(6))
     for k in range(1, 30):
@@ -279,8 +279,8 @@ def test_the_twist_is_the_difference_of_the_last_two_poses(task: GraspTask) -> N
 def test_dropouts_come_and_last_as_often_and_long_as_said(task: GraspTask, lost: int) -> None:
     """Of the poses a share p m / (1 - p + p m) is lost if each dropout costs m of them."""
     p, rate = 0.1, 1.0 / DT
-    reality = Reality(dropout=p, dropout_time=lost * DT, pose_rate=rate)
-    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+    error_model = ErrorModel(dropout=p, dropout_time=lost * DT, pose_rate=rate)
+    senses = RealSenses(error_model, Drawn.of(error_model, task.hand), task)
     known = np.array(
         [senses.read(seen(DT * k, float(k))).T_world_object.translation[0] for k in range(8000)]
     )
@@ -291,9 +291,9 @@ def test_dropouts_come_and_last_as_often_and_long_as_said(task: GraspTask, lost:
 
 
 def test_noise_and_bias_have_the_size_asked_for(task: GraspTask) -> None:
-    reality = Reality(pose_noise=1e-3, turn_noise=0.02, encoder_noise=0.01, rate_noise=0.3)
+    error_model = ErrorModel(pose_noise=1e-3, turn_noise=0.02, encoder_noise=0.01, rate_noise=0.3)
     drawn = nothing(task, pose_bias=np.array([5e-3, 0.0, 0.0]), turn_bias=np.array([0, 0.1, 0]))
-    senses = RealSenses(reality, drawn, task)
+    senses = RealSenses(error_model, drawn, task)
     read = [senses.read(seen(DT * k)) for k in range(3000)]
     moved = np.array([r.T_world_object.translation for r in read])
     turned = np.array([pin.log3(r.T_world_object.rotation) for r in read])
@@ -306,8 +306,8 @@ def test_noise_and_bias_have_the_size_asked_for(task: GraspTask) -> None:
 
 
 def test_a_finger_that_touches_nothing_says_so_and_pads_agree_with_touch(task: GraspTask) -> None:
-    reality = Reality(touch_noise=0.1, sliding_noise=0.002)
-    senses = RealSenses(reality, nothing(task), task)
+    error_model = ErrorModel(touch_noise=0.1, sliding_noise=0.002)
+    senses = RealSenses(error_model, nothing(task), task)
     pads = PadReading(
         normal_force=np.array([2.0, 0.0, 0.0, 0.0]),
         force=np.array([[2.0, 0.5, 0.0], *[[0.0] * 3] * 3]),
@@ -338,7 +338,7 @@ def test_places_on_pads_follow_the_joints_that_are_read(plan: GraspPlan) -> None
     """A reading in the world minus the truth is how far the offsets move the fingertip."""
     task, offset = plan.task, np.deg2rad(2.0) * np.ones(16)
     simulation = Simulation(plan)
-    senses = RealSenses(Reality(), nothing(task, encoder_offset=offset), task)
+    senses = RealSenses(ErrorModel(), nothing(task, encoder_offset=offset), task)
     n = len(task.fingers)
     tips = np.array([simulation.T_world_base.act(p) for p in _tips(task, simulation.q)])
     pads = replace(
@@ -362,8 +362,8 @@ def test_pads_are_late_and_move_on_with_the_fingertip(
 ) -> None:
     """What was felt some steps ago is told where the fingertip is by now, joints as read."""
     task, offset = plan.task, np.deg2rad(1.0) * np.ones(16)
-    reality = Reality(touch_rate=rate, touch_delay=delay)
-    senses = RealSenses(reality, nothing(task, encoder_offset=offset), task)
+    error_model = ErrorModel(touch_rate=rate, touch_delay=delay)
+    senses = RealSenses(error_model, nothing(task, encoder_offset=offset), task)
     n, oldest = len(task.fingers), 0
     for k in range(60):
         q = plan.q + 0.002 * k
@@ -389,9 +389,9 @@ def _given(pads: PadReading) -> PadReading:
 
 
 def test_pads_tell_forces_in_steps_above_a_threshold_and_off_by_a_scale(task: GraspTask) -> None:
-    reality = Reality(touch_step=0.02, touch_threshold=0.1)
+    error_model = ErrorModel(touch_step=0.02, touch_threshold=0.1)
     scale = np.array([0.1, -0.1, 0.0, 0.0])
-    senses = RealSenses(reality, nothing(task, touch_scale=scale), task)
+    senses = RealSenses(error_model, nothing(task, touch_scale=scale), task)
     true = np.array([1.0, 1.0, 0.09, 0.1])
     pads = PadReading(
         normal_force=true,
@@ -424,8 +424,8 @@ def test_a_misplaced_contact_stays_on_the_ball_of_its_pad_and_normals_turn(plan:
         normal=normal,
         sliding=np.zeros((n, 3)),
     )
-    reality = Reality(touch_place=5e-4, drift_time=0.05)
-    senses = RealSenses(reality, nothing(task), task)
+    error_model = ErrorModel(touch_place=5e-4, drift_time=0.05)
+    senses = RealSenses(error_model, nothing(task), task)
     truth = seen(0.0, q=plan.q, normal_forces=np.ones(n), read_pads=lambda: pads)
     read = [senses.read(replace(truth, time=DT * k)).pads for k in range(4000)]
     places, normals = np.array([p.position for p in read]), np.array([p.normal for p in read])
@@ -439,7 +439,7 @@ def test_a_misplaced_contact_stays_on_the_ball_of_its_pad_and_normals_turn(plan:
 
 
 def test_encoders_read_in_steps(task: GraspTask) -> None:
-    senses = RealSenses(Reality(encoder_step=0.002), nothing(task), task)
+    senses = RealSenses(ErrorModel(encoder_step=0.002), nothing(task), task)
     q = np.linspace(-0.01, 0.01, 16)
     read = senses.read(seen(0.0, q=q)).q
     np.testing.assert_allclose(np.round(read / 0.002), read / 0.002, atol=1e-9)
@@ -471,10 +471,12 @@ def test_an_offset_moves_the_joint_of_a_position_servo_the_other_way(plan: Grasp
     rest, read = [], []
     for error in (0.0, offset):
         simulation = Simulation(
-            floating, controller=Still(plan.q_start.copy()), reality=Reality(encoder_offset=1.0)
+            floating,
+            controller=Still(plan.q_start.copy()),
+            error_model=ErrorModel(encoder_offset=1.0),
         )
         drawn = nothing(plan.task, encoder_offset=error * np.eye(16)[k])
-        simulation.reality = RealityOfTrial(Reality(), plan.task, drawn)
+        simulation.error_model = TrialErrors(ErrorModel(), plan.task, drawn)
         for _ in simulation.run("approach", 1.5):
             pass
         rest.append(simulation.q)
@@ -495,7 +497,7 @@ def test_backlash_lets_a_joint_rest_anywhere_between_the_stops(
         simulation = Simulation(
             floating,
             controller=Still(plan.q_start.copy()),
-            reality=Reality(backlash=backlash, pose_noise=1e-9),
+            error_model=ErrorModel(backlash=backlash, pose_noise=1e-9),
             estimator="none",
         )
         dof = simulation.scene.hand_dof[k]
@@ -520,10 +522,10 @@ def test_a_motor_has_no_backlash_and_within_the_band_a_servo_gives_no_force(
     hand = task.hand
     q = np.full(hand.nq, 0.2)
     idle = hand.actuation.commands(q, np.zeros(hand.nq), np.zeros(hand.nq))
-    drive = RealDrive(Reality(backlash=0.1), nothing(task), hand.actuation)
+    drive = RealDrive(ErrorModel(backlash=0.1), nothing(task), hand.actuation)
     for ahead, left in ((0.04, 0.0), (-0.05, 0.0), (0.07, 0.02)):
         ctrl = drive.drive(0.0, idle + ahead, q)
-        drive = RealDrive(Reality(backlash=0.1), nothing(task), hand.actuation)
+        drive = RealDrive(ErrorModel(backlash=0.1), nothing(task), hand.actuation)
         np.testing.assert_allclose(ctrl - idle, left, atol=1e-12)
 
 
@@ -532,14 +534,14 @@ def test_offsets_pass_through_tendons_and_clipping_comes_before() -> None:
     task = GraspTask.create(hand, "sphere")
     moment = hand.actuation.moment
     assert (np.count_nonzero(moment, axis=1) > 1).any()  # tendons on two joints
-    drawn = Drawn.of(Reality(encoder_offset=0.02, seed=1), hand)
-    drive = RealDrive(Reality(), drawn, hand.actuation)
+    drawn = Drawn.of(ErrorModel(encoder_offset=0.02, seed=1), hand)
+    drive = RealDrive(ErrorModel(), drawn, hand.actuation)
     high = hand.actuation.ctrl_range[:, 1]
     ctrl = drive.drive(0.0, high + 1.0, np.zeros(hand.nq))
     np.testing.assert_allclose(ctrl, high - moment @ drawn.encoder_offset)
     scaled = replace(nothing(task), encoder_scale=np.full(hand.nq, 0.1))
     q = np.linspace(0.1, 0.3, hand.nq)
-    ctrl = RealDrive(Reality(), scaled, hand.actuation).drive(0.0, 0.0 * high, q)
+    ctrl = RealDrive(ErrorModel(), scaled, hand.actuation).drive(0.0, 0.0 * high, q)
     np.testing.assert_allclose(ctrl, np.clip(0, *hand.actuation.ctrl_range.T) - 0.1 * moment @ q)
 
 
@@ -558,14 +560,14 @@ def test_a_motor_gives_its_torque_whatever_its_encoder_says(task: GraspTask) -> 
         stop_values=np.zeros(0),
         stop_names=(),
     )
-    drive = RealDrive(Reality(), nothing(task, encoder_offset=np.full(n, 0.1)), motors)
+    drive = RealDrive(ErrorModel(), nothing(task, encoder_offset=np.full(n, 0.1)), motors)
     torque = np.linspace(-0.5, 0.5, n)
     np.testing.assert_array_equal(drive.drive(0.0, torque, np.zeros(n)), torque)
 
 
 @pytest.mark.parametrize("steps", [1, 3, 8])
 def test_commands_act_late(task: GraspTask, steps: int) -> None:
-    drive = RealDrive(Reality(command_delay=steps * DT), nothing(task), task.hand.actuation)
+    drive = RealDrive(ErrorModel(command_delay=steps * DT), nothing(task), task.hand.actuation)
     for k in range(30):
         acting = drive.drive(k * DT, np.full(16, 0.001 * k), np.zeros(16))
         low = task.hand.actuation.ctrl_range[:, 0]
@@ -574,8 +576,8 @@ def test_commands_act_late(task: GraspTask, steps: int) -> None:
 
 def test_commands_are_held(task: GraspTask) -> None:
     """At 100 Hz every fifth step is taken over; with 4 ms of delay it acts two steps later."""
-    reality = Reality(command_rate=100.0, command_delay=2 * DT)
-    drive = RealDrive(reality, nothing(task), task.hand.actuation)
+    error_model = ErrorModel(command_rate=100.0, command_delay=2 * DT)
+    drive = RealDrive(error_model, nothing(task), task.hand.actuation)
     low = task.hand.actuation.ctrl_range[:, 0]
     for k in range(40):
         acting = drive.drive(k * DT, np.full(16, 0.001 * k), np.zeros(16))
@@ -590,7 +592,7 @@ def test_commands_are_held(task: GraspTask) -> None:
 def test_the_compiled_object_is_off_by_what_was_drawn(shape: str) -> None:
     task = GraspTask.create("allegro_hand", shape)
     drawn = nothing(task, size=1.1, mass=1.5, friction=0.5, center=np.array([0.1, -0.2, 0.0]))
-    here = RealityOfTrial(Reality(dry_friction=0.02), task, drawn)
+    here = TrialErrors(ErrorModel(dry_friction=0.02), task, drawn)
     scenes = []
     for change in (None, here.change):
         scenes.append(build_scene(task, T_world_base=SE3.Identity(), change=change))
@@ -626,7 +628,7 @@ def test_what_stands_at_rest_does_not_roll_away(shape: str, kept: tuple[float, f
     np.testing.assert_allclose(there[:2], kept * asked[:2], atol=3e-4)
     floating = replace(task, table_height=None)
     np.testing.assert_allclose(center_offset(drawn, floating), drawn.center * half)
-    here, away = RealityOfTrial(Reality(), task, drawn), SE3(np.eye(3), np.array([0.0, 0.0, 1.0]))
+    here, away = TrialErrors(ErrorModel(), task, drawn), SE3(np.eye(3), np.array([0.0, 0.0, 1.0]))
     scene = build_scene(task, T_world_base=away, change=here.change)
     data = scene.start(task.hand.neutral, away)
     before = scene.body_pose(data, scene.object_body).translation.copy()
@@ -638,7 +640,7 @@ def test_what_stands_at_rest_does_not_roll_away(shape: str, kept: tuple[float, f
 @pytest.mark.parametrize("size", [0.8, 1.2])
 def test_a_larger_object_stands_on_the_table(plan: GraspPlan, size: float) -> None:
     task = plan.task
-    here = RealityOfTrial(Reality(), task, nothing(task, size=size))
+    here = TrialErrors(ErrorModel(), task, nothing(task, size=size))
     scene = build_scene(task, T_world_base=plan.T_world_base, change=here.change)
     data = scene.start(plan.q_start, plan.T_world_base_start)
     here.place(scene, data)
@@ -650,10 +652,10 @@ def test_a_larger_object_stands_on_the_table(plan: GraspPlan, size: float) -> No
 
 
 def test_a_torque_constant_changes_what_actuators_give(plan: GraspPlan) -> None:
-    simulation = Simulation(plan, reality=Reality(torque_constant=0.3, seed=2))
+    simulation = Simulation(plan, error_model=ErrorModel(torque_constant=0.3, seed=2))
     nominal, model = Simulation(plan).scene.model, simulation.scene.model
-    assert simulation.reality is not None
-    ctrl, factor = simulation.scene.hand_ctrl, 1.0 + simulation.reality.drawn.torque_constant
+    assert simulation.error_model is not None
+    ctrl, factor = simulation.scene.hand_ctrl, 1.0 + simulation.error_model.drawn.torque_constant
     for name in ("actuator_gainprm", "actuator_biasprm"):
         before, after = getattr(nominal, name)[ctrl], getattr(model, name)[ctrl]
         np.testing.assert_allclose(after[:, :3], factor[:, None] * before[:, :3])
@@ -676,24 +678,24 @@ def test_layers_without_errors_change_no_bit(plan: GraspPlan, controller: str) -
     """With ``ideal``, and with layers in between that have nothing to do."""
     reports = []
     for layers in (False, True):
-        trial = Trial(plan, controller=controller, timeline=SHORT, reality=Reality(seed=9))
-        assert trial.simulation.reality is None
+        trial = Trial(plan, controller=controller, timeline=SHORT, error_model=ErrorModel(seed=9))
+        assert trial.simulation.error_model is None
         if layers:
-            trial.simulation.reality = RealityOfTrial(Reality(), plan.task)
+            trial.simulation.error_model = TrialErrors(ErrorModel(), plan.task)
         reports.append(trial.run())
     first, other = reports
     same_states(first.recording, other.recording)
     assert first.verdict == other.verdict
     assert first.events == other.events
-    assert first.reality is None
+    assert first.error_model is None
 
 
 @pytest.mark.slow
 def test_layers_without_errors_change_no_bit_of_a_manipulation() -> None:
     plan, without = turned_cylinder(), turned_cylinder_report()
-    run = ManipulationRun(plan, timeline=QUICK, physics=COARSE, reality=Reality(seed=3))
-    assert run.sim.simulation.reality is None
-    run.sim.simulation.reality = RealityOfTrial(Reality(), plan.task)
+    run = ManipulationRun(plan, timeline=QUICK, physics=COARSE, error_model=ErrorModel(seed=3))
+    assert run.sim.simulation.error_model is None
+    run.sim.simulation.error_model = TrialErrors(ErrorModel(), plan.task)
     layered = run.perform()
     assert without.complete
     same_states(without.recording, layered.recording)
@@ -706,7 +708,7 @@ def test_the_hand_carries_the_object_to_where_it_reads_it() -> None:
     plan, margins = turned_cylinder(), []
     run = ManipulationRun(plan, timeline=QUICK, physics=COARSE, estimator="none")
     drawn = nothing(plan.task, pose_bias=np.array([0.004, 0.0, 0.0]))
-    run.sim.simulation.reality = RealityOfTrial(Reality(pose_bias=1.0), plan.task, drawn)
+    run.sim.simulation.error_model = TrialErrors(ErrorModel(pose_bias=1.0), plan.task, drawn)
 
     def look(simulation: Simulation) -> None:
         if simulation.phase == "hold" and simulation.due(0.1):
@@ -731,19 +733,19 @@ def test_the_hand_carries_the_object_to_where_it_reads_it() -> None:
 
 @pytest.mark.slow
 def test_the_report_says_what_was_drawn_and_comes_again(plan: GraspPlan, tmp_path: Any) -> None:
-    asked = named_reality("rough", 5)
+    asked = named_errors("rough", 5)
 
     def early(simulation: Simulation) -> None:
         if simulation.phase == "settle":
             simulation.stop("seen enough")
 
     reports = [
-        simulate(plan, controller="impedance", timeline=SHORT, reality=asked, on_step=early)
+        simulate(plan, controller="impedance", timeline=SHORT, error_model=asked, on_step=early)
         for _ in range(2)
     ]
     same_states(reports[0].recording, reports[1].recording)
     write_report(reports[0].to_dict(), tmp_path / "report.json")
-    told = read_report(tmp_path / "report.json").reality
+    told = read_report(tmp_path / "report.json").error_model
     assert told is not None
     assert (told["name"], told["seed"]) == ("rough", 5)
     assert told["drawn"] == Drawn.of(asked, plan.task.hand).to_dict()
@@ -751,7 +753,7 @@ def test_the_report_says_what_was_drawn_and_comes_again(plan: GraspPlan, tmp_pat
 
 def test_what_was_read_stands_beside_the_truth(plan: GraspPlan, tmp_path: Any) -> None:
     """Joints are off by the drawn offsets, the pose by what it was 10 steps before; to a file."""
-    asked = Reality(name="off", encoder_offset=0.03, pose_delay=10 * DT, seed=2)
+    asked = ErrorModel(name="off", encoder_offset=0.03, pose_delay=10 * DT, seed=2)
     seen: list[tuple[FloatArray, FloatArray]] = []
 
     class Listens(GraspController):
@@ -759,7 +761,7 @@ def test_what_was_read_stands_beside_the_truth(plan: GraspPlan, tmp_path: Any) -
             seen.append((observation.q.copy(), observation.T_world_object.translation.copy()))
             return super().step(observation)
 
-    report = simulate(plan, controller=Listens, timeline=SHORT, reality=asked, estimator="none")
+    report = simulate(plan, controller=Listens, timeline=SHORT, error_model=asked, estimator="none")
     recording = report.recording
     assert recording is not None
     assert recording.read_q is not None
@@ -786,17 +788,17 @@ def test_what_was_read_stands_beside_the_truth(plan: GraspPlan, tmp_path: Any) -
 
 
 def test_the_truth_is_not_recorded_twice(plan: GraspPlan) -> None:
-    recording = simulate(plan, timeline=SHORT, reality=Reality(seed=4)).recording
+    recording = simulate(plan, timeline=SHORT, error_model=ErrorModel(seed=4)).recording
     assert recording is not None
     assert recording.read_q is None
     assert recording.to_dict()["read_T_world_object_m"] is None
 
 
-def test_reports_of_older_versions_have_no_reality(plan: GraspPlan, tmp_path: Any) -> None:
+def test_reports_of_older_versions_have_no_error_model(plan: GraspPlan, tmp_path: Any) -> None:
     data = simulate(plan, timeline=SHORT).to_dict(states=False)
-    old = {k: v for k, v in data.items() if k != "reality"} | {"version": 2}
+    old = {k: v for k, v in data.items() if k != "error_model"} | {"version": 2}
     write_report(old, tmp_path / "report.json")
-    assert read_report(tmp_path / "report.json").reality is None
+    assert read_report(tmp_path / "report.json").error_model is None
 
 
 def test_the_loop_yields_the_truth_and_the_controller_sees_the_reading(plan: GraspPlan) -> None:
@@ -808,35 +810,37 @@ def test_the_loop_yields_the_truth_and_the_controller_sees_the_reading(plan: Gra
             return self.commands
 
     simulation = Simulation(
-        plan, controller=Noting(plan.q_start.copy()), reality=Reality(encoder_offset=0.05, seed=1)
+        plan,
+        controller=Noting(plan.q_start.copy()),
+        error_model=ErrorModel(encoder_offset=0.05, seed=1),
     )
-    assert simulation.reality is not None
-    offset = simulation.reality.drawn.encoder_offset
+    assert simulation.error_model is not None
+    offset = simulation.error_model.drawn.encoder_offset
     for truth in simulation.run("approach", 5 * DT):
         np.testing.assert_allclose(told[-1].q - truth.q, offset, atol=1e-12)
         assert told[-1].T_world_object is truth.T_world_object
 
 
-def test_a_scene_of_ones_own_has_no_reality(plan: GraspPlan) -> None:
+def test_a_scene_of_ones_own_has_no_error_model(plan: GraspPlan) -> None:
     scene = Simulation(plan).scene
-    with pytest.raises(TaskError, match="a scene or a reality"):
-        Simulation(plan, scene=scene, reality=named_reality("lab"))
-    assert Simulation(plan, scene=scene, reality=named_reality("ideal")).reality is None
+    with pytest.raises(TaskError, match="a scene or an error model"):
+        Simulation(plan, scene=scene, error_model=named_errors("lab"))
+    assert Simulation(plan, scene=scene, error_model=named_errors("ideal")).error_model is None
 
 
-def test_errors_of_physics_and_reality_go_together(plan: GraspPlan) -> None:
+def test_errors_of_physics_and_error_model_go_together(plan: GraspPlan) -> None:
     simulation = Simulation(
-        plan, physics=PhysicsOptions(mu=0.8), reality=Reality(object_friction=0.3, seed=4)
+        plan, physics=PhysicsOptions(mu=0.8), error_model=ErrorModel(object_friction=0.3, seed=4)
     )
-    assert simulation.reality is not None
+    assert simulation.error_model is not None
     geom = min(simulation.scene.object_geoms)
-    expected = 0.8 * simulation.reality.drawn.friction
+    expected = 0.8 * simulation.error_model.drawn.friction
     assert simulation.scene.model.geom_friction[geom, 0] == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("asked", [Reality(), Reality(name="pads", touch="binary", seed=4)])
-def test_the_protocol_draws_from_a_laboratory_unless_told_otherwise(asked: Reality) -> None:
+@pytest.mark.parametrize("asked", [ErrorModel(), ErrorModel(name="pads", touch="binary", seed=4)])
+def test_the_protocol_draws_from_a_laboratory_unless_told_otherwise(asked: ErrorModel) -> None:
     used = with_errors(asked)
-    assert used == replace(REALITIES["lab"], touch=asked.touch, seed=asked.seed)
-    rough = named_reality("rough", 2)
+    assert used == replace(ERROR_MODELS["lab"], touch=asked.touch, seed=asked.seed)
+    rough = named_errors("rough", 2)
     assert with_errors(rough) is rough

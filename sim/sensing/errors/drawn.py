@@ -1,4 +1,4 @@
-"""``Drawn``: the errors of one trial, drawn from the seed of a ``Reality``.
+"""``Drawn``: the errors of one trial, drawn from the seed of a ``ErrorModel``.
 
 Every error has a stream of random numbers of its own, named by its field: a ``SeedSequence`` of
 the seed whose spawn key is a checksum of the name. Streams give standard numbers, which the field
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from planner.hands.hand import Hand
 from planner.kinematics.state import joint_axes
 from planner.spatial import FloatArray
-from sim.sensing.reality.errors import Reality
+from sim.sensing.errors.model import ErrorModel
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
@@ -69,19 +69,19 @@ class Drawn:
     friction: float
 
     @classmethod
-    def of(cls, reality: Reality, hand: Hand) -> Drawn:
+    def of(cls, error_model: ErrorModel, hand: Hand) -> Drawn:
         """Draw for a hand."""
         nq, nu = hand.nq, len(hand.actuation.names)
         of_hand = np.ones(nq)
         of_hand[hand.arm_index] = 0.0
 
         def normal(name: str, n: int) -> FloatArray:
-            numbers = stream(reality.seed, name).standard_normal(n)
-            return np.asarray(reality.numbers[name] * numbers)
+            numbers = stream(error_model.seed, name).standard_normal(n)
+            return np.asarray(error_model.numbers[name] * numbers)
 
         def uniform(name: str, n: int) -> FloatArray:
-            numbers = stream(reality.seed, name).uniform(-1.0, 1.0, n)
-            return np.asarray(reality.numbers[name] * numbers)
+            numbers = stream(error_model.seed, name).uniform(-1.0, 1.0, n)
+            return np.asarray(error_model.numbers[name] * numbers)
 
         return cls(
             encoder_offset=of_hand * normal("encoder_offset", nq),

@@ -24,8 +24,8 @@ from planner.spatial import SE3, FloatArray, cross
 from planner.task import GraspTask
 from sim.controllers import Observation, Phase
 from sim.controllers.readings import MeasuredPose, PadReading
-from sim.sensing.reality.drawn import Drawn, stream
-from sim.sensing.reality.errors import Reality
+from sim.sensing.errors.drawn import Drawn, stream
+from sim.sensing.errors.model import ErrorModel
 from sim.sensing.touch.layout import TIME_TOL, Delayed
 
 STANDING: frozenset[Phase] = frozenset({"approach", "close"})
@@ -65,15 +65,15 @@ class Drift:
 class RealSenses:
     """Turns exact observations into what is read; call ``read`` once a time step."""
 
-    def __init__(self, reality: Reality, drawn: Drawn, task: GraspTask) -> None:
+    def __init__(self, error_model: ErrorModel, drawn: Drawn, task: GraspTask) -> None:
         """Start the noise.
 
         Args:
-            reality: Its errors.
+            error_model: Its errors.
             drawn: What was drawn of them.
             task: Hand and fingers.
         """
-        self._reality, self._drawn = reality, drawn
+        self._error_model, self._drawn = error_model, drawn
         self._fingers = task.fingers
         names = list(task.hand.fingers)
         self._scale = 1.0 + drawn.touch_scale[[names.index(f.name) for f in task.fingers]]
@@ -81,30 +81,34 @@ class RealSenses:
         self._radii = np.array([f.pad.radius for f in task.fingers])
         white = ("encoder_noise", "rate_noise", "touch_noise", "sliding_noise")
         self._rng = {
-            name: stream(reality.seed, name)
+            name: stream(error_model.seed, name)
             for name in (*white, "pose_noise", "turn_noise", "dropout")
         }
         self._drifts = [
-            Drift(np.full(3, deviation), reality.drift_time, stream(reality.seed, name))
+            Drift(np.full(3, deviation), error_model.drift_time, stream(error_model.seed, name))
             for name, deviation in (
-                ("pose_drift", reality.pose_drift),
-                ("turn_drift", reality.turn_drift),
+                ("pose_drift", error_model.pose_drift),
+                ("turn_drift", error_model.turn_drift),
             )
         ]
-        place = np.full(3 * len(task.fingers), reality.touch_place)
-        self._misplaced = Drift(place, reality.drift_time, stream(reality.seed, "touch_place"))
-        self._touch: Delayed[tuple[FloatArray, Callable[[], PadReading]]] = Delayed(
-            reality.touch_rate, reality.touch_delay
+        place = np.full(3 * len(task.fingers), error_model.touch_place)
+        self._misplaced = Drift(
+            place, error_model.drift_time, stream(error_model.seed, "touch_place")
         )
-        self._late = reality.touch_rate > 0 or reality.touch_delay > 0
+        self._touch: Delayed[tuple[FloatArray, Callable[[], PadReading]]] = Delayed(
+            error_model.touch_rate, error_model.touch_delay
+        )
+        self._late = error_model.touch_rate > 0 or error_model.touch_delay > 0
         # of the object in the world and in the hand's base
-        self._camera: Delayed[tuple[SE3, SE3]] = Delayed(reality.pose_rate, reality.pose_delay)
+        self._camera: Delayed[tuple[SE3, SE3]] = Delayed(
+            error_model.pose_rate, error_model.pose_delay
+        )
         self._looked: float | None = None
         self._blind_until = -math.inf
         self._closed: tuple[float, SE3] | None = None  # when, and T_base_world then
-        self._sees_exactly = not reality.has_pose_errors
+        self._sees_exactly = not error_model.has_pose_errors
         off = drawn.encoder_offset.any() or drawn.encoder_scale.any()
-        placed = not off and reality.backlash == 0.0 and reality.touch_place == 0.0
+        placed = not off and error_model.backlash == 0.0 and error_model.touch_place == 0.0
         self._as_it_is = placed and not self._late
         neutral = task.hand.neutral
         self._true_hand = MovingHand(task.hand, neutral)
@@ -112,7 +116,7 @@ class RealSenses:
 
     def read(self, truth: Observation, ahead: FloatArray | float = 0.0) -> Observation:
         """What is read of the truth, by encoders that are ahead (nq,) of their joints, rad."""
-        r, n = self._reality, len(truth.q)
+        r, n = self._error_model, len(truth.q)
         q = truth.q + encoder_error(self._drawn, truth.q) + ahead
         q = q + r.encoder_noise * self._rng["encoder_noise"].standard_normal(n)
         if r.encoder_step:
@@ -139,7 +143,7 @@ class RealSenses:
 
     def _felt(self, truth: Observation) -> tuple[FloatArray, Callable[[], PadReading]]:
         """Normal forces, and how the rest is read, that arrived last; at first the oldest."""
-        r, now = self._reality, truth.time
+        r, now = self._error_model, truth.time
         fingers = len(truth.normal_forces)
         error = r.touch_noise * self._rng["touch_noise"].standard_normal((fingers, 3))
         slid = r.sliding_noise * self._rng["sliding_noise"].standard_normal((fingers, 3))
@@ -155,7 +159,7 @@ class RealSenses:
 
     def _measured(self, normal_force: FloatArray, error: FloatArray) -> FloatArray:
         """What pads say of normal forces (n,), with noise (n,), N."""
-        r = self._reality
+        r = self._error_model
         force = np.maximum(self._scale * normal_force + error, 0.0)
         if r.touch_step:
             force = r.touch_step * np.round(force / r.touch_step)
@@ -188,7 +192,7 @@ class RealSenses:
         hand = self._true_hand.move(truth.q)
         poses = [truth.T_world_base * hand.joint_pose(f.pad.joint_id) for f in self._fingers]
         local = noisy.moved([pose.inverse() for pose in poses])
-        if not self._reality.touch_place:
+        if not self._error_model.touch_place:
             return local
         turns = cross(local.normal, aside) / self._radii[:, None]
         about = [
@@ -222,7 +226,7 @@ class RealSenses:
 
     def _sample(self, truth: Observation) -> None:
         """Measure a pose, unless the object is out of sight; the first one is always seen."""
-        r, now = self._reality, truth.time
+        r, now = self._error_model, truth.time
         first = self._looked is None
         since = 0.0 if self._looked is None else now - self._looked
         self._looked = now
@@ -259,7 +263,7 @@ def _as_sent(reading: PadReading) -> PadReading:
 def _no_contacts() -> ContactSet:
     raise TaskError(
         "no sensor tells the contacts of a hand one by one; a controller that reads "
-        "observation.contacts runs in the reality 'ideal' only; read pads"
+        "observation.contacts runs in the error model 'ideal' only; read pads"
     )
 
 

@@ -1,4 +1,4 @@
-"""The benchmark ``reality``: the same trials for every loop, counted; pushes of a minute."""
+"""The benchmark ``errors``: the same trials for every loop, counted; pushes of a minute."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from benching import run_bench
 from conftest import needs
 from manipulations import task_of
 
-from benchmarks import reality
+from benchmarks import errors
+from benchmarks.errors import ComparedTask, class_of_turn
 from benchmarks.loops import LOOPS, named_loop, register_loop
-from benchmarks.reality import ComparedTask, class_of_turn
 from planner.errors import HandError, NotFoundError, TaskError
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3
@@ -25,10 +25,10 @@ from sim.protocols.disturbance import Settings
 from sim.protocols.outcome import Conditions
 from sim.protocols.shake_pushes import PAUSE, PUSH_TIME, drawn_pushes, pushes_cases
 from sim.scene.physics import PhysicsOptions
+from sim.sensing.errors import ERROR_MODELS, ErrorModel
 from sim.sensing.estimation import EstimateLog
-from sim.sensing.reality import REALITIES, Reality
 
-IDEAL, LAB, ROUGH = (REALITIES[name] for name in ("ideal", "lab", "rough"))
+IDEAL, LAB, ROUGH = (ERROR_MODELS[name] for name in ("ideal", "lab", "rough"))
 
 
 @pytest.fixture
@@ -36,12 +36,12 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     """A task without physics: what was executed. The open loop loses every object."""
     made: list[tuple[Any, ...]] = []
 
-    def plan(hand: str, kind: str, seed: int, told: Reality) -> list[str]:
+    def plan(hand: str, kind: str, seed: int, told: ErrorModel) -> list[str]:
         if (kind, seed) == ("box", 1):
             raise TaskError("no way")
         return ["a plan"]
 
-    def execute(hand: str, kind: str, seed: int, plan: Any, loop: Any, told: Reality) -> Any:
+    def execute(hand: str, kind: str, seed: int, plan: Any, loop: Any, told: ErrorModel) -> Any:
         made.append((hand, kind, seed, loop.name, told))
         if hand == "shadow_hand" and loop.name == "mine":
             raise HandError("of another hand")
@@ -49,19 +49,19 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         return {"success": not lost, "reason": "slipped" if lost else ""}
 
     task = ComparedTask(about="a", objects=("sphere", "box"), plan=plan, execute=execute)
-    monkeypatch.setattr(reality, "TASKS", {"fake": task})
-    reality._planned.cache_clear()
+    monkeypatch.setattr(error_model, "TASKS", {"fake": task})
+    errors._planned.cache_clear()
     return made
 
 
 def test_every_loop_meets_the_same_trials(fake: list[tuple[Any, ...]]) -> None:
     asked: dict[str, Any] = {
         "tasks": "fake",
-        "realities": "ideal,lab",
+        "error_models": "ideal,lab",
         "loops": "truth,open",
         "n": 4,
     }
-    result = run_bench("reality", **asked)
+    result = run_bench("errors", **asked)
     assert len(result["rows"]) == 4 * 2 * 2 * 2
     for loop in ("truth", "open"):
         mine = [(h, k, s, told.seed) for h, k, s, name, told in fake if name == loop]
@@ -73,7 +73,7 @@ def test_every_loop_meets_the_same_trials(fake: list[tuple[Any, ...]]) -> None:
     texts = [one for one in result["summary"] if isinstance(one, str)]
     assert texts[0].startswith("truth: ")
     rates, reasons, _ = (one for one in result["summary"] if not isinstance(one, str))
-    assert rates["columns"] == ["reality", "hand", "truth", "open"]
+    assert rates["columns"] == ["error model", "hand", "truth", "open"]
     assert ["lab", "all", "6/8 (41-93)", "0/8 (0-32)"] in rates["rows"]
     assert ["fake", "lab", "open", "slipped 6, no plan 2"] in reasons["rows"]
 
@@ -82,11 +82,11 @@ def test_every_loop_meets_the_same_trials(fake: list[tuple[Any, ...]]) -> None:
 def test_what_cannot_be_asked_for_is_refused(
     fake: list[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: dict[str, Any] = {"tasks": "fake", "realities": "lab", "loops": "open", "n": 1}
+    asked: dict[str, Any] = {"tasks": "fake", "error_models": "lab", "loops": "open", "n": 1}
     with pytest.raises(NotFoundError, match="contact, estimates, open, readings, touch, truth"):
-        run_bench("reality", **{**asked, "loops": "reading"})
+        run_bench("errors", **{**asked, "loops": "reading"})
     with pytest.raises(NotFoundError, match="object of the task"):
-        run_bench("reality", **asked, objects="mug")
+        run_bench("errors", **asked, objects="mug")
     monkeypatch.setattr(LOOPS, "_known", dict(LOOPS.items()))
     mine = register_loop(replace(LOOPS["open"], name="mine", driver="mine", tasks=("fake",)))
     with pytest.raises(TaskError, match="already"):
@@ -96,8 +96,8 @@ def test_what_cannot_be_asked_for_is_refused(
         named_loop("absent")
     register_loop(replace(mine, name="turner", tasks=("turn",)))
     with pytest.raises(TaskError, match="turner cannot do fake"):
-        run_bench("reality", **{**asked, "loops": "turner"})
-    rows = run_bench("reality", **{**asked, "loops": "mine"})["rows"]
+        run_bench("errors", **{**asked, "loops": "turner"})
+    rows = run_bench("errors", **{**asked, "loops": "mine"})["rows"]
     assert [row["reason"] for row in rows] == ["refused", ""]
 
 
@@ -113,12 +113,12 @@ def test_truth_keeps_the_world_and_the_drives_and_takes_all_of_the_senses() -> N
 
 
 def test_blind_sees_the_object_once() -> None:
-    from sim.sensing.reality.drawn import Drawn
-    from sim.sensing.reality.senses import RealSenses
+    from sim.sensing.errors.drawn import Drawn
+    from sim.sensing.errors.senses import RealSenses
 
     task = task_of("cylinder:0.03x0.08")
-    reality = LOOPS["blind"].told(LAB)
-    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+    error_model = LOOPS["blind"].told(LAB)
+    senses = RealSenses(error_model, Drawn.of(error_model, task.hand), task)
     known = [
         senses.read(_seen(0.002 * k, 0.01 * k, task.hand.nq)).T_world_object for k in range(600)
     ]
@@ -239,8 +239,8 @@ def test_how_far_an_estimate_was_off_counts_the_turn_alone() -> None:
         (0.2, "turn", at_end, sigma, True),
         (0.3, "carry", np.ones(6), sigma, True),
     ]
-    found = reality._estimated(log)
+    found = errors._estimated(log)
     assert found["pose_mm"] == pytest.approx(5.0)
     assert found["pose_deg"] == pytest.approx(2.0)
     assert found["within_two_sigma"] == pytest.approx(10 / 12)
-    assert reality._estimated(EstimateLog()) == {}
+    assert errors._estimated(EstimateLog()) == {}
