@@ -7,8 +7,8 @@ mesh     the true mesh at the pose that the scan gives: failures come from the c
 hull     the convex hull of the seen points, taken as if it were true
 poisson  their screened Poisson surface, likewise (pip install pymeshlab)
 
-Trials are on the true object, with the errors of ``--error-model``. "Right" abstentions are those whose
-best plan, executed all the same, does not hold, or that have no plan at all.
+Trials are on the true object, with the errors of ``--error-model``. "Right" abstentions are those
+whose best plan, executed all the same, does not hold, or that have no plan at all.
 """
 
 from __future__ import annotations

@@ -369,8 +369,8 @@ class Part:
 
     Attributes:
         number: Its place among the numbers of a grasp, from which directions are drawn.
-        measure: Measures a grasp under an error model; draws directions from the generator; gives plain
-            data.
+        measure: Measures a grasp under an error model; draws directions from the generator; gives
+            plain data.
         grasps: How many grasps are asked by default.
         whole_hand: Whether all fingers of the hand must take part.
     """

@@ -107,10 +107,10 @@ class ComparedTask:
     Attributes:
         about: What is tried and what counts, in one line.
         objects: Which take turns.
-        plan: Plans a trial: hand, object, seed, and the error model, of which it knows how well joints
-            are calibrated; raises ``PlannerError`` where there is no plan.
-        execute: Executes a plan: hand, object, seed, plan, loop, error model with its seed. The row has
-            "success", and "reason", the class of what went wrong, "" if nothing did.
+        plan: Plans a trial: hand, object, seed, and the error model, of which it knows how well
+            joints are calibrated; raises ``PlannerError`` where there is no plan.
+        execute: Executes a plan: hand, object, seed, plan, loop, error model with its seed. The
+            row has "success", and "reason", the class of what went wrong, "" if nothing did.
     """
 
     about: str
@@ -279,8 +279,8 @@ def cases(options: Options) -> Iterator[Row]:
 
     Raises:
         NotFoundError: A hand, a task, a loop or an object of a task that does not exist.
-        TaskError: A loop that cannot run here, two error models of one name, or nothing that is asked
-            for can be done.
+        TaskError: A loop that cannot run here, two error models of one name, or nothing that is
+            asked for can be done.
     """
     error_models = {r: r.name for r in map(error_model_of, names(options.error_models))}
     for name, count in Counter(error_models.values()).items():

@@ -97,8 +97,7 @@ def _policy(name: str) -> Loop:
     about = make.policy.about
     return Loop(
         name=name,
-        about=f"policy for {about.objects}, trained in the error model {about.error_model}: joints and "
-        "touch",
+        about=f"policy for {about.objects}, trained under {about.error_model}: joints and touch",
         driver=f"policy {make.policy.digest}",
         holding=make,
         turning=make,

@@ -130,8 +130,8 @@ class Turn:
         shift: Translation in the hand that is asked for with it (3,), m, world.
         spec: Specification of an object that is of no kind in ``KINDS``.
         physics: How MuJoCo computes; friction is drawn.
-        error_model: Errors of sensors, drives and object, drawn from the seed and the number; those of
-            mass and friction come on top of what ``draw`` gives.
+        error_model: Errors of sensors, drives and object, drawn from the seed and the number;
+            those of mass and friction come on top of what ``draw`` gives.
         estimator: Name of what tells the controller where the object is; see ``Simulation``.
         controller: What drives the fingers, as ``sim.learning.named_driver`` takes it; the closed
             loop if "".

@@ -77,8 +77,8 @@ class ExecutionReport(Report, Shown):
         recording: States at the times of the samples.
         plan: What was executed.
         physics: Name and numbers of ``PhysicsOptions``, as plain data.
-        error_model: Fields of ``sim.sensing.errors.ErrorModel``, and under "drawn" what was drawn of
-            them; None where sensors, drives and object were as believed.
+        error_model: Fields of ``sim.sensing.errors.ErrorModel``, and under "drawn" what was drawn
+            of them; None where sensors, drives and object were as believed.
         controller: Name of the controller's class.
         events: What the controller noticed and did, in order; empty for one that notices nothing.
         picture_reason: Why there is no picture, "" where there is one.

@@ -32,9 +32,9 @@ __all__ = [
     "write_report_of",
 ]
 
-REPORT_VERSION: Literal[3] = 3
+REPORT_VERSION: Literal[4] = 4
 """Version of ``ReportFile``; another number means another schema. Version 1 had no states, versions
-1 and 2 no error model."""
+1 and 2 no error model, version 3 had it under ``reality``."""
 
 
 class ComparisonData(StrictData):
@@ -64,12 +64,12 @@ class ExecutionFile(StrictData):
 
     ``plan`` is the plan as its file has it, null for a hand that no file can name. ``recording``
     are the states, null where they were left out and in files of version 1. ``command`` is what the
-    command line was told, "" of a script. ``error_model`` are the errors that the plan did not know, as
-    given and as drawn; null where there were none.
+    command line was told, "" of a script. ``error_model`` has the errors that the plan did not
+    know, as given and as drawn; null where there were none.
     """
 
     format: str
-    version: Literal[3] = REPORT_VERSION
+    version: Literal[4] = REPORT_VERSION
     written_by: str
     command: str = ""
     success: bool
@@ -142,8 +142,8 @@ def check_lengths(samples: StrictData, recording: RecordingData | None) -> None:
 def read_report(path: Path | str) -> ReportFile:
     """Read a trial report, from its JSON file or out of its page.
 
-    Files of versions 1 and 2 are read too: they have no error model, those of version 1 neither plan
-    nor recording.
+    Files of versions 1 to 3 are read too: those of 1 and 2 have no error model, those of 1 neither
+    plan nor recording.
 
     Raises:
         FileFormatError: Missing, damaged, of another format or another version.
@@ -168,14 +168,13 @@ PAGE_SUFFIXES = (".html", ".htm")
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
     """Data of an older version as the newest: what it did not have is None."""
-    missing: dict[int, dict[str, Any]] = {
-        1: {"plan": None, "recording": None, "error_model": None},
-        2: {"error_model": None},
-    }
+    missing: dict[int, dict[str, Any]] = {1: {"plan": None, "recording": None}, 2: {}, 3: {}}
     version = data.get("version")
     if not isinstance(version, int) or version not in missing:
         return data
-    return {**data, "version": REPORT_VERSION, **missing[version]}
+    new = {**data, "version": REPORT_VERSION, **missing[version]}
+    new["error_model"] = new.pop("reality", None) if version == 3 else None
+    return new
 
 
 def write_report(report: dict[str, Any], path: Path | str) -> None:

@@ -68,7 +68,7 @@ def error_lines(error_model: Mapping[str, Any] | None) -> list[str]:
     touch = error_model.get("touch", "exact")
     pads = "" if touch == "exact" else f", pads: {touch}"
     lines = [
-        f"error_model: {error_model['name']}, seed {error_model['seed']}, "
+        f"error model: {error_model['name']}, seed {error_model['seed']}, "
         f"estimator: {error_model.get('estimator', 'none')}{pads}"
     ]
     if drawn := error_model.get("drawn_in_words"):

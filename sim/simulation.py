@@ -115,8 +115,8 @@ class Simulation:
             carrier: What moves the hand as a whole; the scene's gantry or the arm if None.
             q: Joints (nq,) at the start, rad or m; the plan's start if None.
             T_world_base: Base pose at the start; the plan's start if None.
-            error_model: Errors of sensors, drives and object that the plan does not know, or their name
-                as ``--error-model`` takes it; none if None.
+            error_model: Errors of sensors, drives and object that the plan does not know, or their
+                name as ``--error-model`` takes it; none if None.
             estimator: What tells the controller where the object is: a name, or what makes one of
                 task and sensor errors; if None, that with all senses where the pose that is read
                 has errors, and none else.
@@ -287,7 +287,7 @@ class Simulation:
         )
 
     def sensed(self, truth: Observation) -> Observation:
-        """What a controller sees of the truth: by the sensors of ``error_model``, then ``estimator``.
+        """What a controller sees of the truth: by sensors with errors, then by ``estimator``.
 
         Asked again at the same time, it is the same.
         """
@@ -440,7 +440,7 @@ class Simulation:
         return tuple(sorted(names))
 
     def senses(self) -> dict[str, Any] | None:
-        """ErrorModel and what was drawn of it, with the estimator's name; None where all is exact."""
+        """Errors and what was drawn of them, with the estimator's name; None where all is exact."""
         if self.error_model is None and self.estimator is None:
             return None
         told = ErrorModel().to_dict() if self.error_model is None else self.error_model.to_dict()

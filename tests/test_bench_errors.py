@@ -49,7 +49,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         return {"success": not lost, "reason": "slipped" if lost else ""}
 
     task = ComparedTask(about="a", objects=("sphere", "box"), plan=plan, execute=execute)
-    monkeypatch.setattr(error_model, "TASKS", {"fake": task})
+    monkeypatch.setattr(errors, "TASKS", {"fake": task})
     errors._planned.cache_clear()
     return made
 

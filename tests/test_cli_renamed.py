@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import sim.cli.listing as listing
 from planner.files import read_motion
 from sim.cli import app
-from sim.cli.listing import RENAMED
+from sim.cli.listing import RENAMED, word_of_today
 
 RUN = CliRunner()
 
@@ -57,6 +57,19 @@ def test_an_old_name_does_the_same_and_says_the_new_line() -> None:
     assert old.stderr.count("\n") == 1
     assert "opposable hands allegro_hand --json" in old.stderr
     assert new.stderr == ""
+
+
+def test_old_options_do_the_same_and_say_the_new_line(tmp_path: Path) -> None:
+    said = []
+    for words in (["--reality=moon"], ["--error-model=moon"]):
+        done = RUN.invoke(app, ["run", "allegro_hand", "box", *words, "--out", str(tmp_path)])
+        assert done.exit_code == 3
+        said.append(done.stderr)
+    assert "--reality=moon" in said[0].split("next version")[0]
+    assert "opposable run allegro_hand box --error-model=moon" in said[0]
+    assert said[0].endswith(said[1]) and "no error model is called 'moon'" in said[1]
+    old = ["test", "none.json", "--reality", "lab", "--reality-seed", "3"]
+    assert [word_of_today(w) for w in old][2::2] == ["--error-model", "--error-seed"]
 
 
 def test_the_words_of_an_old_movement_mean_the_same(tmp_path: Path) -> None:

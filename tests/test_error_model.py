@@ -799,6 +799,10 @@ def test_reports_of_older_versions_have_no_error_model(plan: GraspPlan, tmp_path
     old = {k: v for k, v in data.items() if k != "error_model"} | {"version": 2}
     write_report(old, tmp_path / "report.json")
     assert read_report(tmp_path / "report.json").error_model is None
+    data = simulate(plan, timeline=SHORT, error_model=ERROR_MODELS["lab"]).to_dict(states=False)
+    data["reality"] = told = data.pop("error_model")
+    write_report(data | {"version": 3}, tmp_path / "report.json")
+    assert read_report(tmp_path / "report.json").error_model == told
 
 
 def test_the_loop_yields_the_truth_and_the_controller_sees_the_reading(plan: GraspPlan) -> None:

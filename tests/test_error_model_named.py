@@ -173,7 +173,7 @@ def test_a_report_says_what_was_drawn(plan: GraspPlan) -> None:
     report = simulate(plan, timeline=short, error_model=asked, estimator="none")
     drawn = Drawn.of(asked, plan.task.hand)
     line = f"drawn: {drawn_text([drawn_numbers(drawn, plan.task.hand)])}"
-    assert error_lines(report.error_model) == ["error_model: lab, seed 3, estimator: none", line]
+    assert error_lines(report.error_model) == ["error model: lab, seed 3, estimator: none", line]
     assert f"mass x {drawn.mass:.2f}, friction x {drawn.friction:.2f}" in line
     assert line in " ".join(str(text) for text in report.details())
     assert error_lines(None) == []
@@ -186,7 +186,7 @@ def test_a_protocol_says_what_it_drew_and_what_a_failure_had(plan: GraspPlan) ->
     told = " ".join(str(report).split())
     hand = plan.task.hand
     draws = [drawn_numbers(Drawn.of(error_model.seeded(2 + k), hand), hand) for k in range(2)]
-    assert f"error_model: heavy, seed 2, estimator: none drawn: {drawn_text(draws)}" in told
+    assert f"error model: heavy, seed 2, estimator: none drawn: {drawn_text(draws)}" in told
     assert report.failed  # with joints 29 degrees off
     for outcome in report.failed:
         assert f"(drawn: {drawn_text([draws[outcome.index]])})" in told

@@ -689,6 +689,7 @@ def test_a_policy_of_the_first_version_is_still_read(policy: Policy, tmp_path: P
         arrays = dict(stored)
     told = json.loads(arrays["header"].tobytes())
     del told["estimator"]
+    told["reality"] = told.pop("error_model")
     arrays["header"] = np.frombuffer(json.dumps(told).encode(), dtype=np.uint8)
     with file.open("wb") as stream:
         np.savez(stream, **arrays)

@@ -66,7 +66,7 @@ def controller_of(name: str) -> Any:
 def error_model_of(
     text: str, seed: int | None = None, pads: str | None = None, *, draws: bool = False
 ) -> Any:
-    """ErrorModel as ``--error-model``, ``--error-seed`` and ``--pads`` give it.
+    """The error model as ``--error-model``, ``--error-seed`` and ``--pads`` give it.
 
     Args:
         text: Name of a preset, or a file.

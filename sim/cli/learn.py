@@ -106,8 +106,8 @@ def learn(
     out.print(_table(told))
     tell(
         f"written to {folder}: policy.npz, progress.csv, curves.png",
-        f"to use it: opposable manipulate {hand} OBJECT --rotate {rotate:g} --error-model {error_model} "
-        f"--controller policy:{folder / 'policy.npz'}",
+        f"to use it: opposable manipulate {hand} OBJECT --rotate {rotate:g} "
+        f"--error-model {error_model} --controller policy:{folder / 'policy.npz'}",
     )
 
 

@@ -159,6 +159,15 @@ RENAMED: dict[str, Renamed] = {
 }
 """Names that go with the next version -> what does the same."""
 
+OLD_OPTIONS = {"--reality": "--error-model", "--reality-seed": "--error-seed"}
+"""Options that go with the next version -> their names now."""
+
+
+def word_of_today(word: str) -> str:
+    """A word of a command line, an option by its name of today."""
+    name, equals, value = word.partition("=")
+    return OLD_OPTIONS.get(name, name) + equals + value
+
 
 def flowing(text: str) -> str:
     """A docstring with every paragraph on one line, for a terminal of any width to break."""
@@ -259,17 +268,22 @@ class Opposable(TyperGroup):
         old = args[0]
         if old == "bench":
             group = self.commands[old]
-            self._tell(ctx, args, ["python", "-m", "benchmarks", *args[1:]])
+            self._tell(ctx, old, ["python", "-m", "benchmarks", *args[1:]])
             return old, group, args[1:]
         if old in RENAMED:
             args = RENAMED[old].line(args[1:])
-            self._tell(ctx, [old], ["opposable", *args])
+            self._tell(ctx, old, ["opposable", *args])
+        new = [word_of_today(word) for word in args]
+        if new != args:
+            self._tell(ctx, next(w for w in args if w not in new), ["opposable", *new])
+            args = new
         return super().resolve_command(ctx, args)
 
     @staticmethod
-    def _tell(ctx: Any, old: list[str], new: list[str]) -> None:
+    def _tell(ctx: Any, old: str, new: list[str]) -> None:
         if not ctx.resilient_parsing:
-            text = f"`opposable {old[0]}` goes with the next version; write: {shlex.join(new)}"
+            gone = old if old.startswith("-") else f"opposable {old}"
+            text = f"`{gone}` goes with the next version; write: {shlex.join(new)}"
             say(err, escape(text))
 
 

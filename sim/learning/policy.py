@@ -32,7 +32,7 @@ from sim.scene.physics import PhysicsOptions
 from sim.sensing.errors import ErrorModel
 from sim.sensing.estimation import NONE
 
-POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 3
+POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 4
 """What a file says it is, and the version of its contents. Version 1 had no ``estimator``; 2 did
 not tell masses, frictions, physics and errors."""
 
@@ -302,6 +302,8 @@ class Policy:
                 f"{POLICY_FORMAT!r}, version {POLICY_VERSION}; train the policy anew"
             )
         try:
+            if "reality" in header:  # its name in files of versions 1 to 3
+                header["error_model"] = header.pop("reality")
             for name in ("joints", "actuators", "fingers", "senses", "mass", "friction"):
                 if name in header:
                     header[name] = tuple(header[name])

@@ -2,8 +2,8 @@
 
 The teacher is the planner's closed loop (``ObjectImpedance``). It sees the truth, and it turns
 the object by the clock of the playback, so that teacher and policy mean the same moment. The policy
-sees what the sensors of the trial's error model say. Each decision gives a sample: the senses of the
-policy, and the action that the teacher wanted then, in the readings of the encoders.
+sees what the sensors of the trial's error model say. Each decision gives a sample: the senses of
+the policy, and the action that the teacher wanted then, in the readings of the encoders.
 
 Who drives is drawn anew every ``STRETCH`` decisions. With the teacher alone this is a
 demonstration; with both, the mixture of DAgger (Ross et al. 2011), which visits the states that the

@@ -80,8 +80,8 @@ class ManipulationReportFile(ExecutionFile):
 def read_manipulation_report(path: Path | str) -> ManipulationReportFile:
     """Read a report of a manipulation, from its JSON file or out of its page.
 
-    Files of versions 1 and 2 are read too: they have no error model, those of version 1 neither plan
-    nor recording.
+    Files of versions 1 to 3 are read too: those of 1 and 2 have no error model, those of 1 neither
+    plan nor recording.
 
     Raises:
         FileFormatError: Missing, damaged, of another format or another version.

@@ -93,7 +93,8 @@ class DisturbanceTrial:
             timeline: Durations up to the hold.
             scene: Another scene than that of the plan's task in the air.
             carrier: What carries the hand in it.
-            error_model: Errors of sensors, drives and object that the plan does not know; none if None.
+            error_model: Errors of sensors, drives and object that the plan does not know; none if
+                None.
             estimator: What tells the controller where the object is; see ``Simulation``.
 
         Raises:

@@ -183,8 +183,8 @@ class Conditions:
     Attributes:
         physics: How MuJoCo computes.
         controller: Makes what drives the hand, out of the plan.
-        error_model: Errors of sensors, drives and object; those of ``dexgraspbench`` and ``drake`` are
-            exact whatever it is.
+        error_model: Errors of sensors, drives and object; those of ``dexgraspbench`` and ``drake``
+            are exact whatever it is.
         estimator: What tells the controller where the object is; see ``Simulation``.
     """
 

@@ -216,8 +216,8 @@ def run_protocol(
         physics: How MuJoCo computes, or the name of a preset; defaults if None. ``dexgraspbench``
             has its own, and ``drake`` takes the friction alone.
         settings: Numbers of the protocols; defaults if None.
-        error_model: Errors of sensors, drives and object, or their name; none if None, or those of a
-            laboratory in the protocol ``errors``, which draws them anew for every trial.
+        error_model: Errors of sensors, drives and object, or their name; none if None, or those of
+            a laboratory in the protocol ``errors``, which draws them anew for every trial.
             ``dexgraspbench`` and ``drake`` have none.
         estimator: What tells the controller where the object is: a name, or what makes one; see
             ``sim.simulation.Simulation``.

@@ -9,8 +9,8 @@ closing, lift and hold.
 
 ``errors``: the whole trial again and again, each time with other errors drawn.
 
-Sensors, drives and object are off as a ``ErrorModel`` says, and neither plan nor controller knows how.
-The verdict is that of every trial (``sim.verdict``), on the truth.
+Sensors, drives and object are off as a ``ErrorModel`` says, and neither plan nor controller knows
+how. The verdict is that of every trial (``sim.verdict``), on the truth.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""``ErrorModel``: how far a laboratory is from the world that planner and controller believe in.
+"""``ErrorModel``: errors of sensors and drives, and random properties of the object.
 
-Without arguments there is no difference. Every error has a field of its own, and all of them are
-drawn from ``seed``, each from a stream of its own: ``sim.sensing.errors.drawn``. Sets of errors
-have names, those below and others that are registered; a file holds one too, TOML or JSON with
-fields of ``ErrorModel`` under their names (``sim.presets``)::
+Planner and controller do not know them. Without arguments there are none. Every error has a field
+of its own, and all of them are drawn from ``seed``, each from a stream of its own:
+``sim.sensing.errors.drawn``. Sets of errors have names, those below and others that are registered;
+a file holds one too, TOML or JSON with fields of ``ErrorModel`` (``sim.presets``)::
 
     preset = "lab"
     encoder_offset = 0.035  # rad
@@ -22,7 +22,7 @@ from sim.controllers.readings import EXACT
 from sim.presets import Presets
 
 IDEAL = "ideal"
-"""Name of the error model without errors."""
+"""Name of the model without errors."""
 
 BELOW_ONE = (
     "encoder_scale",
@@ -128,22 +128,22 @@ class ErrorModel:
     def __post_init__(self) -> None:
         """Check every number."""
         if not (isinstance(self.seed, int) and self.seed >= 0) or isinstance(self.seed, bool):
-            raise TaskError(f"error_model: seed is {shown(self.seed)}; give an integer >= 0")
+            raise TaskError(f"error model: seed is {shown(self.seed)}; give an integer >= 0")
         if not (isinstance(self.name, str) and self.name):
-            raise TaskError(f"error_model: name is {shown(self.name)}; give a text")
+            raise TaskError(f"error model: name is {shown(self.name)}; give a text")
         if self.touch != EXACT:
             from sim.sensing.touch import check_touch
 
             check_touch(self.touch)
         given: dict[str, Any] = dict(self.numbers)  # dataclasses check no types
         for name, value in given.items():
-            checked_number(f"error_model: {name}", value, least=0.0, error=TaskError)
+            checked_number(f"error model: {name}", value, least=0.0, error=TaskError)
             if name in BELOW_ONE and value >= 1:
-                raise TaskError(f"error_model: {name} is {value}; give a share in [0, 1)")
+                raise TaskError(f"error model: {name} is {value}; give a share in [0, 1)")
         if self.drift_time == 0:
-            raise TaskError("error_model: drift_time is 0; give a time in s above 0")
+            raise TaskError("error model: drift_time is 0; give a time in s above 0")
         if self.dropout > 1:
-            raise TaskError(f"error_model: dropout is {self.dropout}; give a probability in [0, 1]")
+            raise TaskError(f"error model: dropout is {self.dropout}; give a probability in [0, 1]")
 
     @property
     def numbers(self) -> dict[str, float]:
