@@ -9,7 +9,7 @@ closing, lift and hold.
 
 ``errors``: the whole trial again and again, each time with other errors drawn.
 
-Sensors, drives and object are off as a ``ErrorModel`` says, and neither plan nor controller knows
+Sensors, drives and object are off as an ``ErrorModel`` says, and neither plan nor controller knows
 how. The verdict is that of every trial (``sim.verdict``), on the truth.
 """
 

@@ -1,4 +1,4 @@
-"""``Drawn``: the errors of one trial, drawn from the seed of a ``ErrorModel``.
+"""``Drawn``: the errors of one trial, drawn from the seed of an ``ErrorModel``.
 
 Every error has a stream of random numbers of its own, named by its field: a ``SeedSequence`` of
 the seed whose spawn key is a checksum of the name. Streams give standard numbers, which the field
