@@ -73,7 +73,7 @@ def test_pads_of_links_lie_on_their_links_and_face_the_palms_side(name: str) -> 
     state = HandState(hand, hand.neutral)  # fingers straight
     palm = state.T_base_palm.rotation @ hand.palm_normal
     for part in hand.contact_parts.values():
-        if not part.is_link:
+        if not part.is_link or part.name.endswith(".side"):
             continue
         pad = part.pad
         geometry = next(g for g in hand.geometries if g.name == pad.geom)
@@ -208,7 +208,7 @@ def test_fingertips_are_the_default(given: str | None) -> None:
 
 def test_what_a_type_cannot_be_is_said() -> None:
     with pytest.raises(NotFoundError, match="grasp type"):
-        GraspTask.create("allegro_hand", "sphere", grasp_type="lateral")
+        GraspTask.create("allegro_hand", "sphere", grasp_type="claw")
     with pytest.raises(TaskError, match="give one of them"):
         GraspTask.create("allegro_hand", "sphere", grasp_type="power", fingers=["thumb", "index"])
     with pytest.raises(TaskError, match=r"2 finger.*--mu-torsion"):
@@ -231,6 +231,60 @@ def test_a_hand_without_inner_links_makes_no_hook() -> None:
         GraspTask.create("robosuite:inspire_right", "sphere", grasp_type="hook")
     with pytest.raises(TaskError, match="a hook"):
         GraspTask.create("two_allegro_hands", "sphere:0.1", grasp_type="hook")
+
+
+@pytest.mark.parametrize("name", ["shadow_hand", "allegro_hand"])
+def test_a_flank_looks_across_its_link_to_where_the_thumb_can_press(name: str) -> None:
+    hand = load_hand(name)
+    parts, data = hand.contact_parts, hand.pin_model.createData()
+    flanks = [part for part in parts.values() if part.name.endswith(".side")]
+    assert {f.name.split("_")[0] for f in flanks} == set(hand.fingers) - {"thumb"}
+    pin.forwardKinematics(hand.pin_model, data, hand.posture("pinch"))
+    thumb = hand.fingers["thumb"].pad
+    at = data.oMi[thumb.joint_id].act(thumb.center)
+    for flank in flanks:
+        pad, link = flank.pad, parts[flank.name.removesuffix(".side")].pad
+        assert (flank.bodies, pad.geom, pad.center.tolist()) == (
+            parts[flank.name.removesuffix(".side")].bodies,
+            link.geom,
+            link.center.tolist(),
+        )
+        along = pad.reach[0] / np.linalg.norm(pad.reach[0])
+        assert np.abs([pad.axis @ along, pad.axis @ link.axis]).max() < 1e-9
+        assert np.linalg.norm(pad.axis) == pytest.approx(1.0)
+        assert pad.axis @ (data.oMi[pad.joint_id].actInv(at) - pad.center) > 0.0
+
+
+def test_a_lateral_grasp_presses_flanks_and_the_tip_of_the_thumb() -> None:
+    hand = load_hand("shadow_hand")
+    task = GraspTask.create(hand, "box:0.06x0.02x0.06", grasp_type="lateral", table_height=None)
+    plan = plan_grasp(task, seed=0)
+    thumb, *flanks = plan.task.finger_names
+    assert thumb == "thumb" and all(f.startswith("index_") and f.endswith(".side") for f in flanks)
+    # the kinematics of MuJoCo: contacts lie on the capsules, beside and not before them
+    model = hand.mj_model
+    data = mujoco.MjData(model)
+    data.qpos[:] = plan.q
+    mujoco.mj_kinematics(model, data)
+    palm = data.body(hand.description.palm_body)
+    looks = palm.xmat.reshape(3, 3) @ hand.palm_normal
+    for name, contact in zip(flanks, list(plan.contacts)[1:], strict=True):
+        geom = data.geom(name.removesuffix(".side"))
+        radius, half = model.geom(name.removesuffix(".side")).size[:2]
+        at = plan.T_world_base.actInv(contact.position) - geom.xpos
+        line = geom.xmat.reshape(3, 3)[:, 2]
+        out = at - np.clip(at @ line, -half, half) * line
+        assert np.linalg.norm(out) == pytest.approx(radius, abs=6e-4)
+        assert np.degrees(np.arccos(abs(out @ looks) / np.linalg.norm(out))) > 15.0
+    report = simulate(plan)
+    assert report.success, report.reason
+
+
+def test_who_makes_no_lateral_grasp_is_told() -> None:
+    with pytest.raises(TaskError, match="flanks of two links"):
+        GraspTask.create("robosuite:inspire_right", "sphere", grasp_type="lateral")
+    with pytest.raises(TaskError, match="a lateral grasp"):
+        GraspTask.create("two_allegro_hands", "sphere:0.1", grasp_type="lateral")
 
 
 def test_links_by_name_are_a_grasp_too(hand: Hand) -> None:

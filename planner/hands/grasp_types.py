@@ -7,7 +7,7 @@ search tries in turns. To add one, write its function and enter it in ``GRASP_TY
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import chain
+from itertools import chain, pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +15,9 @@ import pinocchio as pin
 from planner.errors import NotFoundError, TaskError
 from planner.hands.fingers import Finger, Side
 from planner.hands.hand import Hand
+from planner.hands.link_pads import FLANK, opposing
 from planner.joints.description import PINCH
+from planner.spatial import FloatArray
 
 __all__ = ["GRASP_TYPES", "contact_sets"]
 
@@ -55,16 +57,19 @@ def _by_nearness(hand: Hand, side: Side | None = None) -> list[Finger]:
     fingers = [f for f in hand.choose_fingers() if side is None or f.name in side.fingers]
     data = hand.pin_model.createData()
     pin.forwardKinematics(hand.pin_model, data, hand.posture(PINCH))
-    axes = np.array([data.oMi[f.pad.joint_id].rotation @ f.pad.axis for f in fingers])
     centers = np.array([data.oMi[f.pad.joint_id].act(f.pad.center) for f in fingers])
-    opposer = int((axes @ axes.sum(axis=0)).argmin())
+    opposer = opposing(hand.pin_model, fingers, hand.posture(PINCH))
     order = np.argsort(np.linalg.norm(centers - centers[opposer], axis=1), kind="stable")
     return [fingers[i] for i in order]
 
 
 def _links(hand: Hand, finger: Finger) -> list[Finger]:
     """Links of a finger that may touch, from the palm outwards; the last is that of its tip."""
-    own = [p for p in hand.contact_parts.values() if p.is_link and p.bodies <= finger.bodies]
+    own = [
+        p
+        for p in hand.contact_parts.values()
+        if p.is_link and p.bodies <= finger.bodies and not p.name.endswith(FLANK)
+    ]
     tip = finger.pad.joint_id
     return [p for p in own if p.pad.joint_id == tip or _is_long(p)]
 
@@ -135,6 +140,36 @@ def _hook(hand: Hand) -> ContactSets:
     return (around, (*last, *palm)) if palm[0] in hand.contact_parts else (around,)
 
 
+def _lateral(hand: Hand) -> ContactSets:
+    """The opposer's tip against flanks of two links of the finger beside it, as one holds a key.
+
+    Raises:
+        TaskError: That finger has no two long round links, or the hand is two.
+    """
+    hand.require_one("a lateral grasp")
+    opposer, *others = _by_nearness(hand)
+    beside = min(others, key=lambda f: float(np.linalg.norm(_root(hand, f) - _root(hand, opposer))))
+    flanks = [
+        name
+        for link in _links(hand, beside)
+        if (name := link.name + FLANK) in hand.contact_parts and _is_long(hand.contact_parts[name])
+    ]
+    if len(flanks) < FEW:
+        raise TaskError(
+            f"a lateral grasp takes the flanks of two links of {beside.name}, and {hand.name} has "
+            f"{len(flanks)}; use pinch or tripod"
+        )
+    return tuple((opposer.name, *pair) for pair in pairwise(flanks))
+
+
+def _root(hand: Hand, finger: Finger) -> FloatArray:
+    """Where a finger begins (3,), m, in the hand's base."""
+    data = hand.pin_model.createData()
+    pin.forwardKinematics(hand.pin_model, data, hand.neutral)
+    first = hand.pin_model.getJointId(finger.joints[0])
+    return np.array(data.oMi[first].translation)
+
+
 def _palms(hand: Hand) -> ContactSets:
     """Both palms of two hands, with the last links of two fingers or of all but the opposer.
 
@@ -165,6 +200,7 @@ GRASP_TYPES: Mapping[str, Callable[[Hand], ContactSets]] = {
     "tripod": lambda hand: _few(hand, 3, "tripod"),
     "power": _power,
     "hook": _hook,
+    "lateral": _lateral,
     "palms": _palms,
     ANY: _any,
 }

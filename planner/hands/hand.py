@@ -27,7 +27,7 @@ from planner.hands.arm import Arm
 from planner.hands.fingers import Finger, Side
 from planner.joints.actuation import Actuation
 from planner.joints.couplings import Coupling, nearest_on_couplings
-from planner.joints.description import HandDescription
+from planner.joints.description import PINCH, HandDescription
 from planner.showing import in_notebook
 from planner.spatial import FloatArray, IntArray, fixed_array
 
@@ -155,7 +155,8 @@ class Hand:
         links: dict[str, Finger] = {}
         for side in self.sides:
             fingers = tuple(self.fingers[name] for name in side.fingers)
-            links |= link_contacts(self.pin_model, self.geometries, fingers, side, self.neutral)
+            postures = self.neutral, self.posture(PINCH)
+            links |= link_contacts(self.pin_model, self.geometries, fingers, side, *postures)
         return MappingProxyType({**self.fingers, **links})
 
     @cached_property

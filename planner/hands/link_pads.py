@@ -4,7 +4,8 @@ Called by ``Hand.contact_parts``. A link that touches is a finger that ends earl
 that link, and a pad on it. The palm is a finger without joints, or, of one
 hand of two, with those of its carriage. Pads are proposed from the
 geometry: a capsule or cylinder touches along its line, a box or a hull with the face that looks to
-the palm's side.
+the palm's side. A long round link has a second pad, on the flank towards the finger that opposes
+the others (``flank``): there a thumb presses in a lateral grasp.
 """
 
 from __future__ import annotations
@@ -24,6 +25,12 @@ ROUND_HALF_ANGLE = float(np.deg2rad(70.0))
 """Contacts of a round link lie within this cone (rad) about the direction to the palm's side: its
 flanks touch as well, its back does not."""
 
+FLANK = ".side"
+"""Behind the name of a link: its flank."""
+
+FLANK_HALF_ANGLE = float(np.deg2rad(50.0))
+"""Contacts of a flank lie within this cone (rad) about the direction straight to the side."""
+
 FLAT_HALF_ANGLE = float(np.deg2rad(8.0))
 """The same for the face of a box or a hull, whose one normal is the pad's axis."""
 
@@ -40,8 +47,9 @@ def link_contacts(
     fingers: Sequence[Finger],
     side: Side,
     neutral: FloatArray,
+    pinch: FloatArray,
 ) -> Mapping[str, Finger]:
-    """Inner links and palm of one hand as fingers that end early, by the name of the body.
+    """Inner links, their flanks and palm of one hand as fingers that end early, by the body's name.
 
     Of a body with several geometries the largest touches; of the last one of a finger that of the
     tip, if it is a ball. A body whose name is a finger's is left out.
@@ -52,6 +60,7 @@ def link_contacts(
         fingers: Its fingers.
         side: Its palm, and the joints of the carriage that moves it if it is one of two.
         neutral: Joints (nq,) with straight fingers.
+        pinch: Joints (nq,) with fingertips that oppose each other.
     """
     data = model.createData()
     pin.framesForwardKinematics(model, data, neutral)
@@ -77,8 +86,49 @@ def link_contacts(
     if (face := _largest(geometries, palm)) is not None:
         turn = model.frames[model.getBodyId(palm)].placement.rotation
         out[palm] = _ended(model, palm, _pad(face, turn @ side.palm_normal), side.carriage.tolist())
+    opposer = fingers[opposing(model, fingers, pinch)]
+    for finger in fingers:
+        links = [out[b] for b in out if b in finger.bodies and finger is not opposer]
+        flanks = [_flank(model, link, opposer, pinch) for link in links]
+        out |= {part.name: part for part in flanks if part is not None}
     names = {finger.name for finger in fingers}
     return {name: part for name, part in out.items() if name not in names}
+
+
+def opposing(model: Any, fingers: Sequence[Finger], pinch: FloatArray) -> int:
+    """Number of the finger that opposes the others: its pad looks against theirs.
+
+    Args:
+        model: ``pinocchio.Model`` of the hand.
+        fingers: Of one hand, or of both.
+        pinch: Joints (nq,) with fingertips that oppose each other.
+    """
+    data = model.createData()
+    pin.forwardKinematics(model, data, pinch)
+    axes = np.array([data.oMi[f.pad.joint_id].rotation @ f.pad.axis for f in fingers])
+    return int((axes @ axes.sum(axis=0)).argmin())
+
+
+def _flank(model: Any, link: Finger, opposer: Finger, pinch: FloatArray) -> Finger | None:
+    """The flank of a round link towards the opposer's pad; None if the link is short or flat."""
+    pad = link.pad
+    if len(pad.reach) != 1:
+        return None
+    data = model.createData()
+    pin.forwardKinematics(model, data, pinch)
+    to_opposer = data.oMi[pad.joint_id].actInv(
+        data.oMi[opposer.pad.joint_id].act(opposer.pad.center)
+    )
+    side = np.cross(pad.reach[0], pad.axis)
+    side *= np.sign(side @ (to_opposer - pad.center)) / np.linalg.norm(side)
+    looking = replace(
+        pad,
+        axis=side,
+        half_angle=FLANK_HALF_ANGLE,
+        rolling_axis=side,
+        rolling_half_angle=FLANK_HALF_ANGLE,
+    )
+    return replace(link, name=link.name + FLANK, pad=looking)
 
 
 def _ended(model: Any, body: str, pad: Pad, joints: Sequence[int]) -> Finger:

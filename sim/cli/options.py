@@ -77,7 +77,9 @@ FingersOption = Annotated[
 ]
 TypeOption = Annotated[
     str | None,
-    option("What touches: fingertip, pinch, tripod, power, hook, palms or any.", "TYPE", GRIP),
+    option(
+        "What touches: fingertip, pinch, tripod, lateral, power, hook, palms, any.", "TYPE", GRIP
+    ),
 ]
 MuOption = Annotated[float, option("Sliding friction relied on (-).", "MU", GRIP)]
 JointErrorOption = Annotated[
