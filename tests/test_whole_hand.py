@@ -268,10 +268,10 @@ def test_a_lateral_grasp_presses_flanks_and_the_tip_of_the_thumb() -> None:
     mujoco.mj_kinematics(model, data)
     palm = data.body(hand.description.palm_body)
     looks = palm.xmat.reshape(3, 3) @ hand.palm_normal
-    for name, contact in zip(flanks, list(plan.contacts)[1:], strict=True):
+    for k, name in enumerate(flanks, start=1):
         geom = data.geom(name.removesuffix(".side"))
         radius, half = model.geom(name.removesuffix(".side")).size[:2]
-        at = plan.T_world_base.actInv(contact.position) - geom.xpos
+        at = plan.T_world_base.actInv(plan.contacts[k].position) - geom.xpos
         line = geom.xmat.reshape(3, 3)[:, 2]
         out = at - np.clip(at @ line, -half, half) * line
         assert np.linalg.norm(out) == pytest.approx(radius, abs=6e-4)
