@@ -53,7 +53,7 @@ from sim.manipulation import (
 )
 from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.log import measured_modes, mode_table, planned_modes
-from sim.manipulation.timeline import placed, tilt_between, undisturbed
+from sim.manipulation.timeline import placed, tilt_between, undisturbed, where_it_stands
 from sim.scene.physics import PhysicsOptions, named_physics
 
 ANGLE = math.radians(40.0)
@@ -467,6 +467,20 @@ def test_a_turn_that_stalls_is_put_down_and_made_anew(plan: ManipulationPlan) ->
     # but it was not turned in one go
     assert not told.success and not told.success_with_closure
     assert "begun again:" in str(told) and "put down half-way" in str(told)
+
+
+def test_what_is_put_down_half_way_may_stand_anywhere_but_must_stand() -> None:
+    criteria = SuccessCriteria()
+    tilted = pin.exp3(np.array([0.0, math.pi / 2, 0.0]))  # it lies on its side
+    target = SE3(tilted, np.array([0.1, 0.2, 0.03]))
+    elsewhere = pin.exp3(np.array([0.0, 0.0, 1.2])) @ tilted
+    for pose, stands in (
+        (SE3(elsewhere, np.array([0.16, 0.2, 0.03])), True),
+        (SE3(elsewhere, np.array([0.16, 0.2, 0.06])), False),
+        (SE3(pin.exp3(np.array([0.3, 0.0, 0.0])) @ elsewhere, np.array([0.1, 0.2, 0.03])), False),
+    ):
+        assert placed(target, pose, criteria)[0]
+        assert (not placed(where_it_stands(target, pose), pose, criteria)[0]) == stands
 
 
 def test_a_turn_beyond_one_stroke_is_refused(plan: ManipulationPlan) -> None:

@@ -31,6 +31,7 @@ from sim.manipulation.timeline import (
     SuccessCriteria,
     off_target,
     placed,
+    where_it_stands,
     too_short,
     undisturbed,
 )
@@ -317,8 +318,10 @@ class Phases:
         return fault or reason, numbers
 
     def _standing_at_target(self, fault: str, ending: Ending) -> Measured:
-        target = ending.T_world_target
-        reason, numbers = placed(target, self._sim.simulation.T_world_object, self._criteria)
+        target, now = ending.T_world_target, self._sim.simulation.T_world_object
+        if ending is not self._plan.ending:
+            target = where_it_stands(target, now)
+        reason, numbers = placed(target, now, self._criteria)
         return fault or reason, numbers
 
 

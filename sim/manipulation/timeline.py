@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
+import pinocchio as pin
 
 from planner.arrays import check_fields
 from planner.spatial import SE3, FloatArray, signed_twist
@@ -256,6 +257,16 @@ def placed(target: SE3, now: SE3, criteria: SuccessCriteria) -> Measured:
             f"{numbers['tilt_deg']:.1f}"
         )
     return reason, numbers
+
+
+def where_it_stands(target: SE3, now: SE3) -> SE3:
+    """A target where an object is and as it is turned about the vertical, upright and as high.
+
+    For what is put down half-way: it goes on from there, wherever that is.
+    """
+    heading = signed_twist(now.rotation @ target.rotation.T, UP)
+    place = np.array([*now.translation[:2], target.translation[2]])
+    return SE3(pin.exp3(heading * UP) @ target.rotation, place)
 
 
 def tilt_between(first: SE3, now: SE3) -> float:
