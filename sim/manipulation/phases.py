@@ -31,9 +31,9 @@ from sim.manipulation.timeline import (
     SuccessCriteria,
     off_target,
     placed,
-    where_it_stands,
     too_short,
     undisturbed,
+    where_it_stands,
 )
 from sim.scene.physics import PhysicsOptions
 
