@@ -35,6 +35,8 @@ from sim.scene.carrier import ArmCarrier, Timeline
 from sim.simulation import Simulation
 from sim.trial import Trial
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 
 @pytest.fixture(scope="module")
 def plan(plan_of: PlanOf) -> GraspPlan:

@@ -214,14 +214,20 @@ def test_a_measurement_writes_its_rows_and_its_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_searches")
 @pytest.mark.parametrize(("number", "workers"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
 def test_an_interrupted_bench_keeps_its_rows(
     number: signal.Signals, workers: int, tmp_path: Path
 ) -> None:
     words = [str(w) for w in bench_grasps(tmp_path, 50)]
-    code = f"from sim.cli import main; main({[*words, '--workers', str(workers)]!r})"
+    words += ["--workers", str(workers)]
+    code = f"from brief import *; from sim.cli import main\nwith brief_trials(): main({words!r})"
     with subprocess.Popen(
-        [sys.executable, "-c", code], start_new_session=True, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code],
+        cwd=Path(__file__).parent,
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         for _ in range(6000):  # ten minutes are a hang
             if rows_in(tmp_path) or process.poll() is not None:

@@ -21,6 +21,8 @@ from sim.datasets.episodes.sources import Trials
 from sim.scene.physics import PhysicsOptions
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 pa = pytest.importorskip("pyarrow")
 pytest.importorskip("pyarrow.parquet")
 

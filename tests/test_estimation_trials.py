@@ -20,6 +20,8 @@ from sim.sensing.reality import REALITIES, Reality
 from sim.simulation import Simulation
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 SHORT = Timeline.quick(hold=0.3)
 
 

@@ -23,6 +23,8 @@ from sim.controllers import ObjectImpedance
 from sim.scene.carrier import Timeline
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 HANDS = models_dir() / "hands"
 EXACT = 1e-12
 

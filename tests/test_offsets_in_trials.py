@@ -16,6 +16,8 @@ from sim.scene.carrier import Timeline
 from sim.sensing.reality import REALITIES
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 QUICK = Timeline(hold=0.5)
 OFFSETS = REALITIES["rough"].only("encoder_offset")  # 3 degrees
 SEED = 201

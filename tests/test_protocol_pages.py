@@ -21,6 +21,8 @@ from sim.cli import app
 from sim.protocols import ProtocolReport, run_protocol
 from sim.protocols.page import outcome_page
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 TRIALS = {
     "dexgraspbench": "dexgraspbench +x",
     "forces": "force +x",

@@ -49,6 +49,8 @@ from sim.protocols.variations import RobustCase, displaced, robust_cases
 from sim.scene.physics import PhysicsOptions
 from sim.verdict import REASONS, DropCriteria
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 HALF, PAD = 0.02, 0.012
 """Half the cube's edge and the pads' radius, m."""
 

@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from brief import COARSE
 from conftest import PlanOf
 
 from planner.errors import FileFormatError, TaskError
@@ -31,6 +32,8 @@ from sim.scene.physics import PhysicsOptions, named_physics
 from sim.simulation import Simulation
 from sim.trial import Trial, TrialOptions, simulate
 from sim.verdict import Thresholds
+
+pytestmark = pytest.mark.usefixtures("coarse_steps")
 
 QUICK = Timeline(approach=0.3, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.4, hold=0.2)
 
@@ -281,7 +284,7 @@ def test_users_controller_takes_part_and_fingers_that_never_close_touch_nothing(
     assert failed.reason == "no contact"
     assert all(name in failed.verdict.detail for name in plan.task.finger_names)
     assert failed.simulated_s < QUICK.duration  # given up before the lift
-    assert len(controller.seen) == round(failed.simulated_s / 0.002)
+    assert len(controller.seen) == round(failed.simulated_s / COARSE.timestep)
     phases = [o.phase for o in controller.seen]
     assert list(dict.fromkeys(phases)) == ["approach", "close", "squeeze", "settle"]
     last = controller.seen[-1]

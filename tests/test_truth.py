@@ -23,6 +23,8 @@ from sim.sensing.reality import Reality
 from sim.simulation import Simulation
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 RUN = CliRunner()
 
 
