@@ -32,7 +32,7 @@ BRIEF_PROTOCOL = Settings(growth=1.5, hold_s=0.5)
 COARSE = replace(physics.PRESETS.usual, timestep=0.004)
 """Half of the steps and of what controllers compute; DexGraspBench takes 4 ms, too."""
 
-POSTURES = {"RADII": (0.022, 0.034, 0.046), "FIRST": (0.034,), "STARTS": 2}
+POSTURES = {"RADII": (0.022, 0.034, 0.046), "FIRST": (0.034,), "STARTS": 1}
 """Radii (m) to which the postures of a new hand are searched, those begun with, and starts."""
 
 SMALL_SHARD = 16

@@ -39,8 +39,6 @@ from sim.manipulation.driver import FingerSwing
 from sim.manipulation.regrasping import margin_without
 from sim.scene.physics import PhysicsOptions
 
-pytestmark = pytest.mark.usefixtures("coarse_steps")
-
 ANGLE = math.radians(40.0)
 
 SHORT = replace(
