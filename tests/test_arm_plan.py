@@ -421,6 +421,7 @@ def test_the_arm_carries_what_the_hand_turns(turning: ManipulationPlan) -> None:
     assert np.linalg.norm(palm_by_mujoco(turning.grasp, end).translation - target) < 0.4
 
 
+@pytest.mark.slow
 def test_its_file_holds_the_way_out(turning: ManipulationPlan) -> None:
     data = movement_to_dict(turning)
     again = manipulation_from_dict(json.loads(json.dumps(data)), "a file")

@@ -134,6 +134,7 @@ def test_options_of_plan_reach_the_plan(tmp_path: Path) -> None:
     assert plan["task"]["fingers"] == ["thumb", "index", "middle"]
 
 
+@pytest.mark.slow
 def test_plan_simulate_analyse_round_trip(planned: Path, tmp_path: Path, can_draw: bool) -> None:
     report_file, picture = tmp_path / "report.json", tmp_path / "held.png"
     result = opposable("test", planned, "-o", report_file, "--picture", picture)
@@ -173,6 +174,7 @@ def test_simulate_says_no_when_the_object_is_not_held(planned: Path) -> None:
     assert report["reason"] in ("slipped", "dropped", "tipped", "no contact")
 
 
+@pytest.mark.slow
 def test_run_writes_plan_report_and_picture(tmp_path: Path, can_draw: bool) -> None:
     folder = tmp_path / "new" / "folder"
     result = opposable("run", "allegro_hand", "box", "--out", folder)
@@ -444,6 +446,7 @@ def test_every_command_explains_itself() -> None:
         assert command in result.out
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_a_run_leaves_plan_and_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -324,6 +324,7 @@ def test_a_contact_that_is_lost_is_noticed_and_found_again(plan: GraspPlan) -> N
     assert report.success, report.verdict.detail
 
 
+@pytest.mark.slow
 def test_slips_are_noticed_and_answered(plan: GraspPlan) -> None:
     """Friction falls to less than is believed, while the object is pulled."""
     noisy = Reality(touch_noise=0.02, sliding_noise=0.002)

@@ -181,6 +181,7 @@ def cost(way: SearchDirection, v: FloatArray) -> float:
     return float(inner @ way.cost @ inner)
 
 
+@pytest.mark.slow
 def test_a_search_does_not_run_into_a_neighbour() -> None:
     """A finger leans on its neighbour's side; MuJoCo measures between the links."""
     plan = plan_grasp(GraspTask.create("shadow_hand", "cylinder"), seed=2)

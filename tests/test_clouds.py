@@ -110,6 +110,7 @@ def test_the_surface_is_right_where_it_was_seen(solid: str) -> None:
     assert item.belief is not None and (item.belief.gradient(seen) ** 2).sum(axis=1).min() > 0.1
 
 
+@pytest.mark.slow
 def test_one_sigma_holds_two_thirds_of_the_seen_surface() -> None:
     shares = []
     for solid in SOLIDS:
@@ -172,6 +173,7 @@ def found(solid: str, views: int = 1) -> CloudPlan:
     return plan_from_cloud("allegro_hand", scanned(solid, views=views), seed=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("solid", "views"), [("ball", 1), ("box", 2)])
 def test_contacts_are_on_the_true_surface_where_it_is_certain(solid: str, views: int) -> None:
     grasp = found(solid, views)

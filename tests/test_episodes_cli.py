@@ -58,6 +58,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, allegro: Hand) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_plans_reports_and_batches_make_one_data_set(inputs: Path, tmp_path: Path) -> None:
     words = [inputs / "plan.json", inputs / "report.json", inputs / "grasps"]
     done = opposable("dataset", "episodes", *words, "-o", tmp_path / "set", "-n", "1", "--failed")
@@ -96,6 +97,7 @@ def test_json_tells_what_was_written(inputs: Path, tmp_path: Path) -> None:
     assert (told["episodes"], told["frames"]) == (info["total_episodes"], info["total_frames"])
 
 
+@pytest.mark.slow
 def test_failed_trials_are_named_and_kept_if_asked_for(inputs: Path, tmp_path: Path) -> None:
     words = ("dataset", "episodes", inputs / "plan.json", "--sim-mu", "0.05")
     done = opposable(*words, "-o", tmp_path / "set")

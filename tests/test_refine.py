@@ -93,6 +93,7 @@ def test_a_good_grasp_stays_where_it_is(hand: str, item: str, seed: int) -> None
     assert np.abs(apart).max() < 5e-4
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(
     hand=some_hand,
@@ -125,6 +126,7 @@ def test_a_plan_is_true_and_what_is_told_of_it_too(
     )
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(
     hand=some_hand,
@@ -159,6 +161,7 @@ def test_the_cost_of_leaving_keeps_the_hand_near() -> None:
     assert np.median(shares) < MUCH_NEARER, np.round(shares, 2)
 
 
+@pytest.mark.slow
 @SETTINGS
 @given(
     item=st.sampled_from(("sphere", "box", "torus")),
@@ -314,6 +317,7 @@ def test_a_fixed_base_stays() -> None:
         refine_grasp(task, elsewhere, q)
 
 
+@pytest.mark.slow
 def test_an_arm_brings_its_hand_back() -> None:
     task = task_of("allegro_on_arm7", "cylinder")
     plan = plan_of("allegro_on_arm7", "cylinder", 0)

@@ -37,6 +37,7 @@ def line_of(output: str, begin: str) -> str:
     return line
 
 
+@pytest.mark.slow
 def test_run_writes_a_page_and_says_where(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     done = opposable("run", "allegro_hand", "box", "--sim-mu", "0.7", "--out", folder)

@@ -92,6 +92,7 @@ def test_what_is_kept_is_counted_and_lies_within_what_was_asked_for(cache: Path)
     assert np.abs(states.targets - states.q).mean() > np.deg2rad(1.0)
 
 
+@pytest.mark.slow
 def test_states_are_still_held_by_a_script_that_knows_nothing_of_us(cache: Path) -> None:
     script = cache / "check_states.py"
     done = subprocess.run(
@@ -120,6 +121,7 @@ def test_states_are_still_held_by_a_script_that_knows_nothing_of_us(cache: Path)
     assert imported == {"mujoco", "numpy", "pathlib", "sys"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault", ["no squeeze", "joints in another order", "quaternion x, y, z, w", "position in mm"]
 )

@@ -110,6 +110,7 @@ def test_plans_have_the_room(pairs: list[tuple[GraspPlan, GraspPlan]], allegro: 
         assert lowest_pad(plan) > asked.clear_table + room - 5e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spec", ["box:0.03x0.03x0.04", "cylinder:0.015x0.1"])
 def test_a_plan_is_found_where_there_is_no_room(spec: str) -> None:
     """Four fingers on a thin thing, with 15 mm between them: there is no such grasp."""

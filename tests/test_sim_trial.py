@@ -198,6 +198,7 @@ def test_options_are_passed_whole_and_keywords_change_them(plan: GraspPlan) -> N
         TrialOptions(record_every=0.0)
 
 
+@pytest.mark.slow
 def test_a_grasp_that_slid_along_is_another_grasp(plan: GraspPlan) -> None:
     """A plan whose contacts are told 7 mm off is executed by the same fingers: held, elsewhere."""
     positions = plan.contacts.positions.copy()
@@ -215,6 +216,7 @@ def test_a_grasp_that_slid_along_is_another_grasp(plan: GraspPlan) -> None:
     assert simulate(told, timeline=QUICK, thresholds=strict).as_planned
 
 
+@pytest.mark.slow
 def test_a_report_prints_as_a_screen(report: TrialReport, plan: GraspPlan) -> None:
     """Whether it was held, and if not why; no dump of arrays."""
     held = str(report)

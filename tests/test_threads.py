@@ -234,6 +234,7 @@ def test_certificates_of_threads_are_those_of_one(two_plans: list[GraspPlan]) ->
     assert at_once(*[lambda plan=plan: numbers(plan) for plan in two_plans]) == alone
 
 
+@pytest.mark.slow
 def test_a_mesh_that_threads_share_is_prepared_once(
     allegro: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -297,6 +297,7 @@ def test_a_film_changes_nothing(plan: GraspPlan, tmp_path: Path, can_draw: bool)
     assert bool(shown.picture) == can_draw
 
 
+@pytest.mark.slow
 def test_hands_move_to_the_last_bit_as_without_their_looks(
     plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -307,6 +308,7 @@ def test_hands_move_to_the_last_bit_as_without_their_looks(
     assert samples_of(dressed) == samples_of(bare)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawing")
 def test_a_failure_is_shown_where_it_happened(plan: GraspPlan, tmp_path: Path) -> None:
     report = simulate(
@@ -320,6 +322,7 @@ def test_a_failure_is_shown_where_it_happened(plan: GraspPlan, tmp_path: Path) -
     assert (moment != end).any()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawing")
 def test_arrows_are_drawn_where_forces_are(tape: Tape, tmp_path: Path) -> None:
     """Red, and only if they are asked for; none before the hand touches."""
