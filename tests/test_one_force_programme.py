@@ -116,7 +116,7 @@ def test_both_accept_and_refuse_the_same_problems(seed: int) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**31))
 def test_both_agree_next_to_the_largest_wrench_that_can_be_held(seed: int) -> None:
     contacts, made, state = drawn_problem(seed)

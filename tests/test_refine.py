@@ -127,11 +127,11 @@ def test_a_plan_is_true_and_what_is_told_of_it_too(
 
 
 @pytest.mark.slow
-@SETTINGS
+@settings(SETTINGS, max_examples=12)
 @given(
     hand=some_hand,
     item=some_object,
-    seed=some_seed,
+    seed=st.integers(0, 40),
     shift=st.floats(0.002, 0.01),
     turn=st.floats(0.02, 0.2),
 )
