@@ -64,7 +64,7 @@ def test_no_bound_is_above_the_distance_from_a_mesh(right_hand: Hand) -> None:
     bounds = bounds_of(world)
     on_mesh = np.flatnonzero(world._table.on_mesh)
     told = 0
-    for base, q in places(task, 20):
+    for base, q in places(task, 60):
         truth = np.array([c.distance for c in world.distances(base, q)])[on_mesh]
         poses = bounds.place(q[None], [base.inverse() * pose for pose in world._table.fixed])
         found = bounds.at(poses, on_mesh, np.array([np.inf]))[0]

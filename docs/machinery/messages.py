@@ -99,7 +99,8 @@ class Reader:
                 function = node
             elif isinstance(node, ast.Call | ast.Raise):
                 yield from self._made(node, function)
-            waiting += [(child, function) for child in ast.iter_child_nodes(node)]
+            children = reversed(list(ast.iter_child_nodes(node)))  # the first one comes next
+            waiting += [(child, function) for child in children]
 
     def _made(self, node: ast.Call | ast.Raise, function: ast.AST | None) -> Iterator[Message]:
         if isinstance(node, ast.Call) and _name(node.func) in CLASSES:
