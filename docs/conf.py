@@ -53,6 +53,7 @@ nitpick_ignore_regex = [
 
 autodoc_class_signature = "mixed"
 autodoc_member_order = "bysource"
+autodoc_use_type_comments = False  # there are none; looking for them parses every function again
 autodoc_typehints = "none"  # machinery.docstrings adds them, as they are written
 napoleon_attr_annotations = False
 napoleon_numpy_docstring = False

@@ -13,6 +13,7 @@ from typing import Any
 from unittest.mock import patch
 
 from planner.describe import postures
+from sim.datasets.reset_states import make, shards
 from sim.manipulation.timeline import ManipulationTimeline
 from sim.protocols import Settings
 from sim.scene import physics
@@ -31,8 +32,11 @@ BRIEF_PROTOCOL = Settings(growth=1.5, hold_s=0.5)
 COARSE = replace(physics.PRESETS.usual, timestep=0.004)
 """Half of the steps and of what controllers compute; DexGraspBench takes 4 ms, too."""
 
-POSTURES = {"RADII": (0.022, 0.034, 0.046), "FIRST": (0.034,), "STARTS": 2}
+POSTURES = {"RADII": (0.022, 0.034, 0.046), "FIRST": (0.034,), "STARTS": 1}
 """Radii (m) to which the postures of a new hand are searched, those begun with, and starts."""
+
+SMALL_SHARD = 16
+"""Candidates of a shard of reset states, of which a half is kept, instead of 64."""
 
 SMALL_PICTURE = replace(picture.PICTURE, size=(320, 240), larger=1.0, shadows=512)
 """A picture that takes a tenth of the time where no GPU draws it."""
@@ -50,6 +54,7 @@ def brief_trials() -> Iterator[None]:
             assert kind() == brief
         patches.enter_context(patch.object(picture, "PICTURE", SMALL_PICTURE))
         patches.enter_context(coarse_steps())
+        patches.enter_context(small_shards())
         for name, few in POSTURES.items():
             patches.enter_context(patch.object(postures, name, few))
         yield
@@ -66,4 +71,14 @@ def coarse_steps() -> Iterator[None]:
         patch.object(presets, "usual", COARSE),
     ):
         assert kind() == COARSE
+        yield
+
+
+@contextmanager
+def small_shards() -> Iterator[None]:
+    """Shards of reset states that are held by this process, and by its forks, are small."""
+    with (
+        patch.object(make, "SHARD", SMALL_SHARD),
+        patch.object(shards, "SHARD", SMALL_SHARD),
+    ):
         yield

@@ -26,6 +26,7 @@ from planner.errors import ModelError
 from planner.hand_loading import load_hand
 from planner.hands.catalog import find_hand
 from planner.hands.hand import Hand
+from planner.numerics.kernels import COMPILE_VARIABLE
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.shapes import Mesh
@@ -162,6 +163,21 @@ def brief_trials() -> Iterator[None]:
 def coarse_steps() -> Iterator[None]:
     """Trials of a module take steps of 4 ms: of those that ask what is done with a trial."""
     with brief.coarse_steps():
+        yield
+
+
+@pytest.fixture(scope="module")
+def plain_searches() -> Iterator[None]:
+    """Searches of a module, and of the processes it starts, load no numba: 1 s for each process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(COMPILE_VARIABLE, "0")
+        yield
+
+
+@pytest.fixture(scope="module")
+def small_shards() -> Iterator[None]:
+    """Shards of a module's reset states are small."""
+    with brief.small_shards():
         yield
 
 

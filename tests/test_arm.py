@@ -309,6 +309,7 @@ def test_an_object_two_metres_away_is_refused_at_once(arm_hand: Hand) -> None:
         plan_grasp(task)
 
 
+@pytest.mark.slow
 def test_an_object_just_out_of_reach_ends_in_reasons_that_say_so(arm_hand: Hand) -> None:
     far = SE3(np.eye(3), np.array([-1.05, 0.0, 0.0]))
     task = GraspTask.create(arm_hand, "sphere", T_world_base=far)

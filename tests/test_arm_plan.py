@@ -35,6 +35,8 @@ from sim.scene.carrier import ArmCarrier, Timeline
 from sim.simulation import Simulation
 from sim.trial import Trial
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 
 @pytest.fixture(scope="module")
 def plan(plan_of: PlanOf) -> GraspPlan:
@@ -419,6 +421,7 @@ def test_the_arm_carries_what_the_hand_turns(turning: ManipulationPlan) -> None:
     assert np.linalg.norm(palm_by_mujoco(turning.grasp, end).translation - target) < 0.4
 
 
+@pytest.mark.slow
 def test_its_file_holds_the_way_out(turning: ManipulationPlan) -> None:
     data = movement_to_dict(turning)
     again = manipulation_from_dict(json.loads(json.dumps(data)), "a file")

@@ -101,6 +101,7 @@ def test_a_fault_is_found_by_its_stage_first(name: str, good: Good) -> None:
         assert failed == [stage] or name == "penetration", row.reason
 
 
+@pytest.mark.slow
 def test_the_verdict_is_that_on_our_own_plans(good: Good) -> None:
     """Stage by stage or at once: the same grasps pass ``verify_grasp``."""
     _, plans, given = good

@@ -95,6 +95,7 @@ def test_the_bar_shows_rate_and_estimated_end() -> None:
     assert "2.0/s, found 18 of 20" in drawn.getvalue()
 
 
+@pytest.mark.slow
 def test_a_batch_takes_what_a_plan_takes(tmp_path: Path) -> None:
     box = trimesh.creation.box((0.04, 0.05, 0.08))
     faces = box.faces.copy()

@@ -25,7 +25,7 @@ pytestmark = [
 
 pytest.importorskip("pyarrow")
 
-N = 6
+N = 4
 """Grasps of the batch. After a death, each that was in flight has a new pool to itself: 10 s."""
 
 TIMES = ("cpu_s", "build_s")

@@ -78,6 +78,7 @@ def numbers(grasps: GraspSet) -> list[int]:
     return [r["seed"] - 1000 for r in grasps]
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(order=st.permutations(range(10)), cut=st.integers(0, 10))
 def test_any_order_and_any_interruption_give_the_same_rows(

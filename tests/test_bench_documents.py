@@ -121,8 +121,11 @@ def test_scripts_run_in_an_empty_folder_and_their_plots_are_kept(
     draw = "from PIL import Image; Image.new('RGB', (900, 700), 'red').save('plot.png')"
     look = "import os; print(os.listdir('.'), 'in', os.getcwd())"
     plan = """
+from dataclasses import replace
 from planner import GraspTask, plan_grasp
 from sim.scene.carrier import Timeline
+from sim.show import picture
+picture.PICTURE = replace(picture.PICTURE, size=(320, 240), larger=1.0, shadows=512)
 brief = {"approach": 0.3, "squeeze": 0.4, "lift": 0.2, "hold": 0.1, "lift_height": 0.02}
 Timeline.__init__.__kwdefaults__ |= brief  # a film of a second
 plan_grasp(GraspTask.create("allegro_hand", "sphere"))

@@ -142,6 +142,7 @@ def test_a_model_file_is_found_as_itself(edit_hand: EditHand) -> None:
     assert hand_reference(model) == str(model)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("brief_postures")
 def test_a_model_file_is_a_hand_by_its_structure_wherever_it_lies(tmp_path: Path) -> None:
     model = written(tmp_path, claw())

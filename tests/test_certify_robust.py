@@ -152,7 +152,7 @@ def test_more_error_never_survives_where_less_did_not() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("contacts", "draws"), [(around(), 1200), (opposed(), 200)], ids=["four points", "two soft"]
+    ("contacts", "draws"), [(around(), 300), (opposed(), 60)], ids=["four points", "two soft"]
 )
 def test_no_sampled_error_within_a_promise_loses_closure(contacts: ContactSet, draws: int) -> None:
     rng = np.random.default_rng(1)

@@ -199,6 +199,7 @@ def test_a_gripper_of_two_fingers_is_said_plainly(edit_hand: EditHand) -> None:
         GraspTask.create(hand, "sphere")
 
 
+@pytest.mark.slow
 def test_a_finger_that_takes_no_part_presses_with_nothing(
     runner: CliRunner, edit_hand: EditHand
 ) -> None:
@@ -338,6 +339,7 @@ def test_arrays_of_taxels_are_shown_and_wrong_ones_are_told_by_finger(edit_hand:
         load_hand(edit_hand({line: f"{line}\n{twice}"}))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("brief_postures")
 def test_describe_command(runner: CliRunner, tmp_path: Path) -> None:
     model = written(tmp_path, claw())

@@ -134,6 +134,7 @@ def test_options_of_plan_reach_the_plan(tmp_path: Path) -> None:
     assert plan["task"]["fingers"] == ["thumb", "index", "middle"]
 
 
+@pytest.mark.slow
 def test_plan_simulate_analyse_round_trip(planned: Path, tmp_path: Path, can_draw: bool) -> None:
     report_file, picture = tmp_path / "report.json", tmp_path / "held.png"
     result = opposable("test", planned, "-o", report_file, "--picture", picture)
@@ -173,6 +174,7 @@ def test_simulate_says_no_when_the_object_is_not_held(planned: Path) -> None:
     assert report["reason"] in ("slipped", "dropped", "tipped", "no contact")
 
 
+@pytest.mark.slow
 def test_run_writes_plan_report_and_picture(tmp_path: Path, can_draw: bool) -> None:
     folder = tmp_path / "new" / "folder"
     result = opposable("run", "allegro_hand", "box", "--out", folder)
@@ -214,14 +216,20 @@ def test_a_measurement_writes_its_rows_and_its_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("plain_searches")
 @pytest.mark.parametrize(("number", "workers"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
 def test_an_interrupted_bench_keeps_its_rows(
     number: signal.Signals, workers: int, tmp_path: Path
 ) -> None:
     words = [str(w) for w in bench_grasps(tmp_path, 50)]
-    code = f"from sim.cli import main; main({[*words, '--workers', str(workers)]!r})"
+    words += ["--workers", str(workers)]
+    code = f"from brief import *; from sim.cli import main\nwith brief_trials(): main({words!r})"
     with subprocess.Popen(
-        [sys.executable, "-c", code], start_new_session=True, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code],
+        cwd=Path(__file__).parent,
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         for _ in range(6000):  # ten minutes are a hang
             if rows_in(tmp_path) or process.poll() is not None:
@@ -438,6 +446,7 @@ def test_every_command_explains_itself() -> None:
         assert command in result.out
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_a_run_leaves_plan_and_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

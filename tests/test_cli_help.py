@@ -171,6 +171,7 @@ def test_slow_examples_do_what_they_show(tmp_path: Path, monkeypatch: pytest.Mon
     assert (tmp_path / "plan.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("virtual_time", "brief_trials")
 def test_quick_examples_do_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_examples(tmp_path, monkeypatch, of_no_page(slow=False))

@@ -141,6 +141,7 @@ def test_obstacles_in_the_object_are_refused_before_solving(tmp_path: Path) -> N
     assert "inside 'obstacle 1'; move them apart" in " ".join(done.stderr.split())
 
 
+@pytest.mark.slow
 def test_a_plan_of_all_of_it_is_kept_by_its_file_and_held(tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
     line = (
@@ -166,6 +167,7 @@ def test_a_base_that_is_told_is_kept(tmp_path: Path) -> None:
     assert read_plan(tmp_path / "plan.json").task.T_world_base is not None
 
 
+@pytest.mark.slow
 def test_a_batch_has_the_same_surroundings(tmp_path: Path) -> None:
     line = (
         "batch allegro_hand box -n 1 --workers 1 --table 0.3 "

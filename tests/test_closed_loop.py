@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from brief import COARSE
 from conftest import PlanOf
 
 from benchmarks.slips import LATENCY, true_slips
@@ -37,6 +38,8 @@ from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 SHORT = Timeline(
     approach=0.3,
     close=0.25,
@@ -48,6 +51,9 @@ SHORT = Timeline(
     lift_height=0.01,
 )
 """Long enough to hold the object in the air; 1.6 s simulated."""
+
+FINE = 0.002
+"""Time step (s) of what is learned, or seen, step by step; other trials take 4 ms."""
 
 
 @pytest.fixture(scope="module")
@@ -68,13 +74,14 @@ def run(
     timeline: Timeline = SHORT,
     mu: float = 0.6,
     error_model: ErrorModel | None = None,
+    timestep: float = COARSE.timestep,
 ) -> TrialReport:
     """A short trial; ``on_hold`` is called after every step of the hold with the time since."""
     trial = Trial(
         plan,
         controller=controller,
         timeline=timeline,
-        physics=PhysicsOptions(mu=mu),
+        physics=PhysicsOptions(mu=mu, timestep=timestep),
         error_model=error_model,
     )
     began: list[float] = []
@@ -178,7 +185,7 @@ def test_a_push_deflects_the_object_by_push_over_stiffness(plan: GraspPlan) -> N
 def test_a_wrong_mass_is_learned(plan: GraspPlan) -> None:
     believed = 0.5 * plan.task.object.mass
     controller = ObjectImpedance(plan, mass=believed)
-    report = run(plan, controller)
+    report = run(plan, controller, timestep=FINE)
     assert report.success, report.verdict.detail
     missing = 0.5 * plan.task.object.mass * 9.81
     upward = plan.T_world_base.rotation @ controller.law.load[:3]
@@ -317,6 +324,7 @@ def test_a_contact_that_is_lost_is_noticed_and_found_again(plan: GraspPlan) -> N
     assert report.success, report.verdict.detail
 
 
+@pytest.mark.slow
 def test_slips_are_noticed_and_answered(plan: GraspPlan) -> None:
     """Friction falls to less than is believed, while the object is pulled."""
     noisy = ErrorModel(touch_noise=0.02, sliding_noise=0.002)
@@ -330,7 +338,8 @@ def test_slips_are_noticed_and_answered(plan: GraspPlan) -> None:
         pads = read_pads(trial.scene, trial.data, plan.task.finger_names)
         rows.append((float(trial.data.time), pads.sliding_speed, pads.normal_force))
 
-    run(plan, controller, on_hold, timeline=replace(SHORT, hold=0.8), error_model=noisy)
+    brief = replace(SHORT, hold=0.8)
+    run(plan, controller, on_hold, timeline=brief, error_model=noisy, timestep=FINE)
     times, speed, force = (np.array(column) for column in zip(*rows, strict=True))
     slips = true_slips(times, speed, force)
     noticed = [e for e in controller.events if e.kind == "slip"]

@@ -98,6 +98,7 @@ def test_what_cannot_be_given_is_not_learned() -> None:
     assert spring < -1.0
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_energy_never_grows_without_input(seed: int) -> None:

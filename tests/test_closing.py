@@ -181,6 +181,20 @@ def cost(way: SearchDirection, v: FloatArray) -> float:
     return float(inner @ way.cost @ inner)
 
 
+def test_there_is_no_way_past_what_stands_right_ahead() -> None:
+    """The distance falls exactly as the pad goes along the normal, whatever joints move."""
+    ahead = np.array([0.03, 0.01])
+    way = SearchDirection(
+        index=np.arange(2),
+        along=ahead,
+        straight=ahead / (ahead @ ahead),
+        free=np.eye(2),
+        cost=np.eye(2),
+    )
+    assert way.around(-2.0 * ahead) is None
+
+
+@pytest.mark.slow
 def test_a_search_does_not_run_into_a_neighbour() -> None:
     """A finger leans on its neighbour's side; MuJoCo measures between the links."""
     plan = plan_grasp(GraspTask.create("shadow_hand", "cylinder"), seed=2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -16,8 +17,9 @@ from planner.clouds.belief import CERTAIN, DIFFER, Belief
 from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
 from planner.clouds.sight import _distance, _reflection
 from planner.errors import ObjectError, TaskError, UncertainError
-from planner.search.from_cloud import CONE_SHARE, CloudPlan, _hits, _tried
-from planner.spatial import FloatArray
+from planner.objects import parse_object
+from planner.search.from_cloud import CONE_SHARE, TABLE_MU, CloudPlan, _hits, _tips, _tried
+from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 
 CAMERA = np.array([0.42, 0.05, 0.36])
@@ -110,6 +112,7 @@ def test_the_surface_is_right_where_it_was_seen(solid: str) -> None:
     assert item.belief is not None and (item.belief.gradient(seen) ** 2).sum(axis=1).min() > 0.1
 
 
+@pytest.mark.slow
 def test_one_sigma_holds_two_thirds_of_the_seen_surface() -> None:
     shares = []
     for solid in SOLIDS:
@@ -172,6 +175,7 @@ def found(solid: str, views: int = 1) -> CloudPlan:
     return plan_from_cloud("allegro_hand", scanned(solid, views=views), seed=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("solid", "views"), [("ball", 1), ("box", 2)])
 def test_contacts_are_on_the_true_surface_where_it_is_certain(solid: str, views: int) -> None:
     grasp = found(solid, views)
@@ -397,3 +401,20 @@ def test_ordinary_margins_are_tried_where_cautious_ones_find_nothing() -> None:
     with patch("planner.search.from_cloud.attempts", counted), pytest.raises(UncertainError):
         plan_from_cloud("allegro_hand", scanned("ball"))
     assert made[0] == CONE_SHARE and made[-1] == SynthesisOptions().cone_share
+
+
+def test_a_push_tips_what_it_meets_above_the_lever_of_its_base_over_friction() -> None:
+    """A box of half width 20 mm, pushed along x; 20 mm / TABLE_MU is the height between."""
+    between = 0.02 / TABLE_MU
+    plan: Any = SimpleNamespace(
+        task=SimpleNamespace(
+            table_height=0.3,
+            object=parse_object("box:0.04x0.06x0.2"),
+            T_world_object=SE3(np.eye(3), np.array([0.0, 0.0, 0.4])),
+        ),
+        contacts=SimpleNamespace(
+            normals=np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
+            positions=np.array([[-0.02, 0.0, 0.3 + between + dz] for dz in (-1e-3, 1e-3, 1e-3)]),
+        ),
+    )
+    assert _tips(plan).tolist() == [False, True, False]  # along y the lever is 30 mm

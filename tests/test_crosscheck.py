@@ -609,6 +609,7 @@ def test_limits_of_zero_in_a_urdf_are_named(tmp_path: Path) -> None:
     assert set(column.causes) == {"zero limits"}
 
 
+@pytest.mark.slow
 def test_the_reader_runs_in_a_child_process(folder: Path) -> None:
     report = read(folder, model(base='pos="1 0 0"'))
     assert list(report.column(READER).causes) == ["root pose"]
@@ -651,6 +652,7 @@ def put_for_python(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str) -
     monkeypatch.setattr("sys.executable", str(program))
 
 
+@pytest.mark.slow
 def test_nothing_of_the_current_folder_is_run(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

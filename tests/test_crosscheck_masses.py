@@ -58,6 +58,7 @@ SCALED = """
 """0.8 kg as it is written, 2 kg as it is meant."""
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")
 def test_a_total_mass_that_the_reader_ignores_is_named(tmp_path: Path) -> None:
     path = tmp_path / "scaled.xml"

@@ -74,6 +74,7 @@ def thing(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_kept_proposal_is_the_same_to_the_last_bit(
     own_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,6 +7,7 @@ import re
 import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -34,6 +35,7 @@ from planner.shapes import Mesh
 from planner.shapes.decomposition.pieces import Pieces
 from planner.spatial import SE3, pose_from_wxyz
 from planner.task import GraspTask
+from sim.protocols import dexgraspbench
 from sim.protocols.dexgraspbench import benchmark_contacts, benchmark_scene
 
 pytest.importorskip("pyarrow")
@@ -343,3 +345,15 @@ def test_the_world_of_fc_is_the_benchmarks(jaw: Hand) -> None:
     assert model.body_mass[scene.object_body] == pytest.approx(0.1)
     assert model.body_mass[scene.object_body] == pytest.approx(plan.task.object.mass)
     assert welded.coordinates(plan.T_world_base).shape == (7,)
+
+
+def test_without_planned_forces_a_grasp_is_closed_as_far_again_as_from_its_pregrasp(
+    allegro: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dexgraspbench, "contacts_at", lambda *_: None)
+    monkeypatch.setattr(dexgraspbench, "plan_squeeze", lambda *_: SimpleNamespace(reason="none"))
+    q, task = allegro.posture("pinch"), SimpleNamespace(hand=allegro)
+    for before, wanted in ((None, q), (q - 0.1, q + 0.1)):  # its servos take angles
+        grasp = SimpleNamespace(q_squeeze=None, q=q, q_pregrasp=before)
+        asked: Any = (task, grasp, SE3.Identity())
+        np.testing.assert_allclose(dexgraspbench._squeeze(*asked), wanted, atol=1e-12)

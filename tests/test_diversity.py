@@ -190,6 +190,7 @@ def test_features_of_wrong_shape_are_refused() -> None:
         replace(one, contacts=one.contacts[:1])
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), n=st.integers(1, 60), spread=st.floats(0.1, 3.0))
 def test_thinning_stands_for_all_and_repeats_none(seed: int, n: int, spread: float) -> None:

@@ -190,7 +190,7 @@ COMPOSED = {
 def test_no_place_that_raises_an_error_is_left_out() -> None:
     listed = {(m.error, m.text) for m in messages.all_messages()}
     for path in messages.modules():
-        for message in messages.Reader(path).messages():
+        for message in messages.read(path):
             if (message.error, message.text) not in listed:
                 assert message.room in COMPOSED, message
                 assert not messages.has_words(message.text)

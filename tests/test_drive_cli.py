@@ -86,6 +86,7 @@ def drive(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return run
 
 
+@pytest.mark.slow
 def test_a_simulated_hand_holds_and_its_log_replays(drive: Any, folder: Path) -> None:
     done = drive("--fast", "--log", "run.npz", "--json")
     assert done.exit_code == 0, done.output
@@ -101,6 +102,7 @@ def test_a_simulated_hand_holds_and_its_log_replays(drive: Any, folder: Path) ->
     assert compared["compared"] == data["loop"]["ticks"] and compared["largest"] < 1e-9
 
 
+@pytest.mark.slow
 def test_a_log_is_replayed_with_its_own_plan_and_rate(drive: Any, folder: Path) -> None:
     assert drive("--fast", "--rate", "50", "--log", "slow.npz").exit_code == 0
     assert drive("--replay", "slow.npz").exit_code == 0, "the rate is that of the log"
@@ -128,6 +130,7 @@ def test_a_dry_run_moves_nothing(drive: Any) -> None:
     assert "trial" not in data and done.exit_code == 1
 
 
+@pytest.mark.slow
 def test_joints_are_checked_one_by_one(drive: Any) -> None:
     done = drive("--fast", "--check-joints", "--json")
     assert done.exit_code == 0, done.output

@@ -294,6 +294,7 @@ def decoded(path: Path, size: tuple[int, int]) -> Any:
     return np.frombuffer(done.stdout, dtype=np.uint8).reshape(-1, size[1], size[0], 3)
 
 
+@pytest.mark.slow
 def test_a_film_shows_the_state_of_every_row(
     held: TrialReport, can_draw: bool, tmp_path: Path
 ) -> None:

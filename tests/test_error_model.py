@@ -751,6 +751,7 @@ def test_the_report_says_what_was_drawn_and_comes_again(plan: GraspPlan, tmp_pat
     assert told["drawn"] == Drawn.of(asked, plan.task.hand).to_dict()
 
 
+@pytest.mark.slow
 def test_what_was_read_stands_beside_the_truth(plan: GraspPlan, tmp_path: Any) -> None:
     """Joints are off by the drawn offsets, the pose by what it was 10 steps before; to a file."""
     asked = ErrorModel(name="off", encoder_offset=0.03, pose_delay=10 * DT, seed=2)

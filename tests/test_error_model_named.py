@@ -29,6 +29,8 @@ from sim.sensing.errors import (
 from sim.simulation import Simulation
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 
 @pytest.fixture(scope="module")
 def plan(plan_of: PlanOf) -> GraspPlan:

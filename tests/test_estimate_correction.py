@@ -122,6 +122,7 @@ def answered(held: Simulation, phase: Phase, sliding: float, rates: float) -> fl
     return 1e3 * float(np.linalg.norm(went))
 
 
+@pytest.mark.slow
 def test_an_object_that_slides_over_the_pads_is_brought_back(held: Simulation) -> None:
     """At 20 mm/s it slides the 2 mm itself; before, a slip counted as doubt, and no force grew."""
     assert answered(held, "hold", sliding=0.0, rates=0.0) == pytest.approx(2.0, abs=0.02)

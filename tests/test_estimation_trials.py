@@ -15,10 +15,13 @@ from planner.plan import GraspPlan
 from planner.task import GraspTask
 from sim.controllers import Event, Observation
 from sim.scene.carrier import Timeline
+from sim.scene.physics import PhysicsOptions
 from sim.sensing.errors import ERROR_MODELS, ErrorModel
 from sim.sensing.estimation import EstimateLog, ObjectEstimator, SensorErrors, register_estimator
 from sim.simulation import Simulation
 from sim.trial import simulate
+
+pytestmark = pytest.mark.usefixtures("coarse_steps")
 
 SHORT = Timeline.quick(hold=0.3)
 
@@ -93,7 +96,10 @@ class Numb:
 
 @pytest.mark.slow
 def test_without_touch_and_camera_a_held_object_is_soon_unknown(plan: GraspPlan) -> None:
-    report = simulate(plan, timeline=SHORT, error_model=ERROR_MODELS["lab"], estimator=Numb)
+    fine = PhysicsOptions(timestep=0.002)  # s; when it is lost is told to a sample
+    report = simulate(
+        plan, timeline=SHORT, physics=fine, error_model=ERROR_MODELS["lab"], estimator=Numb
+    )
     begin = report.samples.time[report.samples.during("hold")[0]]
     (lost,) = (e for e in report.events if e.kind == "pose lost")
     assert begin - 0.02 < lost.time < begin + 0.15

@@ -177,8 +177,9 @@ def is_busy() -> bool:
 
 SMALLER = {
     "14_open_and_closed_loop": ("PUSHES={'up': (0, 0, 1), 'sideways': (0, 1, 0)}",),
-    "16_delay": ("CASES=((0, 1.0), (100, 0.4))",),
-    "17_servo_and_torque": ("EVERY=(1, 10)",),
+    "16_delay": ("CASES=((0, 1.0), (100, 0.4))", "(BEGIN, END, HOLD)=(0.1, 0.3, 0.6)"),
+    "17_servo_and_torque": ("EVERY=(1, 10)", "(BEGIN, HOLD)=(0.1, 0.4)"),
+    "18_protocols": ("SETTINGS=Settings(growth=3.0)",),
     "step5_turn_in_the_hand": ("ANGLE=np.deg2rad(30.0)",),
     "step6_full_demonstration": ("TURN=30.0",),
 }

@@ -60,6 +60,7 @@ def _close(a: SE3, b: SE3, tol: float = 1e-6) -> None:
     np.testing.assert_allclose(a.homogeneous, b.homogeneous, atol=tol)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["allegro_hand", "shadow_hand"])
 def test_an_export_of_a_batch_comes_back(name: str, tmp_path: Path) -> None:
     plan_grasps(name, ["box:0.05x0.05x0.08", "mug"], 2, seed=1, workers=1, out=tmp_path / "set")

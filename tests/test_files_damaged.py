@@ -216,7 +216,7 @@ ANYTHING = st.one_of(
 
 
 @given(data=st.data())
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_mutation_is_a_plan_or_an_error_that_the_user_can_read(
     good: Json, read: Read, data: st.DataObject
 ) -> None:

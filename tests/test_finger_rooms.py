@@ -60,6 +60,7 @@ def margins(hand: Hand, clear: float) -> FloatArray:
     return np.array(rows(x, np.eye(3), clear)).ravel()
 
 
+@pytest.mark.slow
 def test_neighbours_have_less_room_than_is_asked_for(narrow: Hand) -> None:
     rooms, capsules = rooms_at_rest(narrow), finger_capsules(narrow)
     tight = {

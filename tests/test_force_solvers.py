@@ -309,11 +309,11 @@ def answer(contacts: ContactSet, cone: Any, **options: Any) -> tuple[bool, float
 
 
 @pytest.mark.slow
-def test_hundreds_of_problems_are_as_theory_says() -> None:
+def test_many_problems_are_as_theory_says() -> None:
     """Inscribed implies round implies circumscribed; costs fall in that order."""
     pytest.importorskip("clarabel")
     between = held = 0
-    for seed in range(600):
+    for seed in range(150):
         rng = np.random.default_rng(seed)
         contacts = on_ball(seed, int(rng.integers(2, 5)), mu=float(rng.uniform(0.3, 1.0)))
         wrench = rng.normal(size=6) * [1, 1, 1, 0.01, 0.01, 0.01]
@@ -330,8 +330,8 @@ def test_hundreds_of_problems_are_as_theory_says() -> None:
             assert least <= between_both * (1 + 1e-5) + 1e-9
         if inner:
             assert between_both <= most * (1 + 1e-5) + 1e-9
-    assert between > 20
-    assert held > 100
+    assert between > 5
+    assert held > 25
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.1, np.pi / 8])

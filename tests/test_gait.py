@@ -172,6 +172,7 @@ def test_standing_takes_each_contact_from_where_the_finger_is() -> None:
     assert holding(begin, end, frozenset({1, 3}), 0).fingers == ("finger2", "finger3", "finger4")
 
 
+@pytest.mark.slow
 def test_two_strokes_with_all_fingers_moving_on_between(twice: GaitPlan) -> None:
     assert twice.cycles == 2 and twice.angle == pytest.approx(math.pi / 3)
     assert sorted(twice.order) == sorted(twice.motion.grasp.task.hand.fingers)

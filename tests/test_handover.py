@@ -28,6 +28,8 @@ from sim.handover import HANDOVER_PHASES, HandoverTimeline, HandoverTrial, hand_
 from sim.report import TrialReport
 from sim.verdict import Thresholds
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 GRAVITY = 9.81
 QUICK = HandoverTimeline.quick(lift=1.0, reach=0.8, transfer=0.5, open=0.3, retreat=0.6, hold=0.5)
 

@@ -58,6 +58,7 @@ def read(shadow: Hand, tmp_path: Path) -> Callable[..., Any]:
     return read
 
 
+@pytest.mark.slow
 @given(numbers=some_numbers())
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

@@ -66,6 +66,7 @@ def test_joints_that_the_solver_did_not_mean_are_found_out(allegro: Hand, finger
 # --- attempts by seed and number ---------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_attempts_are_numbered_streams_of_their_seed(allegro: Hand) -> None:
     """Attempt k of a seed is the same whichever were made before it; seeds differ."""
     task = GraspTask.create(allegro, "cylinder:0.03x0.1", fingers=["thumb", "index", "middle"])

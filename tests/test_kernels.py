@@ -60,6 +60,7 @@ def test_both_forms_agree() -> None:
     assert norms.plain is plain_norms  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_planning_loads_nothing_that_few_plans_need() -> None:
     """SciPy alone takes longer to load than all else together; a single plan needs no Numba."""
     code = """

@@ -23,6 +23,7 @@ def torus(major: int, minor: int) -> trimesh.Trimesh:
     return trimesh.creation.torus(RING, TUBE, major_sections=major, minor_sections=minor)
 
 
+@pytest.mark.slow
 def test_200_000_triangles_are_read_and_checked_in_seconds(tmp_path: Path) -> None:
     torus(400, 250).export(tmp_path / "ring.ply")
     found: list[object] = []

@@ -372,6 +372,7 @@ def test_the_open_loop_turns_the_object_where_all_is_as_planned(plan: Manipulati
 # ---- the network and its file
 
 
+@pytest.mark.slow
 def test_a_policy_computes_what_its_trainer_computes(plan: ManipulationPlan) -> None:
     pytest.importorskip("sklearn")
     rng = np.random.default_rng(0)

@@ -57,6 +57,7 @@ def test_no_bound_is_above_the_distance(right_hand: Hand, item: str) -> None:
     assert close > 0.8 * apart  # most are good to half a millimetre, or they would prove nothing
 
 
+@pytest.mark.slow
 def test_no_bound_is_above_the_distance_from_a_mesh(right_hand: Hand) -> None:
     task = GraspTask.create(right_hand, "mug")
     world = CollisionWorld(task)

@@ -56,6 +56,8 @@ from sim.manipulation.log import measured_modes, mode_table, planned_modes
 from sim.manipulation.timeline import placed, tilt_between, undisturbed, where_it_stands
 from sim.scene.physics import PhysicsOptions, named_physics
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 ANGLE = math.radians(40.0)
 
 HELD = ("turn", "hold", "verify again")

@@ -361,21 +361,6 @@ def executed(report: ManipulationReport, monkeypatch: pytest.MonkeyPatch) -> lis
     return plans
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("brief_manipulations")
-def test_the_command_writes_a_plan_executes_it_and_says_what_came_of_it(tmp_path: Path) -> None:
-    folder = tmp_path / "out"
-    done = command("allegro_hand", "cylinder", "--rotate", "20", "--out", folder)
-    assert done.exit_code == 0, done.output
-    written = {file.name for file in folder.iterdir()}
-    assert written >= {"manipulation.json", "trajectory.csv", "report.json"}
-    first = read_manipulation_report(folder / "report.json")
-    assert first.success_with_closure and first.asked_deg == pytest.approx(20.0)
-    assert math.degrees(read_manipulation(folder / "manipulation.json").angle) == pytest.approx(
-        20.0
-    )
-
-
 def test_the_command_executes_the_plan_of_a_file(
     turn: ManipulationPlan, executed: list[ManipulationPlan], tmp_path: Path
 ) -> None:

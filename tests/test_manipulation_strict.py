@@ -55,6 +55,8 @@ from sim.manipulation.regrasping import margin_without
 from sim.scene.physics import PhysicsOptions
 from sim.verdict import Thresholds, first_collision
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 
 @pytest.fixture(scope="module")
 def plan() -> ManipulationPlan:

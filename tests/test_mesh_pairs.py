@@ -96,6 +96,7 @@ def assert_same(told: FloatArray, truth: FloatArray) -> None:
     np.testing.assert_allclose(told[apart], truth[apart], atol=2e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", ["torus", "mug"])
 def test_what_is_told_of_many_is_true_of_each(item: str) -> None:
     mesh = parse_object(item).shape

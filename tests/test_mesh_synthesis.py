@@ -395,6 +395,7 @@ def test_a_contact_gains_no_flatness_by_leaving_the_surface(blocks: GraspTask) -
     assert found > 50
 
 
+@pytest.mark.slow
 def test_a_pad_in_a_corner_stands_in_neither_face(blocks: GraspTask) -> None:
     seeder, shape = seeder_for(blocks), blocks.object.shape
     problem = build_problem(blocks.hand, blocks.fingers, shape)

@@ -696,6 +696,7 @@ def test_table_and_obstacles_count_at_the_start_alone(turning: GraspTask) -> Non
     assert (numbers.knots[1:, places["table"].stop - 1] < -1.0).all()
 
 
+@pytest.mark.slow
 def test_of_several_the_motion_with_the_largest_margin_is_taken(ninety: MotionPlan) -> None:
     best = plan_motion(ninety.grasp.task, angle=np.pi / 2, best_of=3)
     assert best.record.attempts >= 3  # three are found, and some attempts may fail

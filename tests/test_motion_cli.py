@@ -94,6 +94,7 @@ def test_a_manipulation_refuses_what_only_a_plan_takes() -> None:
     assert "--rotate max is for --plan-only" in " ".join(done.output.split())
 
 
+@pytest.mark.slow
 def test_a_motion_takes_the_whole_task(tmp_path: Path) -> None:
     """On a stand, on a table that is not at z = 0, soft contacts: all of it stands in the file."""
     path = tmp_path / "m.json"

@@ -133,6 +133,7 @@ def test_meshes_with_sizes_of_their_own_have_rolling_pads_too(allegro: Hand) -> 
     assert with_rolling_pads(GraspTask.create(allegro, "superquadric", fingers=THREE)).hand.rolls
 
 
+@pytest.mark.slow
 def test_a_superquadric_is_turned_by_a_right_angle(allegro: Hand) -> None:
     shape = Superquadric(0.06, 0.06, 0.09, 0.5, 0.5)
     item = GraspObject(name="superquadric", shape=shape, mass=0.3)

@@ -23,6 +23,8 @@ from sim.controllers import ObjectImpedance
 from sim.scene.carrier import Timeline
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 HANDS = models_dir() / "hands"
 EXACT = 1e-12
 
@@ -193,6 +195,7 @@ def test_a_torque_beyond_a_motor_is_cut() -> None:
     np.testing.assert_allclose(achieved[of.joint_names.index("FFJ3")], 1.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_it_grasps_and_holds() -> None:
     # light links stick short of the object where a spring is softer than their dry friction, and
     # the thumb's middle joint is against its stop here

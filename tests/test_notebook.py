@@ -130,6 +130,7 @@ def turned() -> Iterator[ManipulationReport]:
     yield manipulate(plan_manipulation(task, angle=0.3), timeline=QUICK)
 
 
+@pytest.mark.slow
 def test_a_plan_shows_its_contacts_and_forces(plan: GraspPlan) -> None:
     head, *rows = seen(plan).rows
     assert head == ["finger", "contact in object (mm)", "normal force (N)", "friction used"]
@@ -238,6 +239,7 @@ def test_a_manipulation_shows_its_phases(turned: ManipulationReport) -> None:
     picture(turned)
 
 
+@pytest.mark.slow
 def test_a_dataset_shows_what_was_found_of_each_object(tmp_path: Path) -> None:
     plan_grasps("allegro_hand", ["box", "sphere"], 3, workers=1, out=tmp_path)
     grasps = GraspSet(tmp_path)
@@ -264,6 +266,7 @@ def test_names_that_look_like_html_are_text(plan: GraspPlan) -> None:
     assert [row[0] for row in cells.rows[1:]] == list(fingers)
 
 
+@pytest.mark.slow
 def test_a_failed_trial_is_shown_where_it_ended(plan: GraspPlan) -> None:
     def stop(simulation: Simulation) -> None:
         if simulation.time > 1.0:

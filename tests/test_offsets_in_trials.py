@@ -16,6 +16,8 @@ from sim.scene.carrier import Timeline
 from sim.sensing.errors import ERROR_MODELS
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 QUICK = Timeline(hold=0.5)
 OFFSETS = ERROR_MODELS["rough"].only("encoder_offset")  # 3 degrees
 SEED = 201
@@ -31,12 +33,14 @@ def held(plan: GraspPlan, controller: str, seed: int = SEED) -> TrialReport:
     return simulate(plan, controller=controller, error_model=OFFSETS.seeded(seed), timeline=QUICK)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["feedforward", "impedance"])
 def test_three_degrees_are_borne_by_tendons_and_stops(plan: GraspPlan, controller: str) -> None:
     report = held(plan, controller)
     assert report.success, report.verdict.detail
 
 
+@pytest.mark.slow
 def test_a_controller_that_trusts_its_encoders_loses_it(
     plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -50,6 +54,7 @@ def test_a_controller_that_trusts_its_encoders_loses_it(
     assert not held(plan, "impedance").success
 
 
+@pytest.mark.slow
 def test_a_free_hand_does_not_notice_the_light_touch(
     plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -104,6 +104,7 @@ def both(
     return step.balanced, anew.found
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**31))
 def test_both_accept_and_refuse_the_same_problems(seed: int) -> None:
@@ -114,6 +115,7 @@ def test_both_accept_and_refuse_the_same_problems(seed: int) -> None:
     assert looped == once
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**31))
 def test_both_agree_next_to_the_largest_wrench_that_can_be_held(seed: int) -> None:

@@ -425,6 +425,7 @@ def test_a_wrong_physics_ends_before_the_work(command: tuple[str, ...]) -> None:
 # creep of a plan, and changes that are enough
 
 
+@pytest.mark.slow
 def test_creep_of_a_plan_is_measured_and_a_lost_object_told(grasped: GraspPlan) -> None:
     soft = measure_creep(grasped, SOFT)
     assert soft.measured == pytest.approx(soft.predicted, rel=0.15)

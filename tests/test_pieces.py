@@ -159,6 +159,7 @@ def test_faces_of_pieces_are_closed_and_outward() -> None:
         assert volume == pytest.approx(hull.volume)
 
 
+@pytest.mark.slow
 def test_pieces_are_the_same_again_from_the_cache_and_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.arrays import finite, short_names, without_prefix
@@ -18,6 +18,7 @@ DATA = st.recursive(
 )
 
 
+@settings(max_examples=25)
 @given(DATA)
 def test_the_outcome_is_strict_json_and_stays_what_it_is(data: Any) -> None:
     once = finite(data)

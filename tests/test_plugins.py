@@ -146,6 +146,7 @@ def test_a_format(laboratory: Path) -> None:
         writable_format("lab")
 
 
+@pytest.mark.slow
 def test_a_protocol(laboratory: Path, plan: GraspPlan) -> None:
     assert len(cases_of("upwards", Settings(), 0)) == 1
     assert "upwards" in in_all()

@@ -21,6 +21,8 @@ from sim.cli import app
 from sim.protocols import ProtocolReport, run_protocol
 from sim.protocols.page import outcome_page
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 TRIALS = {
     "dexgraspbench": "dexgraspbench +x",
     "forces": "force +x",
@@ -86,6 +88,7 @@ def test_without_states_there_is_no_page(report: ProtocolReport, plan: GraspPlan
         outcome_page(report, replace(outcome, recording=None), plan)
 
 
+@pytest.mark.slow
 def test_the_command_writes_pages_of_failures(plan: GraspPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
     words = ["test", str(tmp_path / "plan.json"), "--protocol", "all", "--workers", "1"]

@@ -49,6 +49,8 @@ from sim.protocols.variations import RobustCase, displaced, robust_cases
 from sim.scene.physics import PhysicsOptions
 from sim.verdict import REASONS, DropCriteria
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 HALF, PAD = 0.02, 0.012
 """Half the cube's edge and the pads' radius, m."""
 
@@ -433,6 +435,7 @@ def test_diverged(pinched: GraspPlan) -> None:
     assert outcome.reason == "diverged"
 
 
+@pytest.mark.slow
 def test_torque_limit_reached(servo_jaw: Hand) -> None:
     # the right servo gives all it has; what pushes the cube against it pushes both along
     outcome = push("force +x", Settings()).run(pinch(servo_jaw, press=STRONGEST), under())
@@ -498,6 +501,7 @@ def test_what_was_done_is_kept_after_ctrl_c(pinched: GraspPlan, tmp_path: Path) 
     assert (report.complete, report.success, report.asked) == (False, False, 6)
 
 
+@pytest.mark.slow
 def test_a_report_is_a_table_json_and_csv(pinched: GraspPlan, tmp_path: Path) -> None:
     coarse = Settings(random=1, growth=4.0, step_s=0.1, hold_s=0.1)
     some = ("gravity +x", "gravity -z", "force +y", "torque -x", "wrench 0")
@@ -563,6 +567,7 @@ def test_settings_are_checked(bad: dict[str, object], message: str) -> None:
     assert Settings().dropped == DropCriteria(fewest=1, mm=10.0, deg=15.0)
 
 
+@pytest.mark.slow
 def test_the_command(
     grasped: GraspPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -612,6 +617,7 @@ def test_a_protocol_says_which_hands_it_is_not_for(jaw: Hand, servo_jaw: Hand) -
     assert unsuitable("forces", on_arm) == ""
 
 
+@pytest.mark.slow
 def test_of_all_protocols_those_that_a_hand_cannot_take_are_skipped(
     pinched: GraspPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -96,6 +96,7 @@ def assert_same(first: TrialReport, second: TrialReport) -> None:
     assert str(told) == str(again)  # all of the verdict; NaN is not equal to itself
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["feedforward", "impedance"])
 def test_a_trial_through_the_interface_is_the_trial(plan: GraspPlan, controller: str) -> None:
     own = Trial(plan, controller=controller, timeline=QUICK).run()
@@ -105,6 +106,7 @@ def test_a_trial_through_the_interface_is_the_trial(plan: GraspPlan, controller:
     assert_same(own, hand.report())
 
 
+@pytest.mark.slow
 def test_a_trial_with_tendons_and_a_wrist_is_the_trial(with_tendons: GraspPlan) -> None:
     own = Trial(with_tendons, controller="feedforward", timeline=QUICK).run()
     hand = simulated(with_tendons, "feedforward")
@@ -646,6 +648,7 @@ def test_a_hand_that_is_wired_well_passes(with_tendons: GraspPlan) -> None:
     assert [c.fault for c in checks] == [""] * len(checks)
 
 
+@pytest.mark.slow
 def test_faults_of_the_wiring_are_found_and_none_is_invented(plan: GraspPlan) -> None:
     gears, cables = np.ones(16), np.arange(16)
     gears[1], gears[6], gears[10] = -1.0, 0.0, 0.3

@@ -33,6 +33,8 @@ from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
 from sim.trial import Trial, simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 QUICK = Timeline(approach=0.2, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.3, hold=0.2)
 
 

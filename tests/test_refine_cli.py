@@ -171,6 +171,7 @@ def test_millimetres_are_noticed(plan: GraspPlan, tmp_path: Path) -> None:
     assert "4 of 4 brought back" in done.output
 
 
+@pytest.mark.slow
 def test_what_is_refined_is_read_again(plan: GraspPlan, tmp_path: Path) -> None:
     """The folder that ``refine`` writes is an input of every command that takes plans."""
     poses = {name: (plan.T_world_base, plan.q) for name in ("a", "b")}

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
-from planner.files import write_plan
+from planner.files import read_manipulation, write_plan
 from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
 from sim.cli import app
@@ -36,6 +37,7 @@ def line_of(output: str, begin: str) -> str:
     return line
 
 
+@pytest.mark.slow
 def test_run_writes_a_page_and_says_where(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     done = opposable("run", "allegro_hand", "box", "--sim-mu", "0.7", "--out", folder)
@@ -75,14 +77,18 @@ def test_a_page_is_not_written_where_it_cannot_be(planned: Path, tmp_path: Path)
     assert done.exit_code == 3 and "there is no folder" in " ".join(done.output.split())
 
 
-def test_manipulate_writes_a_page(tmp_path: Path) -> None:
+def test_manipulate_writes_its_plan_a_report_and_a_page(tmp_path: Path) -> None:
     words = ("manipulate", "allegro_hand", "cylinder", "--rotate", "20", "--out", tmp_path / "m")
     done = opposable(*words)
     assert done.exit_code == 0, done.output
+    assert {file.name for file in (tmp_path / "m").iterdir()} >= {"trajectory.csv"}
+    planned = read_manipulation(tmp_path / "m" / "manipulation.json")
+    assert math.degrees(planned.angle) == pytest.approx(20.0)
     page = tmp_path / "m" / "report.html"
     assert f"open in a browser: {page}" in done.output
     report = read_manipulation_report(page)
     assert report == read_manipulation_report(tmp_path / "m" / "report.json")
+    assert report.success_with_closure and report.asked_deg == pytest.approx(20.0)
     assert report.plan is not None and report.plan["format"] == "opposable-movement"
     assert report.command.startswith("opposable manipulate allegro_hand cylinder")
     assert page.stat().st_size < 3e6

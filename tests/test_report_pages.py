@@ -122,6 +122,7 @@ def numbers_not_in_the_report(page: Page, report: dict[str, Any]) -> set[str]:
     return {number for text in said for number in NUMBER.findall(text)} - known
 
 
+@pytest.mark.slow
 def test_every_number_of_a_page_is_in_its_report(
     held: TrialReport, dropped: TrialReport, turned: ManipulationReport
 ) -> None:

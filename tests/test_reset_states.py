@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -16,6 +15,7 @@ from shutil import copytree
 import mujoco
 import numpy as np
 import pytest
+from brief import SMALL_SHARD
 from scipy.spatial.transform import Rotation
 
 from planner.errors import FileFormatError, ObjectError, TaskError
@@ -37,7 +37,6 @@ from sim.datasets.reset_states.shards import (
     NEAR_JOINT,
     NEAR_POSITION,
     SECTORS,
-    SHARD,
     TURNS,
     Distinct,
     coverage,
@@ -57,14 +56,16 @@ from sim.datasets.reset_states.starts import (
 from sim.scene.physics import PhysicsOptions
 
 ASKED = StatesAsked(
-    hand="allegro_hand", objects=("cylinder:0.03x0.08",), n=20, grasps=6, motions=2, gaits=0
+    hand="allegro_hand", objects=("cylinder:0.03x0.08",), n=8, grasps=6, motions=1, gaits=0
 )
 CELL = "cylinder-0.03x0.08-s1"
 
+pytestmark = pytest.mark.usefixtures("small_shards")
+
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache of 20 states."""
+def cache(small_shards: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache of 8 states."""
     folder = tmp_path_factory.mktemp("states") / "cache"
     summary = make_states(ASKED, folder, workers=1)
     assert summary == json.loads((folder / "summary.json").read_text(encoding="utf-8"))
@@ -78,11 +79,11 @@ def starts(cache: Path) -> Starts:
 
 def test_what_is_kept_is_counted_and_lies_within_what_was_asked_for(cache: Path) -> None:
     (cell,) = json.loads((cache / "summary.json").read_text(encoding="utf-8"))["cells"]
-    assert cell["states"] == 20
-    assert cell["tried"] == 20 + sum(cell["lost"].values())
+    assert cell["states"] == 8
+    assert cell["tried"] == 8 + sum(cell["lost"].values())
     assert cell["plans"]["motion"]["poses"] > 2 * cell["plans"]["motion"]["found"]
     states = StateSet.read(cache / CELL / "states.npz")
-    assert len(states) == 20
+    assert len(states) == 8
     assert np.allclose(np.linalg.norm(states.gravity, axis=1), 9.81)
     assert ((states.mass >= 0.05) & (states.mass <= 0.15)).all()
     assert ((states.friction >= 0.6) & (states.friction <= 1.2)).all()
@@ -91,6 +92,7 @@ def test_what_is_kept_is_counted_and_lies_within_what_was_asked_for(cache: Path)
     assert np.abs(states.targets - states.q).mean() > np.deg2rad(1.0)
 
 
+@pytest.mark.slow
 def test_states_are_still_held_by_a_script_that_knows_nothing_of_us(cache: Path) -> None:
     script = cache / "check_states.py"
     done = subprocess.run(
@@ -99,7 +101,7 @@ def test_states_are_still_held_by_a_script_that_knows_nothing_of_us(cache: Path)
         text=True,
         check=True,
     )
-    assert "20 of 20 states held" in done.stdout
+    assert "8 of 8 states held" in done.stdout
     for words in ([], ["none.npz"], [str(cache / CELL / "states.npz"), "many"]):
         wrong = subprocess.run(
             [sys.executable, str(script), *words], capture_output=True, text=True, check=False
@@ -119,6 +121,7 @@ def test_states_are_still_held_by_a_script_that_knows_nothing_of_us(cache: Path)
     assert imported == {"mujoco", "numpy", "pathlib", "sys"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault", ["no squeeze", "joints in another order", "quaternion x, y, z, w", "position in mm"]
 )
@@ -130,7 +133,7 @@ def test_a_cache_with_a_fault_is_noticed_by_the_script(
     states = StateSet.read(broken / "states.npz")
     if fault == "no squeeze":
         sources = load_starts(cache / CELL).sources
-        states = replace(states, commands=np.tile(sources["rest"][0], (20, 1)))
+        states = replace(states, commands=np.tile(sources["rest"][0], (8, 1)))
     elif fault == "joints in another order":
         states = replace(states, joint_names=states.joint_names[4:] + states.joint_names[:4])
     elif fault == "quaternion x, y, z, w":
@@ -223,13 +226,13 @@ def test_processes_give_the_same_states_as_one(tmp_path: Path) -> None:
 def test_more_states_begin_with_the_same_ones(cache: Path, tmp_path: Path) -> None:
     copytree(cache, tmp_path / "cache")
     seen: list[StatesProgress] = []
-    asked = replace(ASKED, n=80)
+    asked = replace(ASKED, n=24)
     make_states(asked, tmp_path / "cache", workers=1, formats=("npz",), progress=seen.append)
     more = StateSet.read(tmp_path / "cache" / CELL / "states.npz")
-    assert len(more) == 80
-    assert np.array_equal(more.q[:20], StateSet.read(cache / CELL / "states.npz").q)
+    assert len(more) == 24
+    assert np.array_equal(more.q[:8], StateSet.read(cache / CELL / "states.npz").q)
     assert seen[-1].before > 0  # the first shard was there
-    assert (seen[-1].done, seen[-1].total, seen[-1].phase) == (80, 80, "holding")
+    assert (seen[-1].done, seen[-1].total, seen[-1].phase) == (24, 24, "holding")
 
 
 @pytest.mark.slow
@@ -238,14 +241,14 @@ def test_a_killed_run_goes_on(cache: Path, tmp_path: Path) -> None:
     words = [
         sys.executable,
         "-c",
-        "from sim.cli import main; main()",
+        "from brief import small_shards; from sim.cli import main\nwith small_shards(): main()",
         "dataset",
         "states",
         ASKED.hand,
     ]
-    words += [*ASKED.objects, "-n", "100000", "--grasps", "6", "--motions", "2", "--gaits", "0"]
+    words += [*ASKED.objects, "-n", "100000", "--grasps", "6", "--motions", "1", "--gaits", "0"]
     words += ["--workers", "1"]
-    killed = subprocess.Popen([*words, "--out", str(folder)], env={**os.environ})
+    killed = subprocess.Popen([*words, "--out", str(folder)], cwd=Path(__file__).parent)
     first = shard_path(folder / CELL, 0)
     deadline = time.monotonic() + 240.0
     while not first.exists() and killed.poll() is None and time.monotonic() < deadline:
@@ -265,7 +268,7 @@ def test_a_damaged_shard_is_held_again(cache: Path, tmp_path: Path) -> None:
     folder = tmp_path / "cache" / CELL
     whole = read_shard(folder, 0)
     assert whole is not None
-    assert len(whole.reason) == SHARD
+    assert len(whole.reason) == SMALL_SHARD
     assert (whole.reason == 0).sum() == len(whole.q)
     path = shard_path(folder, 0)
     path.write_bytes(path.read_bytes()[:1000])

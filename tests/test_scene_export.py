@@ -243,6 +243,7 @@ def test_without_the_squeeze_the_object_is_lost(folder: Path, tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("brief_postures")
 def test_a_hand_of_others_holds_its_object(tmp_path: Path) -> None:
     """Links of it overlap its palm: a base that stands fixed must not push them away."""
     name = "example-robot-data:allegro_right"

@@ -10,15 +10,17 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from brief import SMALL_PICTURE
 from PIL import Image
 
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.scene.build import Scene, build_scene
+from sim.show import picture
 from sim.show.camera import Subject
 from sim.show.dress import dress_hand
 from sim.show.painter import open_backend
-from sim.show.picture import PICTURE, Drawn, Tape, draw_tape, moments_of
+from sim.show.picture import Drawn, Tape, draw_tape, moments_of
 
 AWAY = SE3(np.eye(3), np.array([0.6, 0.0, 0.4]))
 
@@ -55,9 +57,11 @@ def scene(request: pytest.FixtureRequest) -> Scene:
 
 
 @pytest.fixture
-def drawing(can_draw: bool) -> None:
+def drawing(can_draw: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures are small, which is drawn in a tenth of the time; one test draws the whole size."""
     if not can_draw:
         pytest.skip("this machine does not draw without a display")
+    monkeypatch.setattr(picture, "PICTURE", SMALL_PICTURE)
 
 
 def test_there_is_a_picture_exactly_where_the_machine_draws(
@@ -76,7 +80,7 @@ def test_object_is_in_the_middle_of_the_picture(scene: Scene, tmp_path: Path) ->
     path = tmp_path / "box.png"
     draw_tape(tape_of(scene, 0.0), pictures={path: None})
     pixels = pixels_of(path)
-    width, height = PICTURE.size
+    width, height = SMALL_PICTURE.size
     assert pixels.shape == (height, width, 3)
     red, green, blue = np.moveaxis(pixels, 2, 0)
     leafy = (green > red + 20) & (green > blue + 20)

@@ -68,6 +68,7 @@ def ours(modules: set[str]) -> set[str]:
     return {m for m in modules if m.split(".")[0] in ("planner", "sim")}
 
 
+@pytest.mark.slow
 def test_a_plan_loads_little(plan_of: PlanOf, tmp_path: Path) -> None:
     plan_of("allegro_hand", "mug")  # the mug's field is on disk from now on
     loaded = modules_of("plan", "allegro_hand", "mug", "-o", str(tmp_path / "plan.json"))
@@ -76,6 +77,7 @@ def test_a_plan_loads_little(plan_of: PlanOf, tmp_path: Path) -> None:
     assert len(ours(loaded)) <= MOST_TO_PLAN
 
 
+@pytest.mark.slow
 def test_a_trial_loads_what_a_trial_needs(tmp_path: Path) -> None:
     loaded = modules_of("run", "allegro_hand", "sphere", "--out", str(tmp_path / "run"))
     assert "sim.trial" in loaded

@@ -22,6 +22,11 @@ from sim.datasets.reset_states.shards import shard_path
 
 FEW = ("--grasps", "4", "--motions", "0", "--gaits", "0", "--workers", "1")
 
+RUN = "from brief import small_shards; from sim.cli import main\nwith small_shards(): main()"
+"""The command line with small shards, run in this folder."""
+
+pytestmark = pytest.mark.usefixtures("small_shards", "plain_searches")
+
 
 def opposable(*arguments: str | Path) -> tuple[int, str, str]:
     """Exit code, output and messages of the command, called in this process."""
@@ -140,8 +145,8 @@ def test_a_format_that_cannot_hold_them_is_an_error_only_if_it_was_named(tmp_pat
 def test_ctrl_c_keeps_what_there_is(tmp_path: Path) -> None:
     words = ["dataset", "states", "allegro_hand", "sphere:0.035", "-n", "100000", *FEW]
     running = subprocess.Popen(
-        [sys.executable, "-c", "from sim.cli import main; main()", *words, "--out", "cache"],
-        cwd=tmp_path,
+        [sys.executable, "-c", RUN, *words, "--out", str(tmp_path / "cache")],
+        cwd=Path(__file__).parent,
         stderr=subprocess.PIPE,
         text=True,
     )

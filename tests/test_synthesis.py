@@ -184,6 +184,7 @@ def check(values: dict[str, FloatArray], ref: Reference, tolerance: float = 1e-9
         np.testing.assert_allclose(values[name], wanted, rtol=0, atol=tolerance, err_msg=name)
 
 
+@pytest.mark.slow
 def test_terms_of_contacts_and_forces_are_what_they_say_away_from_a_solution(
     solved: Solved,
 ) -> None:

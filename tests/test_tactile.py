@@ -44,6 +44,8 @@ from sim.sensing.touch.senses import ExactSense
 from sim.sensing.touch.slip import GainTracker, fit_patches
 from sim.simulation import Simulation
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 RADIUS = 0.012
 
 

@@ -32,6 +32,8 @@ from sim.manipulation import (
 )
 from sim.scene.physics import PhysicsOptions
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 X, Y, Z = np.eye(3)
 ANGLE, UP = math.radians(20.0), np.array([0.0, 0.0, 0.008])
 

@@ -23,6 +23,8 @@ from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation
 from sim.trial import simulate
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 RUN = CliRunner()
 
 

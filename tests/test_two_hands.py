@@ -36,6 +36,8 @@ from sim import Timeline, simulate
 from sim.protocols.dexgraspbench import unsuitable_for_dexgraspbench
 from sim.protocols.drake import unsuitable_for_drake
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 GRAVITY = 9.81
 SIDE, MASS = 0.3, 3.0
 """Of the cube that is held, m and kg."""

@@ -14,6 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from brief import SMALL_PICTURE, brief_trials
 from conftest import PlanOf
 from PIL import Image, ImageSequence
 
@@ -28,7 +29,7 @@ from sim.scene.build import build_scene
 from sim.scene.physics import PhysicsOptions
 from sim.show.camera import FIELD_OF_VIEW_DEG, MARGIN, Subject, View, choose_views, sees
 from sim.show.painter import Quality
-from sim.show.picture import FORMATS, PICTURE, Tape, check_video, draw_tape, write_film
+from sim.show.picture import FORMATS, Tape, check_video, draw_tape, write_film
 from sim.simulation import Simulation, filmed
 from sim.trial import Timeline, simulate
 
@@ -285,20 +286,18 @@ def samples_of(report: TrialReport) -> dict[str, str]:
 
 @pytest.mark.slow
 def test_a_film_changes_nothing(plan: GraspPlan, tmp_path: Path, can_draw: bool) -> None:
-    plain = simulate(plan, timeline=SHORT)
-    shown = simulate(
-        plan,
-        timeline=SHORT,
-        picture=tmp_path / "held.png",
-        video=tmp_path / "run.webp",
-        arrows=True,
-    )
+    with brief_trials():
+        plain = simulate(plan)
+        shown = simulate(
+            plan, picture=tmp_path / "held.png", video=tmp_path / "run.webp", arrows=True
+        )
     assert samples_of(plain) == samples_of(shown)
     assert (tmp_path / "run.webp").exists() == can_draw
     assert ("run.webp" in shown.drawn) == can_draw
     assert bool(shown.picture) == can_draw
 
 
+@pytest.mark.slow
 def test_hands_move_to_the_last_bit_as_without_their_looks(
     plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -309,6 +308,7 @@ def test_hands_move_to_the_last_bit_as_without_their_looks(
     assert samples_of(dressed) == samples_of(bare)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawing")
 def test_a_failure_is_shown_where_it_happened(plan: GraspPlan, tmp_path: Path) -> None:
     report = simulate(
@@ -322,6 +322,7 @@ def test_a_failure_is_shown_where_it_happened(plan: GraspPlan, tmp_path: Path) -
     assert (moment != end).any()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawing")
 def test_arrows_are_drawn_where_forces_are(tape: Tape, tmp_path: Path) -> None:
     """Red, and only if they are asked for; none before the hand touches."""
@@ -365,10 +366,12 @@ def opposable(*arguments: str | Path) -> tuple[int, str, str]:
 @pytest.mark.usefixtures("drawing")
 def test_simulate_films(plan: GraspPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
-    code, out, err = opposable("test", tmp_path / "plan.json", "--video", tmp_path / "run.gif")
+    with brief_trials():
+        words = ("test", tmp_path / "plan.json", "--video", tmp_path / "run.gif")
+        code, out, err = opposable(*words)
     assert code == 0, err
     assert "run.gif (drawn by " in out
-    assert len(film_in(tmp_path / "run.gif")[0]) > 40
+    assert len(film_in(tmp_path / "run.gif")[0]) > 20
 
 
 @pytest.mark.slow
@@ -377,13 +380,14 @@ def test_plans_are_drawn_without_a_simulation(tmp_path: Path) -> None:
     for command, sort in (("plan", ()), ("manipulate", ("--plan-only", "--rotate", "20"))):
         picture, film = tmp_path / f"{command}.png", tmp_path / f"{command}.webp"
         films = ("--video", film) if command == "manipulate" else ()
-        code, out, err = opposable(
-            *(command, "allegro_hand", "cylinder", *sort, "-o", tmp_path / "plan.json"),
-            *("--picture", picture, "--arrows", *films),
-        )
+        with brief_trials():
+            code, out, err = opposable(
+                *(command, "allegro_hand", "cylinder", *sort, "-o", tmp_path / "plan.json"),
+                *("--picture", picture, "--arrows", *films),
+            )
         assert code == 0, err
         assert f"{picture.name} (drawn by " in out
-        assert picture_in(picture).shape == (*PICTURE.size[::-1], 3)
+        assert picture_in(picture).shape == (*SMALL_PICTURE.size[::-1], 3)
         if films:
             first, *_, last = film_in(film)[0]
             assert (first != last).any()

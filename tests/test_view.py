@@ -204,6 +204,7 @@ def test_options_that_mean_nothing_are_refused() -> None:
     assert "--alternatives means nothing for an object" in done.output
 
 
+@pytest.mark.slow
 def test_a_mesh_of_many_triangles_is_decimated_and_says_so() -> None:
     fine = trimesh.creation.icosphere(subdivisions=6, radius=0.04)
     shape = Mesh.from_triangles(np.array(fine.vertices), np.array(fine.faces))
@@ -420,6 +421,7 @@ def run_folder(plan: GraspPlan, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return folder
 
 
+@pytest.mark.slow
 def test_a_report_is_shown_as_file_page_or_folder(run_folder: Path, tmp_path: Path) -> None:
     page = viewed(run_folder / "report.json")
     write_page(page, tmp_path / "report.html")

@@ -286,6 +286,7 @@ def judged(plan: GraspPlan) -> None:
         assert outside_of(g.geometry, local).min() > (-5e-4 if g.name in pads else -5e-6), g.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "spec", ["cup:0.035x0.09x0.001", "teacup:0.04x0.09x0.002", "bowl:0.05x0.04x0.001"]
 )
@@ -310,6 +311,7 @@ def test_the_judge_of_this_file_sees_a_finger_through_a_wall(allegro: Hand) -> N
         judged(replace(plan, T_world_base=moved))
 
 
+@pytest.mark.slow
 def test_most_attempts_at_cups_find_a_grasp(allegro: Hand) -> None:
     """Before, 66 to 83 % of a cup's surface counted as an edge, and one in forty was found."""
     task = standing(allegro, "cup:0.035x0.09x0.0015")

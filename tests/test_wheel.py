@@ -30,6 +30,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return site
 
 
+@pytest.mark.slow
 def test_one_module_brings_all_public_names(installed: Path) -> None:
     code = f"import sys; sys.path.insert(0, {str(installed)!r}); import opposable as o; "
     code += "from opposable import GraspTask, simulate; print(o.__file__, len(o.__all__))"

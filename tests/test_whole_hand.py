@@ -34,6 +34,8 @@ from sim import simulate
 from sim.controllers.closing import SEARCH_SPEED, GuardedClosing, search_directions
 from sim.scene.build import build_scene
 
+pytestmark = pytest.mark.usefixtures("coarse_steps")
+
 RADIUS = 0.04
 """Of the sphere that is held, m."""
 

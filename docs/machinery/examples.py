@@ -19,7 +19,14 @@ from planner import (
 from planner.exchange.table import table_of
 from planner.files import plan_to_dict
 from planner.files.movements import movement_to_dict
-from sim import ManipulationTimeline, Timeline, TrialReport, manipulate, simulate
+from sim import (
+    ManipulationTimeline,
+    PhysicsOptions,
+    Timeline,
+    TrialReport,
+    manipulate,
+    simulate,
+)
 
 MOST_ITEMS = 2
 """Items of a list that are shown."""
@@ -88,7 +95,7 @@ def _grasp() -> GraspPlan:
 @cache
 def _manipulation() -> ManipulationPlan:
     task = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.45)
-    return plan_manipulation(task, angle=math.radians(20))
+    return plan_manipulation(task, angle=math.radians(10))
 
 
 def plan() -> str:
@@ -120,4 +127,5 @@ def movement() -> str:
 def manipulation_report() -> str:
     """What happened in a manipulation."""
     quick = ManipulationTimeline(approach=0.4, lift=0.4, carry=0.2, retreat=0.2, height=0.03)
-    return shortened(manipulate(_manipulation(), timeline=quick).to_dict())
+    coarse = PhysicsOptions(timestep=0.004)  # s; the field's names are what is shown
+    return shortened(manipulate(_manipulation(), timeline=quick, physics=coarse).to_dict())

@@ -92,11 +92,17 @@ class Reader:
 
     def messages(self) -> Iterator[Message]:
         """What the module raises, and the failures it returns."""
-        yield from self._inside(self.tree, None)
+        waiting: list[tuple[ast.AST, ast.AST | None]] = [(self.tree, None)]
+        while waiting:
+            node, function = waiting.pop()
+            if isinstance(node, ast.FunctionDef):
+                function = node
+            elif isinstance(node, ast.Call | ast.Raise):
+                yield from self._made(node, function)
+            children = reversed(list(ast.iter_child_nodes(node)))  # the first one comes next
+            waiting += [(child, function) for child in children]
 
-    def _inside(self, node: ast.AST, function: ast.AST | None) -> Iterator[Message]:
-        if isinstance(node, ast.FunctionDef):
-            function = node
+    def _made(self, node: ast.Call | ast.Raise, function: ast.AST | None) -> Iterator[Message]:
         if isinstance(node, ast.Call) and _name(node.func) in CLASSES:
             yield from self._raised(node, function)
         elif isinstance(node, ast.Call) and _name(node.func) in ("Finding", "Fault"):
@@ -116,8 +122,6 @@ class Reader:
                 for text in self.texts(given["text"], function):
                     said = text if has_words(text) else COMPOSED
                     yield Message(said, "Failure", self.room, " or ".join(kinds))
-        for child in ast.iter_child_nodes(node):
-            yield from self._inside(child, function)
 
     def _raised(self, call: ast.Call, function: ast.AST | None) -> Iterator[Message]:
         error = _name(call.func)
@@ -223,9 +227,15 @@ def raises(path: Path) -> bool:
 
 
 @cache
+def read(path: Path) -> tuple[Message, ...]:
+    """The messages of a module."""
+    return tuple(Reader(path).messages())
+
+
+@cache
 def all_messages() -> tuple[Message, ...]:
     """Every message once, in alphabetical order, those without any word left out."""
-    found = {m for path in modules() if raises(path) for m in Reader(path).messages()}
+    found = {m for path in modules() if raises(path) for m in read(path)}
     by_text = {(m.text, m.error, m.kind): m for m in sorted(found, reverse=True)}
     return tuple(sorted(m for m in by_text.values() if has_words(m.text)))
 

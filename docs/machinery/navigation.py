@@ -10,6 +10,7 @@ from __future__ import annotations
 import posixpath
 import re
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 from bs4 import BeautifulSoup, Tag
@@ -76,8 +77,14 @@ class Navigation:
         text = self.plain
         for where, words in sorted(added, reverse=True):
             text = text[:where] + words + text[where:]
-        folder = posixpath.dirname(address)
-        return LINK.sub(lambda link: posixpath.relpath(link[0], folder or "."), text)
+        folder = posixpath.dirname(address) or "."
+        return LINK.sub(lambda link: relative(link[0], folder), text)
+
+
+@cache
+def relative(address: str, folder: str) -> str:
+    """An address of the site seen from a folder; pages of a folder have the same links."""
+    return posixpath.relpath(address, folder)
 
 
 MADE: list[Navigation] = []
