@@ -27,7 +27,7 @@ from sim.simulation import Simulation
 from sim.trial import Timeline, Trial, TrialOptions, run_grasp_phase, simulate
 
 RUN = CliRunner()
-QUICK = Timeline.quick()
+QUICK = Timeline.quick(close_wait=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +100,8 @@ def test_a_cloud_takes_no_options_of_an_object(tmp_path: Path) -> None:
         (["-n", "2"], "one grasp is planned"),
         (["--table", "0.1"], "--table find"),
         (["--cloud-error", "5 inches"], "no length"),
+        (["--cloud-error", "5mm,x"], "a length and degrees"),
+        (["--cloud-error", "5mm,400"], "at most 0.1 m"),
     ):
         done = RUN.invoke(app, ["plan", "allegro_hand", str(file), *words])
         assert done.exit_code == EXIT_BAD_INPUT
@@ -169,12 +171,13 @@ def test_forces_are_planned_over_the_contacts_that_are_felt(
     """Each felt place is that of its force, and all of them balance the weight."""
     found, truth = seen
     beside = SE3(np.eye(3), np.array([0.003, 0.003, 0.0])) * truth.T_world_object
-    simulation = Simulation(found.plan, truth=replace(truth, T_world_object=beside))
-    controller = simulation.controller
+    trial = Trial(found.plan, truth=replace(truth, T_world_object=beside), timeline=QUICK)
+    simulation, controller = trial.simulation, trial.simulation.controller
     assert isinstance(controller, GraspController)
-    for phase, duration in (("approach", 0.4), ("close", 1.5), ("squeeze", 0.004)):
-        for _ in simulation.run(phase, duration):  # type: ignore[arg-type]
-            pass
+    for phase in PHASES[:2]:
+        run_grasp_phase(simulation, trial.recorder, QUICK, phase)
+    for _ in simulation.run("squeeze", 0.004):
+        pass
     assert not controller.refused
     seen_now = simulation.observe("squeeze", 0.0)
     felt, contacts = felt_contacts(found.plan, seen_now)

@@ -395,7 +395,7 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
     hits = [_hits(plan, belief, kind) for kind in range(len(weights))]
     lags = way - way.min(axis=1, keepdims=True)
     tips = (lags.max(axis=1) > LAG) & _tips(plan)[way.argmin(axis=1)]
-    clearance = clearance_of_points(plan, _seen(belief.cloud))
+    clearance = clearance_of_points(plan, _seen(belief, plan.task.T_world_object))
     touched &= clearance >= CLEAR
     held, left = 0, np.flatnonzero(touched & ~np.array(hits)[kinds])
     for done, k in enumerate(left):
@@ -498,10 +498,12 @@ def clearance_of_points(plan: GraspPlan, points: FloatArray) -> float:
     return least
 
 
-def _seen(cloud: PointCloud) -> FloatArray:
-    """Places (n, 3) of all that was seen but the table, and what is far: other things too."""
-    near = np.linalg.norm(cloud.past - cloud.points.mean(axis=0), axis=1) < REACH
-    points = np.concatenate([cloud.points, cloud.past[near]])
+def _seen(belief: Belief, T_world_object: SE3) -> FloatArray:
+    """Places (n, 3) of all that was seen but the table, and what is far; the object's moved."""
+    cloud, turn = belief.cloud, T_world_object.rotation
+    own = (cloud.points - belief.offset) @ turn.T + T_world_object.translation
+    near = np.linalg.norm(cloud.past - T_world_object.translation, axis=1) < REACH
+    points = np.concatenate([own, cloud.past[near]])
     if cloud.table is None:
         return points
     return points[points[:, 2] > cloud.table + max(3.0 * cloud.noise, 0.003)]

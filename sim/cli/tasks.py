@@ -143,8 +143,7 @@ def error_of(name: str, text: str) -> tuple[float, float]:
         shift = length_of(name, length)
     except TaskError as error:
         raise TaskError(
-            f"{name} {text!r} is no error of a pose; write a length and degrees, 5mm,5, or the "
-            "length alone"
+            f"{error}; an error of a pose is a length and degrees, 5mm,5, or the length alone"
         ) from error
     if shift > MOST_SHIFT or not 0.0 <= turn <= MOST_DEGREES:
         raise TaskError(
