@@ -31,8 +31,7 @@ from planner.errors import TaskError, shown
 from planner.files import given_plan
 from planner.plan import GraspPlan
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
-from sim.controllers import PHASES, AnyController, Phase
-from sim.controllers.base import Refuses
+from sim.controllers import PHASES, AnyController, Phase, Refuses
 from sim.controllers.grasp import (
     OPEN_TIME,
     RECLOSING_TIME,

@@ -162,8 +162,8 @@ SHARES = (0.5, 0.7, FRICTION_SHARE)
 that are felt by joints off by a degree are off by two or three."""
 
 LOOKED = 0.8
-"""Share of the phase "settle" (-) after which contacts are looked at again, under full
-forces."""
+"""Share of the phase "settle" (-) after which contacts, now under full forces, are looked at again.
+"""
 
 MOST_FELT = 100.0
 """Normal force (N) without limit: beyond that of any actuator; times 0 for a finger that feels
@@ -230,6 +230,7 @@ class GraspController:
                 self._latched = True
                 self._servo.rest()
                 self.q_ref = observation.q.copy()
+                self._feels = self._feels and observation.reads_pads
                 if self._feels:
                     self._feel(observation)
             if self._feels and observation.phase == "settle" and observation.progress > LOOKED:
