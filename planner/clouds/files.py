@@ -414,17 +414,14 @@ def _images(path: Path, content: bytes) -> dict[str, Any]:
     listed = data.get("views") if isinstance(data, dict) else None
     if not isinstance(listed, list) or not listed:
         raise ObjectError(
-            f'{path.name} lists no depth images; give {{"views": [{{"depth": "depth.png", "K": '
+            f'{path.name} lists no "views"; give {{"views": [{{"depth": "depth.png", "K": '
             '[...], "T_world_camera": [...]}]}'
         )
     _known(path.name, data, {"views", "noise", "table"})
-    if not isinstance(data.get("table", "find"), int | float) and data["table"] not in (
-        None,
-        "find",
-    ):
+    table = data.get("table")
+    if table not in (None, "find") and type(table) not in (int, float):
         raise ObjectError(
-            f"{path.name}: table is {shown(data['table'])}; give its height in m, null for none, "
-            'or "find"'
+            f'{path.name}: table is {shown(table)}; give its height in m, null for none, or "find"'
         )
     found = _seen([_view(path, view, k) for k, view in enumerate(listed)])
     return found | {name: data[name] for name in ("noise", "table") if name in data}
@@ -466,8 +463,8 @@ def _matrix(where: str, name: str, value: Any, n: int) -> FloatArray:
     rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0.0
     if n == 4 and not (rigid and np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0])):
         raise ObjectError(
-            f"{where}: {name} is no pose: give a right-handed rotation beside the place, and the "
-            "last row 0, 0, 0, 1"
+            f"{where}: {name} is no pose, its rotation is not orthogonal and right-handed or its "
+            "last row not 0, 0, 0, 1; invert?"
         )
     return matrix
 
