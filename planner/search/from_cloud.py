@@ -425,7 +425,7 @@ def _tip_errors(plan: GraspPlan, rng: np.random.Generator) -> FloatArray:
         turn @ state.point_jacobian(finger.pad.joint_id, point)[:3]
         for finger, point in zip(task.fingers, points, strict=True)
     ]
-    return np.einsum("nij,sj->sni", np.array(rows), joints)
+    return np.asarray(np.einsum("nij,sj->sni", np.array(rows), joints))
 
 
 NEWTON = 3
