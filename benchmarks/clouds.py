@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Annotated, Any
 from zlib import crc32
 
-import coal
 import numpy as np
 import trimesh
 import typer
@@ -45,10 +44,9 @@ from planner.errors import (
     UncertainError,
 )
 from planner.exchange.array_files import read_pickle
-from planner.kinematics.state import HandState
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
-from planner.search.from_cloud import plan_from_cloud
+from planner.search.from_cloud import CLEAR, CloudPlan, clearance_of_points, plan_from_cloud
 from planner.search.grasp import plan_grasp
 from planner.shapes import Mesh
 from planner.shapes.hulls import hull_of
@@ -186,9 +184,6 @@ def believed_motion(before: FloatArray, after: FloatArray) -> SE3:
     return SE3(turn, b - turn @ a)
 
 
-CLEAR = 0.002
-"""Distance (m) from every seen point that a hand should keep where it does not touch."""
-
 FRAME_NOISE = 0.002
 """Standard deviation (m) of a frame's depth at half a metre: 3 mm a pixel, learned stereo."""
 
@@ -212,33 +207,6 @@ def frame_view(file: Path) -> tuple[str, DepthView]:
     return name, DepthView(
         depth=metres, intrinsics=(fx, fy, cx, cy), T_world_camera=pose, mask=mask > 0
     )
-
-
-def clearance_of_points(plan: GraspPlan, points: FloatArray) -> float:
-    """Least distance (m) of the hand from points (n, 3), those of links that touch left out.
-
-    Beyond twice ``CLEAR`` it is only known to be that far.
-    """
-    hand, state = plan.task.hand, HandState(plan.task.hand, plan.q)
-    pads = {finger.pad.joint_id for finger in plan.task.fingers}
-    ball, least = coal.Sphere(1e-6), math.inf
-    request = coal.DistanceRequest()
-    for link in hand.geometries:
-        if link.joint_id in pads:
-            continue
-        T = plan.T_world_base * state.joint_pose(link.joint_id) * link.T_joint_geometry
-        link.geometry.computeLocalAABB()
-        local = (points - T.translation) @ T.rotation
-        beyond = (
-            np.linalg.norm(local - link.geometry.aabb_center, axis=1) - link.geometry.aabb_radius
-        )
-        for k in np.flatnonzero(beyond < min(least, 2.0 * CLEAR)):
-            there = coal.Transform3s(np.eye(3), local[k])
-            found = coal.distance(
-                link.geometry, coal.Transform3s(), ball, there, request, coal.DistanceResult()
-            )
-            least = min(least, float(found))
-    return least
 
 
 def measure_frame(case: Row) -> Row:
@@ -278,23 +246,27 @@ def measure(case: Row) -> Row:
     row: Row = {"found": False, "abstained": False, "held": None, "right": None, "reason": ""}
     error_model = case["error_model"].seeded(scan_seed(case))
     begin = time.process_time()
-    plan, why = None, ""
+    plan: GraspPlan | CloudPlan | None = None
+    why = ""
     try:
         plan = plan_of(case, cloud, found, believed, error_model.encoder_offset)
     except (NoGraspFoundError, ObjectError) as error:
         why = str(error)
-        if isinstance(error, UncertainError) and error.best is not None:
-            plan = error.best.plan
+        if isinstance(error, UncertainError):
+            plan = error.best
     row["cpu_s"] = time.process_time() - begin + level_s
     row |= {"found": not why, "abstained": bool(why), "why": why[:300]}
     if plan is None:
         return row | {"right": True}
+    if isinstance(plan, CloudPlan):
+        row |= {"survival": plan.survival, "tipping": plan.tipping}
     report = simulate(
         plan,
         truth=found.truth,
         error_model=error_model,
         controller=controller_of(case["controller"]),
     )
+    row |= {"tries": len(report.tries) or 1, "told": "; ".join(report.tries)}
     if why:
         return row | {"right": not report.success, "reason": f"abstained: {report.reason}"}
     off = [c.position_error_mm for c in report.comparison]
@@ -302,13 +274,13 @@ def measure(case: Row) -> Row:
         "held": report.success,
         "reason": report.reason,
         "off_mm": float(np.nanmedian(off)) if np.isfinite(off).any() else None,
-        "epsilon": plan.quality.epsilon,
+        "epsilon": report.plan.quality.epsilon,
     }
 
 
 def plan_of(
     case: Row, cloud: PointCloud, found: Scan, believed: SE3, joint_error: float
-) -> GraspPlan:
+) -> GraspPlan | CloudPlan:
     """A plan by the way of a case.
 
     Raises:
@@ -322,7 +294,7 @@ def plan_of(
             **{"seed": seed, "mass": found.truth.object.mass, "joint_error": joint_error},
             "pose_error": (shift / math.sqrt(3.0), turn / math.sqrt(3.0)),
         }
-        return plan_from_cloud(hand, cloud, **wanted).plan
+        return plan_from_cloud(hand, cloud, **wanted)
     if case["way"] == "mesh":
         item, pose = found.truth.object, believed
     else:

@@ -203,6 +203,7 @@ class TrialReport(ExecutionReport):
         carried_by: What carried the hand: "gantry", six driven axes, or "arm".
         object_deviation_mm: How far convex pieces that stood for a mesh reach out of it at most.
         picture: Picture of the held object, None if there is none.
+        tries: Of a ``CloudPlan``, how each try ended; the report is of the last.
     """
 
     verdict: Verdict
@@ -221,6 +222,7 @@ class TrialReport(ExecutionReport):
     carried_by: Literal["gantry", "arm"] = "gantry"
     object_deviation_mm: float = 0.0
     picture: Path | None = None
+    tries: tuple[str, ...] = ()
 
     @property
     def quality_planned(self) -> QualityReport:
@@ -275,6 +277,8 @@ class TrialReport(ExecutionReport):
             "not held": f"[bold red]not held, {self.reason}[/]: {escape(self.verdict.detail)}",
         }[self.verdict.outcome]
         yield Text.from_markup(f"{escape(self.hand)}, {escape(self.object)}: {line}")
+        for number, told in enumerate(self.tries if len(self.tries) > 1 else (), 1):
+            yield Text(f"try {number}: {told}")
         if self.remedies:
             yield Text("each of these keeps the object from creeping:")
         for remedy in self.remedies:
@@ -368,5 +372,6 @@ class TrialReport(ExecutionReport):
             carried_by=self.carried_by,
             object_deviation_mm=self.object_deviation_mm,
             picture=None if self.picture is None else self.picture.name,
+            tries=list(self.tries),
             samples=SampleData.model_validate(self.samples.to_dict()),
         )

@@ -122,6 +122,7 @@ class ReportFile(ExecutionFile):
     carried_by: Literal["gantry", "mount", "arm"] = "gantry"
     object_deviation_mm: float = 0.0
     picture: str | None
+    tries: list[str] = Field(default_factory=list)
     samples: SampleData
 
 

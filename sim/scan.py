@@ -248,6 +248,8 @@ def scan(
         TaskError: No view, or noise out of range.
         ObjectError: The object is not seen.
     """
+    if not isinstance(item, GraspObject):
+        raise TaskError(f"what is scanned is {shown(item)}; give parse_object('sphere:0.03')")
     rng = np.random.default_rng(np.random.SeedSequence([seed, 31]))
     camera = camera or DepthCamera()
     errors = noise if isinstance(noise, DepthNoise) else DepthNoise.of(noise)

@@ -22,17 +22,23 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING, TypedDict, Unpack, cast
 
 import numpy as np
 
 from planner.arrays import checked_kind, checked_number
-from planner.errors import TaskError
+from planner.errors import TaskError, shown
 from planner.files import given_plan
 from planner.plan import GraspPlan
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
-from sim.controllers import PHASES, AnyController, Phase
-from sim.controllers.grasp import RECLOSING_TIME, closing_ended
+from sim.controllers import PHASES, AnyController, Phase, Refuses
+from sim.controllers.grasp import (
+    OPEN_TIME,
+    RECLOSING_TIME,
+    Opening,
+    closing_ended,
+    felt_contacts,
+)
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
@@ -45,10 +51,14 @@ from sim.simulation import Simulation
 from sim.verdict import Fault, Thresholds, Verdict, judge
 
 if TYPE_CHECKING:
+    from planner.search.from_cloud import CloudPlan
     from sim.sensing.estimation import AnyEstimator
 
 __all__ = ["Timeline", "Trial", "TrialOptions", "felt_by", "run_grasp_phase", "simulate"]
 
+
+TRIES = 3
+"""Tries of the plans of a cloud: a person does not try more often in the same way."""
 
 LONGEST_PERIOD = 0.1
 """Longest time (s) between samples: a slip that matters lasts longer."""
@@ -100,6 +110,11 @@ class TrialOptions:
         """
         if self.timeline is not None:
             checked_kind("timeline", self.timeline, Timeline)
+        if self.truth is not None and not isinstance(self.truth, Truth):
+            raise TaskError(
+                f"truth is {shown(self.truth)}; give what there really is: a Truth, the truth of a "
+                "scan, or scanned_truth(FILE) of a file that a scan was written to"
+            )
         if self.thresholds is not None:
             checked_kind("thresholds", self.thresholds, Thresholds)
         checked_number(
@@ -117,6 +132,7 @@ class Trial:
         thresholds: Where success ends.
         simulation: Scene, data, controller and carrier; may be changed before the run.
         recorder: Who takes samples.
+        not_lifted: Why the hand, by what it felt, did not lift the object; "" if it did.
     """
 
     def __init__(
@@ -151,9 +167,10 @@ class Trial:
             estimator=asked.estimator,
             truth=asked.truth,
         )
+        self._truth = asked.truth
         self._object = plan.task.object if asked.truth is None else asked.truth.object
         self.recorder = Recorder(self.simulation, asked.record_every)
-        self._not_lifted = False
+        self.not_lifted = ""
 
     def run(
         self,
@@ -229,7 +246,7 @@ class Trial:
         """Run all phases, or up to the one after which going on makes no sense."""
         for phase in PHASES:
             if not run_grasp_phase(self.simulation, self.recorder, self.timeline, phase):
-                self._not_lifted = phase == "lift"
+                self.not_lifted = "" if self.simulation.ended else why_not_lifted(self.simulation)
                 break
 
     def judged(self, begin: float, *, interrupted: bool = False) -> TrialReport:
@@ -241,6 +258,36 @@ class Trial:
         """
         compared = self._comparison()
         return self._report(self._verdict(compared, interrupted), begin, compared)
+
+    def tried_again(self, found: CloudPlan) -> tuple[CloudPlan | None, Truth]:
+        """Open, back off, and take the next plan of a cloud after what was felt, where it is now.
+
+        Args:
+            found: The plan that was executed, with the others.
+
+        Returns:
+            The next plan, None if there is none, and what there is now.
+        """
+        simulation, task = self.simulation, self.plan.task
+        seen = simulation.sensed(simulation.observe(simulation.phase, 1.0))
+        felt, contacts = felt_contacts(self.plan, seen)
+        places = contacts.transformed(seen.T_world_object.inverse()).positions[felt]
+        simulation.controller, simulation.on_step = Opening(self.plan), None
+        phases: tuple[tuple[Phase, float], ...] = (
+            ("open", OPEN_TIME),
+            ("retreat", self.timeline.approach),
+        )
+        for phase, duration in phases:
+            for _ in simulation.run(phase, duration):
+                pass
+        seen = simulation.sensed(simulation.observe("retreat", 1.0))
+        believed = task.T_world_object.inverse()
+        truth = self._truth or Truth(
+            object=task.object, T_world_object=task.T_world_object, table_height=task.table_height
+        )
+        moved = simulation.T_world_object * believed
+        there = replace(truth, T_world_object=moved * truth.T_world_object)
+        return found.after(places, seen.T_world_object * believed), there
 
     def _comparison(self) -> tuple[FingerComparison, ...]:
         """Planned against measured contacts while holding."""
@@ -258,7 +305,7 @@ class Trial:
             interrupted=interrupted,
             stopped=simulation.stopped,
             diverged=simulation.diverged,
-            not_lifted="it was felt by too few fingers to be lifted" if self._not_lifted else "",
+            not_lifted=self.not_lifted,
             contacts_off_mm={c.finger: c.position_error_mm for c in compared},
         )
 
@@ -330,14 +377,27 @@ def run_grasp_phase(
     if phase == "settle":
         recorder.mark_reference()
     if phase == "lift":
-        if len(felt_by(simulation)) < simulation.plan.task.fingers_needed:
+        if why_not_lifted(simulation):
             recorder.record()
             return False
         simulation.scene.release(simulation.data)
+    careful = simulation.controller if isinstance(simulation.controller, Refuses) else None
     for _ in simulation.run(phase, getattr(timeline, phase), wait=wait, until=until):
         if simulation.due(recorder.every):
             recorder.record()
+        if careful is not None and careful.refused:
+            recorder.record()
+            return False
     return not simulation.ended
+
+
+def why_not_lifted(simulation: Simulation) -> str:
+    """Why what is felt is not to be lifted: what a robot knows before it lifts; "" if it is."""
+    controller, task = simulation.controller, simulation.plan.task
+    if isinstance(controller, Refuses) and controller.refused:
+        return controller.refused
+    few = len(felt_by(simulation)) < task.fingers_needed
+    return "it was felt by too few fingers to be lifted" if few else ""
 
 
 def felt_by(simulation: Simulation) -> tuple[str, ...]:
@@ -348,7 +408,7 @@ def felt_by(simulation: Simulation) -> tuple[str, ...]:
 
 
 def simulate(
-    plan: GraspPlan | Path | str,
+    plan: GraspPlan | CloudPlan | Path | str,
     options: TrialOptions | None = None,
     *,
     progress: Callable[[float], None] | None = None,
@@ -357,9 +417,14 @@ def simulate(
     picture: Path | str | None = None,
     video: Path | str | None = None,
     arrows: bool = False,
+    tries: int = TRIES,
     **changes: Unpack[TrialKeywords],
 ) -> TrialReport:
     """Execute a plan and judge it: ``Trial`` and ``Trial.run`` in one call.
+
+    Of a ``CloudPlan`` the next plan is taken where what is felt speaks against lifting: the hand
+    opens and backs off, and the object stays where it was pushed to. ``report.tries`` tells of each
+    try, and the rest of the report is of the last one.
 
     Args:
         plan: What to execute, or the path of its file.
@@ -370,6 +435,7 @@ def simulate(
         picture: File of a picture.
         video: File of a film.
         arrows: Draw the measured contact forces into both.
+        tries: Most tries of a ``CloudPlan``.
         changes: Fields of ``TrialOptions`` by name: ``controller="impedance"``, ``physics``,
             ``timeline``, ``thresholds``, ``record_every``, ``error_model``, ``estimator``,
             ``truth``.
@@ -377,6 +443,26 @@ def simulate(
     Raises:
         PlannerError: See ``Trial`` and ``Trial.run``.
     """
-    return Trial(plan, options, **changes).run(
-        progress=progress, on_step=on_step, view=view, picture=picture, video=video, arrows=arrows
-    )
+    asked = replace(options or TrialOptions(), **changes)
+    told: list[str] = []
+    found = cast("CloudPlan", plan) if hasattr(plan, "others") else None
+    while True:
+        trial = Trial(cast("GraspPlan | Path | str", plan) if found is None else found.plan, asked)
+        report = trial.run(
+            progress=progress,
+            on_step=on_step,
+            view=view,
+            picture=picture,
+            video=video,
+            arrows=arrows,
+        )
+        if found is None:
+            return report
+        again = trial.not_lifted if report.reason == "no contact" else ""
+        told.append(f"not lifted, {again}" if again else report.reason or report.verdict.outcome)
+        if not again or len(told) >= tries:
+            return replace(report, tries=tuple(told))
+        following, truth = trial.tried_again(found)
+        if following is None:
+            return replace(report, tries=tuple(told))
+        found, asked = following, replace(asked, truth=truth)

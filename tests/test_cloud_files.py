@@ -108,6 +108,13 @@ LITTLE = ply("binary_little_endian", normals=False)
 XYZ = b"0 0 0.1\n" * 100
 
 
+def images(view: dict[str, Any] | None = None, **more: Any) -> bytes:
+    """A file that lists one depth image, with other fields."""
+    usual = {"depth": "a.png", "K": np.diag([9, 9, 1]).tolist(),
+             "T_world_camera": np.eye(4).tolist()}  # fmt: skip
+    return json.dumps({"views": [usual | (view or {})], **more}).encode()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
@@ -139,6 +146,13 @@ XYZ = b"0 0 0.1\n" * 100
         ("no.json", b'{"views": []}', 'lists no "views"'),
         ("no.json", b'{"views": [1', "no JSON"),
         ("no.json", b'{"views": [{"depth": "a.png"}]}', "view 0 needs"),
+        ("no.json", images(table="low"), "table is 'low'"),
+        ("no.json", images(nois=0.001), "has .'nois'.; give some of"),
+        ("no.json", images({"depth": 5}), "depth is 5; give the name of a file"),
+        ("no.json", images({"mask": 5}), "mask is 5; give the name of a file"),
+        ("no.json", images({"K": [[9, 0, 1], [0, 9, 1], [5, 5, 5]]}), "the last row"),
+        ("no.json", images({"T_world_camera": np.diag([1, 1, -1, 1]).tolist()}), "is no pose"),
+        ("no.json", images({"intrinsics": 1}), "has .'intrinsics'.; give some of"),
     ],
 )  # fmt: skip
 def test_what_is_broken_is_named(tmp_path: Path, name: str, content: Any, said: str) -> None:

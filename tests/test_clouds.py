@@ -18,7 +18,7 @@ from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
 from planner.clouds.sight import _distance, _reflection
 from planner.errors import ObjectError, TaskError, UncertainError
 from planner.objects import parse_object
-from planner.search.from_cloud import CONE_SHARE, TABLE_MU, CloudPlan, _hits, _tips, _tried
+from planner.search.from_cloud import CLEAR, CONE_SHARE, TABLE_MU, CloudPlan, _hits, _tips, _tried
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 
@@ -418,3 +418,75 @@ def test_a_push_tips_what_it_meets_above_the_lever_of_its_base_over_friction() -
         ),
     )
     assert _tips(plan).tolist() == [False, True, False]  # along y the lever is 30 mm
+
+
+def test_joints_that_are_off_are_survived_less() -> None:
+    plan = found("box", 2).plan
+    off = replace(plan, task=replace(plan.task, joint_error=0.1))
+    exact, wrong = (_tried(p, (0.0, 0.0), 0, 0.0).survival for p in (plan, off))
+    assert wrong < exact - 0.1
+
+
+def test_a_wall_thinner_than_a_step_is_felt_from_outside() -> None:
+    """The distance behind a thin wall rises again: its slope is that of where a finger is from."""
+    plan, belief = found("box", 2).plan, found("box", 2).belief
+    lower, h, shape = belief.grid.lower, belief.grid.spacing, belief.grid.shape
+    nodes = (lower + h * np.indices(shape).reshape(3, -1).T - belief.offset).reshape(*shape, 3)
+    solid = plan.task.object.shape.signed_distance(nodes.reshape(-1, 3)).reshape(shape)
+    hollow = np.abs(solid + 0.0015) - 0.0015  # walls of 3 mm, and air inside
+    wall = replace(
+        belief,
+        hypotheses=(replace(belief.hypothesis, distance=hollow, weight=1.0),),
+        chosen=0,
+    )
+    item = replace(plan.task.object, belief=wall)
+    thin = replace(plan, task=replace(plan.task, object=item))
+    assert _tried(thin, (0.0, 0.0), 0, 0.0).survival > 0.6
+
+
+def test_felt_places_move_the_surface_and_make_it_certain() -> None:
+    """A ball that stands 4 mm beside its belief is felt on three sides, one of them hidden."""
+    item = believed("ball")
+    belief, shift = belief_of(item), np.array([0.004, 0.0, 0.0])
+    out = np.array([[1.0, 0.0, 0.2], [-0.6, 0.8, 0.1], [-0.9, -0.4, 0.0]])
+    out /= np.linalg.norm(out, axis=1)[:, None]
+    true = BALL - belief.offset + RADIUS * out
+    after, moved = belief.with_felt(true + shift, 0.005)
+    assert np.linalg.norm(moved - shift) < 0.002 and moved[2] == 0.0
+    assert belief.deviation(true)[2] > 1.5 * after.deviation(true)[2]
+    assert abs(after.mean(true))[2] < abs(belief.mean(true))[2] + 0.0005
+    weights = [h.weight for h in after.hypotheses]
+    assert sum(weights) == pytest.approx(1.0)
+    off = [abs(belief.mean(true, k)).max() for k in range(len(weights))]
+    gained = [w / h.weight for w, h in zip(weights, belief.hypotheses, strict=True)]
+    assert gained[int(np.argmin(off))] > gained[int(np.argmax(off))]
+
+
+def test_the_next_plan_is_where_the_object_has_moved_to() -> None:
+    other = found("box", 2)
+    pair = replace(other, others=(replace(other, others=()),))
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    moved = SE3(turn, np.array([0.02, -0.01, 0.003]))
+    following = pair.after(np.zeros((0, 3)), moved)
+    assert following is not None and not following.others
+    old, new = other.plan, following.plan
+    place = new.task.T_world_object.translation
+    about = old.task.T_world_object.translation
+    assert np.allclose(place[:2], moved.act(about)[:2]) and place[2] == pytest.approx(about[2])
+    for at in ("T_world_base", "T_world_base_start"):
+        kept = old.task.T_world_object.inverse() * getattr(old, at)
+        assert np.allclose((new.task.T_world_object.inverse() * getattr(new, at)).homogeneous,
+                           kept.homogeneous)  # fmt: skip
+    assert following.survival == other.survival
+
+
+def test_what_was_seen_beside_the_object_is_in_the_way() -> None:
+    grasp = found("box", 2)
+    palm = grasp.plan.T_world_base.translation
+    cloud = grasp.belief.cloud
+    full = replace(cloud, past=np.vstack([cloud.past, palm]), past_of=np.append(cloud.past_of, 0))
+    item = replace(grasp.plan.task.object, belief=replace(grasp.belief, cloud=full))
+    blocked = _tried(
+        replace(grasp.plan, task=replace(grasp.plan.task, object=item)), (0.0, 0.0), 0, 0.0
+    )
+    assert grasp.clearance >= CLEAR and blocked.clearance < CLEAR and blocked.survival == 0.0

@@ -14,18 +14,22 @@ from typer.testing import CliRunner
 from planner.errors import TaskError
 from planner.objects import parse_object
 from planner.plan import GraspPlan
+from planner.search.from_cloud import CloudPlan, plan_from_cloud
 from planner.spatial import SE3
 from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT
+from sim.controllers.base import PHASES
+from sim.controllers.grasp import GraspController, felt_contacts, not_closed
 from sim.scan import scan, write_scan
 from sim.scene.build import OBJECT, TABLE, Truth
 from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation
-from sim.trial import simulate
+from sim.trial import Timeline, Trial, TrialOptions, run_grasp_phase, simulate
 
 pytestmark = pytest.mark.usefixtures("coarse_steps")
 
 RUN = CliRunner()
+QUICK = Timeline.quick(close_wait=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +102,8 @@ def test_a_cloud_takes_no_options_of_an_object(tmp_path: Path) -> None:
         (["-n", "2"], "one grasp is planned"),
         (["--table", "0.1"], "--table find"),
         (["--cloud-error", "5 inches"], "no length"),
+        (["--cloud-error", "5mm,x"], "a length and degrees"),
+        (["--cloud-error", "5mm,400"], "at most 0.1 m"),
     ):
         done = RUN.invoke(app, ["plan", "allegro_hand", str(file), *words])
         assert done.exit_code == EXIT_BAD_INPUT
@@ -110,3 +116,86 @@ def test_the_table_is_where_it_really_is(plan: GraspPlan) -> None:
     model = Simulation(plan, truth=lower).scene.model
     table = model.geom(TABLE)
     assert model.body(table.bodyid[0]).pos[2] + table.size[2] == pytest.approx(-0.004)
+
+
+def test_what_is_no_truth_and_no_object_is_told() -> None:
+    for wrong in (scan(parse_object("sphere")).cloud(), "cloud.ply"):
+        with pytest.raises(TaskError, match="give what there really is"):
+            TrialOptions(truth=wrong)  # type: ignore[arg-type]
+    with pytest.raises(TaskError, match="what is scanned is 'sphere'"):
+        scan("sphere")  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def seen() -> tuple[CloudPlan, Truth]:
+    """The plan of a scanned box with another one, and the box."""
+    found = scan(parse_object("box:0.05x0.05x0.07"), views=2, seed=4)
+    plan = plan_from_cloud("allegro_hand", found.cloud(table=0.0), seed=0)
+    return replace(plan, others=(replace(plan, others=()),)), found.truth
+
+
+def test_an_object_that_is_not_there_is_not_lifted_and_the_next_plan_is_tried(
+    seen: tuple[CloudPlan, Truth],
+) -> None:
+    found, truth = seen
+    away = SE3(np.eye(3), np.array([0.3, 0.0, 0.0])) * truth.T_world_object
+    report = simulate(found, truth=replace(truth, T_world_object=away), timeline=QUICK)
+    assert not report.success
+    assert report.tries == ("not lifted, no finger feels the object",) * 2
+    assert len(report.to_dict(states=False)["tries"]) == 2
+
+
+def test_a_try_ends_open_and_away_and_the_next_holds_the_object_where_it_is(
+    seen: tuple[CloudPlan, Truth],
+) -> None:
+    found, truth = seen
+    trial = Trial(found.plan, truth=truth, timeline=QUICK)
+    for phase in PHASES[:3]:
+        assert run_grasp_phase(trial.simulation, trial.recorder, trial.timeline, phase)
+    pushed = trial.simulation.T_world_object
+    following, there = trial.tried_again(found)
+    simulation = trial.simulation
+    assert not simulation.touching()
+    start = found.plan.T_world_base_start.translation
+    assert np.linalg.norm(simulation.T_world_base.translation - start) < 0.01
+    assert following is not None and not following.others
+    moved = simulation.T_world_object * found.plan.task.T_world_object.inverse()
+    assert np.allclose(there.T_world_object.homogeneous,
+                       (moved * truth.T_world_object).homogeneous)  # fmt: skip
+    assert np.linalg.norm((pushed.inverse() * simulation.T_world_object).translation) < 0.01
+    assert len(following.belief.places) > len(found.belief.places)
+    assert simulate(following, truth=there, timeline=QUICK).success
+
+
+def test_forces_are_planned_over_the_contacts_that_are_felt(
+    seen: tuple[CloudPlan, Truth],
+) -> None:
+    """Each felt place is that of its force, and all of them balance the weight."""
+    found, truth = seen
+    beside = SE3(np.eye(3), np.array([0.003, 0.003, 0.0])) * truth.T_world_object
+    trial = Trial(found.plan, truth=replace(truth, T_world_object=beside), timeline=QUICK)
+    simulation, controller = trial.simulation, trial.simulation.controller
+    assert isinstance(controller, GraspController)
+    for phase in PHASES[:2]:
+        run_grasp_phase(simulation, trial.recorder, QUICK, phase)
+    for _ in simulation.run("squeeze", 0.004):
+        pass
+    assert not controller.refused
+    seen_now = simulation.observe("squeeze", 0.0)
+    felt, contacts = felt_contacts(found.plan, seen_now)
+    at = simulation.T_world_object.inverse()
+    off = np.linalg.norm(contacts.transformed(at).positions - controller._points, axis=1)
+    assert felt.all() and off.max() < 0.001
+    planned = found.plan.contacts_in_object.positions
+    assert np.linalg.norm(controller._points - planned, axis=1).max() > 0.001
+    weight = found.plan.task.object.mass * 9.81
+    assert np.allclose(controller._forces.sum(axis=0), [0.0, 0.0, weight], atol=0.02)
+
+
+def test_contacts_that_do_not_close_are_refused(seen: tuple[CloudPlan, Truth]) -> None:
+    contacts = seen[0].plan.contacts
+    every = np.ones(len(contacts), dtype=bool)
+    assert not_closed(every, contacts) == ""
+    one_side = contacts.normals @ contacts.normals[0] > 0.0
+    assert "do not close" in not_closed(one_side, contacts)
+    assert not_closed(~every, contacts) == "no finger feels the object"

@@ -49,6 +49,10 @@ BAND = 2.0
 CERTAIN = 0.0045
 """Standard deviation (m) of the surface up to which a finger may touch it: half of its pad."""
 
+TOUCH = 0.002
+"""Standard deviation (m) of the place of a touch: of a tip 10 cm from joints that are off by 1
+degree each."""
+
 STEP = 0.003
 """Distance (m) over which slopes of the surface are taken: half of a fingertip's contact."""
 
@@ -166,6 +170,43 @@ class Belief:
         values, axes = np.linalg.eigh(prior - reduced.T @ reduced)
         root = axes * np.sqrt(np.maximum(values, 0.0))
         return np.asarray(rng.normal(size=(count, len(p))) @ root.T)
+
+    def with_felt(self, points: FloatArray, shift: float) -> tuple[Belief, FloatArray]:
+        """The belief once a hand has felt the surface at points (m, 3), and how it is shifted (3,).
+
+        The shift, along the table, m, is what brings the believed surface to the points within its
+        deviation and ``TOUCH``; beside it the points are conditions, and weigh hypotheses.
+
+        Args:
+            points: Where it was felt, m, in the object's frame as it was believed.
+            shift: Standard deviation of the object's place along each axis, m.
+        """
+        if not len(points):
+            return self, np.zeros(3)
+        moved = np.zeros(3)
+        axes = np.eye(3)[:, : 2 if self.cloud.table is not None else 3]
+        variance = self.deviation(points) ** 2 + TOUCH**2
+        gram = np.eye(axes.shape[1]) / max(shift, 1e-6) ** 2
+        for _ in range(3):
+            at = points - moved
+            rows = self.gradient(at) @ axes
+            left = self.mean(at) + rows @ (axes.T @ moved)
+            normal = gram + (rows / variance[:, None]).T @ rows
+            moved = axes @ np.linalg.solve(normal, rows.T @ (left / variance))
+        at = points - moved
+        sure = np.sqrt(TOUCH**2 + np.einsum("mi,ij,mj->m", rows, np.linalg.inv(normal), rows))
+        off = np.stack([self.mean(at, k) for k in range(len(self.hypotheses))])
+        weights = self._weights * np.exp(-0.5 * (off**2 / (sure**2 + AGREED**2)).sum(axis=1))
+        weights = weights / weights.sum() if weights.sum() > 0.0 else self._weights
+        others = tuple(
+            replace(h, weight=float(w)) for h, w in zip(self.hypotheses, weights, strict=True)
+        )
+        return replace(
+            self,
+            hypotheses=others,
+            places=np.vstack([self.places, at + self.offset]),
+            deviations=np.concatenate([self.deviations, sure]),
+        ), moved
 
     @cached_property
     def _weights(self) -> FloatArray:

@@ -413,7 +413,16 @@ def _images(path: Path, content: bytes) -> dict[str, Any]:
         raise ObjectError(f"{path.name} is no JSON file: {str(error)[:120]}") from error
     listed = data.get("views") if isinstance(data, dict) else None
     if not isinstance(listed, list) or not listed:
-        raise ObjectError(f'{path.name} lists no "views"; see the documentation on clouds')
+        raise ObjectError(
+            f'{path.name} lists no "views"; give {{"views": [{{"depth": "depth.png", "K": '
+            '[...], "T_world_camera": [...]}]}'
+        )
+    _known(path.name, data, {"views", "noise", "table"})
+    table = data.get("table")
+    if table not in (None, "find") and type(table) not in (int, float):
+        raise ObjectError(
+            f'{path.name}: table is {shown(table)}; give its height in m, null for none, or "find"'
+        )
     found = _seen([_view(path, view, k) for k, view in enumerate(listed)])
     return found | {name: data[name] for name in ("noise", "table") if name in data}
 
@@ -422,11 +431,18 @@ def _view(path: Path, data: Any, k: int) -> DepthView:
     where = f"{path.name}: view {k}"
     if not isinstance(data, dict) or not {"depth", "K", "T_world_camera"} <= set(data):
         raise ObjectError(f"{where} needs depth (a file), K (3, 3) and T_world_camera (4, 4)")
+    _known(where, data, {"depth", "K", "T_world_camera", "scale", "mask"})
+    for name in ("depth", "mask"):
+        if not isinstance(data.get(name, ""), str):
+            raise ObjectError(f"{where}: {name} is {shown(data[name])}; give the name of a file")
     K = _matrix(where, "K", data["K"], 3)
     T = _matrix(where, "T_world_camera", data["T_world_camera"], 4)
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    if not (fx > 0 and fy > 0 and np.isfinite(K).all()):
-        raise ObjectError(f"{where}: K has the focal lengths {fx:g}, {fy:g}; give pixels > 0")
+    if not (fx > 0 and fy > 0 and np.array_equal(K[2], [0.0, 0.0, 1.0])):
+        raise ObjectError(
+            f"{where}: K has the focal lengths {fx:g}, {fy:g} and the last row {K[2].tolist()}; "
+            "give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels"
+        )
     scale = checked_number(f"{where}: scale", data.get("scale", 1.0), above=0.0, error=ObjectError)
     image = _image(path.parent / str(data["depth"])) * scale
     mask = _image(path.parent / str(data["mask"])) > 0 if "mask" in data else None
@@ -444,9 +460,23 @@ def _matrix(where: str, name: str, value: Any, n: int) -> FloatArray:
     if matrix.shape != (n, n) or not np.isfinite(matrix).all():
         raise ObjectError(f"{where}: {name} is {shown(value)}; give ({n}, {n}) finite numbers")
     turn = matrix[:3, :3]
-    if n == 4 and not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3):
-        raise ObjectError(f"{where}: {name} is no pose, its rotation is not orthogonal; invert?")
+    rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0.0
+    if n == 4 and not (rigid and np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0])):
+        raise ObjectError(
+            f"{where}: {name} is no pose, its rotation is not orthogonal and right-handed or its "
+            "last row not 0, 0, 0, 1; invert?"
+        )
     return matrix
+
+
+def _known(where: str, data: dict[str, Any], names: set[str]) -> None:
+    """Refuse fields that nothing reads.
+
+    Raises:
+        ObjectError: There are some.
+    """
+    if unknown := sorted(set(data) - names):
+        raise ObjectError(f"{where} has {shown(unknown)}; give some of {sorted(names)}")
 
 
 def _image(path: Path) -> FloatArray:

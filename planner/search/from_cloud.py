@@ -17,9 +17,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
 from numpy.typing import NDArray
+from pinocchio import exp3
 
+from planner.approach.pregrasp import Approach
 from planner.arrays import checked_kind, checked_number
 from planner.attempt import Attempt, check_seed
 from planner.certify import Tolerance, contact_tolerances
@@ -40,6 +43,7 @@ from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES
+from planner.verification.grasp import verify_grasp
 
 __all__ = ["CloudPlan", "plan_from_cloud"]
 
@@ -54,8 +58,8 @@ of 12 of those that survived less than half."""
 PLAUSIBLE = 0.08
 """Weight (-) of a hypothesis below which nothing is planned on it."""
 
-TRIED, PLANS = 2, 3
-"""Hypotheses on which grasps are planned, and plans for each."""
+TRIED, PLANS, KEPT = 2, 3, 3
+"""Hypotheses on which grasps are planned, plans for each, and plans that are kept of all."""
 
 CONE_SHARE = 0.5
 """Share of the friction (-) that the internal force of synthesis may use: 14 degrees of 27 are left
@@ -67,6 +71,9 @@ FELT = 0.012
 SPARE = 0.002
 """Distance (m) from the surface that an opened finger keeps, and depth to which spheres in the
 links may be in another hypothesis: they bulge by as much."""
+
+CLEAR = 0.002
+"""Distance (m) from every seen point that a hand keeps where it does not touch."""
 
 ROOM = 0.005
 """Most (m) that is added to the clearances of the hand for errors of surface and pose."""
@@ -85,6 +92,12 @@ class CloudPlan:
         position_std: Standard deviation of the surface at each contact along its normal (n,), m.
         normal_std: The same of the normal's direction, about each of two axes, (n,), rad.
         refused: Why other plans and hypotheses were not taken, a sentence each.
+        clearance: Least distance of the hand from seen points, of the object and of other things,
+            links that touch left out, m; twice ``CLEAR`` if it is more. Below ``CLEAR`` nothing is
+            survived.
+        others: The next best plans, best first, at most ``KEPT`` with this one.
+        pose_error: Standard deviations of the pose's error, m and rad, that samples have.
+        survives: Share of samples (-) that a plan must survive.
     """
 
     plan: GraspPlan
@@ -93,7 +106,38 @@ class CloudPlan:
     samples: int
     position_std: FloatArray
     normal_std: FloatArray
-    refused: tuple[str, ...]
+    refused: tuple[str, ...] = ()
+    clearance: float = 2.0 * CLEAR
+    others: tuple[CloudPlan, ...] = ()
+    pose_error: tuple[float, float] = (0.0, 0.0)
+    survives: float = SURVIVES
+
+    def after(self, felt: FloatArray, moved: SE3 | None = None) -> CloudPlan | None:
+        """The next plan after a try that felt the object at places (m, 3), m; None if none is left.
+
+        Felt places correct the object's place along the table, and are conditions of its surface
+        from then on; hypotheses that they contradict lose weight. Every other plan is verified
+        where the object is then, and tried on samples again.
+
+        Args:
+            felt: In the object's frame as it was planned, with which they moved.
+            moved: How the object has moved since then, world; not at all if None.
+        """
+        belief, shift = self.belief.with_felt(felt, self.pose_error[0])
+        task = self.plan.task
+        turn = task.T_world_object.rotation
+        there = (SE3.Identity() if moved is None else moved) * SE3(np.eye(3), turn @ shift)
+        if self.belief.cloud.table is not None:
+            there = along_table(there, task.T_world_object.translation)
+        found = []
+        for other in self.others:
+            plan = _verified(other.plan, belief, there)
+            if isinstance(plan, GraspPlan):
+                tried = _tried(plan, self.pose_error, plan.record.seed, 0.0)
+                if tried.survival >= self.survives:
+                    found.append(replace(tried, survives=self.survives))
+        found.sort(key=lambda p: -p.merit)
+        return replace(found[0], others=tuple(found[1:])) if found else None
 
     @property
     def merit(self) -> float:
@@ -186,7 +230,7 @@ def plan_from_cloud(
             (),
             None,
         )
-    best: CloudPlan | None = None
+    kept: list[CloudPlan] = []
     made: list[Attempt[GraspPlan]] = []
     refused: list[str] = []
     likely = [h for k, h in enumerate(belief.hypotheses[:TRIED]) if not k or h.weight >= PLAUSIBLE]
@@ -201,40 +245,73 @@ def plan_from_cloud(
                 refused.append(f"{what}: {error}")
                 continue
             begin = len(made)
-            best = _best_of(search, best, pose_error, seed, made)
+            _add_best(search, kept, pose_error, seed, made)
             failures = [a.failure for a in made[begin:] if a.failure is not None]
             if len(failures) == len(made) - begin:
                 common = _commonest(failures)
                 refused.append(f"{what}: no grasp in {len(failures)} attempts: {common}")
-            if best is not None and best.merit >= ENOUGH:
+            if kept and kept[0].merit >= ENOUGH:
                 break
-        if best is not None:
+        if kept:
             break
+    best = replace(kept[0], others=tuple(kept[1:])) if kept else None
     if best is None or best.survival < survives:
         raise _abstained(best, survives, belief, refused, made)
-    return replace(best, refused=tuple(refused))
+    return replace(best, refused=tuple(refused), survives=survives)
 
 
-def _best_of(
+def _add_best(
     search: Iterable[Attempt[GraspPlan]],
-    best: CloudPlan | None,
+    kept: list[CloudPlan],
     pose_error: tuple[float, float],
     seed: int,
     made: list[Attempt[GraspPlan]],
-) -> CloudPlan | None:
-    """The best of a plan and the first ``PLANS`` of a search, whose attempts are added."""
+) -> None:
+    """Add the first ``PLANS`` of a search to the best ones, and its attempts to those made."""
     plans = 0
     for attempt in search:
         made.append(attempt)
         if attempt.plan is None:
             continue
         plans += 1
-        other = _tried(attempt.plan, pose_error, seed, 0.0 if best is None else best.merit)
-        if best is None or other.merit > best.merit:
-            best = other
-        if plans == PLANS or best.merit >= ENOUGH:
+        beaten = kept[-1].merit if len(kept) == KEPT else 0.0
+        kept.append(_tried(attempt.plan, pose_error, seed, beaten))
+        kept.sort(key=lambda plan: -plan.merit)
+        del kept[KEPT:]
+        if plans == PLANS or kept[0].merit >= ENOUGH:
             break
-    return best
+
+
+def along_table(moved: SE3, about: FloatArray) -> SE3:
+    """What a motion is along the table, of a place (3,), m, and about the vertical through it."""
+    R = moved.rotation
+    yaw = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+    turn = exp3(np.array([0.0, 0.0, yaw]))
+    way = moved.act(about) - about
+    return SE3(turn, about - turn @ about + np.array([way[0], way[1], 0.0]))
+
+
+def _verified(plan: GraspPlan, belief: Belief, moved: SE3) -> GraspPlan | Failure:
+    """The plan of another belief, where its object has moved to, as every plan is verified."""
+    old = plan.task.object.belief
+    assert old is not None, "the plan is of a cloud"
+    mine = replace(belief, chosen=old.chosen, offset=old.offset)
+    task = replace(
+        plan.task,
+        object=replace(plan.task.object, belief=mine),
+        T_world_object=moved * plan.task.T_world_object,
+    )
+    if plan.arm is not None:  # its way in was planned for where it was
+        place = plan.task.T_world_object.translation
+        way = np.linalg.norm(moved.act(place) - place)
+        return plan if way < SPARE else Failure(kind="moved", text="the object has moved")
+    way_in = Approach(
+        q=plan.q_pregrasp,
+        pregrasp_distance=plan.pregrasp_distance,
+        T_world_base_start=moved * plan.T_world_base_start,
+    )
+    base = moved * plan.T_world_base
+    return verify_grasp(task, base, plan.q, record=plan.record, approach=way_in)
 
 
 def _widened(belief: Belief, shift: float) -> SynthesisOptions:
@@ -283,8 +360,9 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
     planned = plan.contacts_in_object
     n, rng = len(planned), np.random.default_rng(seed)
     points, frames = planned.positions, planned.frames
-    # a contact, and one step along each of its axes: value and slope of the surface
-    stencil = np.concatenate([np.zeros((3, 1)), STEP * np.eye(3)], axis=1)
+    # a contact, one step before it, where the finger comes from, and along each tangent: value and
+    # slope of the surface; beyond a thin wall its far side rises again
+    stencil = np.concatenate([np.zeros((3, 1)), STEP * np.diag([-1.0, 1.0, 1.0])], axis=1)
     spots = points[:, None] + np.einsum("nde,ek->nkd", frames, stencil)
     errors = belief.samples(spots.reshape(-1, 3), SAMPLES, rng).reshape(SAMPLES, n, 4)
     weights = np.array([h.weight for h in belief.hypotheses])
@@ -295,6 +373,7 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
         shifts[:, 2] = turns[:, :2] = 0.0
     # where the object's surface is if its pose is off: seen from it, contacts are elsewhere
     moved = spots[None] - shifts[:, None, None] - np.cross(turns[:, None, None], spots[None])
+    moved += _tip_errors(plan, rng)[:, :, None]
     way = np.zeros((SAMPLES, n))
     for _ in range(NEWTON):
         at = moved + way[:, :, None, None] * frames[:, None, :, 0]
@@ -303,10 +382,11 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
             mine = kinds == kind
             values[mine] = belief.mean(at[mine].reshape(-1, 3), int(kind)).reshape(-1, n, 4)
         here = values[..., 0] + errors[..., 0]
-        slope = (values[..., 1:] - values[..., :1]) / STEP  # along normal (inward) and tangents
-        inward = -slope[..., 0]
+        slope = (values[..., 1:] - values[..., :1]) / STEP  # against the normal, along tangents
+        inward = slope[..., 0].copy()
         steep = inward > LEAST_SLOPE
         way = np.clip(way + here / np.where(steep, inward, 1.0), -2.0 * FELT, 2.0 * FELT)
+    slope[..., 0] *= -1.0
     slope[..., 1:] += (errors[..., 2:] - errors[..., :1]) / STEP
     reached = (way <= FELT) & (way >= SPARE - plan.pregrasp_distance)
     touched = (steep & reached & (np.abs(here) < FELT / 4)).all(axis=1)
@@ -315,6 +395,8 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
     hits = [_hits(plan, belief, kind) for kind in range(len(weights))]
     lags = way - way.min(axis=1, keepdims=True)
     tips = (lags.max(axis=1) > LAG) & _tips(plan)[way.argmin(axis=1)]
+    clearance = clearance_of_points(plan, _seen(belief, plan.task.T_world_object))
+    touched &= clearance >= CLEAR
     held, left = 0, np.flatnonzero(touched & ~np.array(hits)[kinds])
     for done, k in enumerate(left):
         if held + len(left) - done <= beaten * SAMPLES:
@@ -328,8 +410,22 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
         samples=SAMPLES,
         position_std=belief.deviation(points),
         normal_std=np.arctan(tilt.std(axis=0).mean(axis=1) / STEP),
-        refused=(),
+        pose_error=pose_error,
+        clearance=clearance,
     )
+
+
+def _tip_errors(plan: GraspPlan, rng: np.random.Generator) -> FloatArray:
+    """Errors (SAMPLES, n, 3) of contacts by ``task.joint_error``, object's axes, m."""
+    task, state = plan.task, HandState(plan.task.hand, plan.q)
+    joints = task.joint_error * rng.normal(size=(SAMPLES, task.hand.nq))
+    turn = task.T_world_object.rotation.T @ plan.T_world_base.rotation
+    points = plan.contacts.transformed(plan.T_world_base.inverse()).positions
+    rows = [
+        turn @ state.point_jacobian(finger.pad.joint_id, point)[:3]
+        for finger, point in zip(task.fingers, points, strict=True)
+    ]
+    return np.asarray(np.einsum("nij,sj->sni", np.array(rows), joints))
 
 
 NEWTON = 3
@@ -375,6 +471,48 @@ def _closed(contacts: ContactSet, positions: FloatArray, normals: FloatArray) ->
     return plainly_closed(there, CLOSURE_EDGES) or force_closure(there, CLOSURE_EDGES).closed
 
 
+def clearance_of_points(plan: GraspPlan, points: FloatArray) -> float:
+    """Least distance (m) of the hand from points (n, 3), world, links that touch left out.
+
+    Beyond twice ``CLEAR`` it is only known to be that far.
+    """
+    hand, state = plan.task.hand, HandState(plan.task.hand, plan.q)
+    pads = {finger.pad.joint_id for finger in plan.task.fingers}
+    ball, least = coal.Sphere(1e-6), 2.0 * CLEAR
+    request = coal.DistanceRequest()
+    for link in hand.geometries:
+        if link.joint_id in pads:
+            continue
+        T = plan.T_world_base * state.joint_pose(link.joint_id) * link.T_joint_geometry
+        link.geometry.computeLocalAABB()
+        local = (points - T.translation) @ T.rotation
+        beyond = (
+            np.linalg.norm(local - link.geometry.aabb_center, axis=1) - link.geometry.aabb_radius
+        )
+        for k in np.flatnonzero(beyond < least):
+            there = coal.Transform3s(np.eye(3), local[k])
+            found = coal.distance(
+                link.geometry, coal.Transform3s(), ball, there, request, coal.DistanceResult()
+            )
+            least = min(least, float(found))
+    return least
+
+
+def _seen(belief: Belief, T_world_object: SE3) -> FloatArray:
+    """Places (n, 3) of all that was seen but the table, and what is far; the object's moved."""
+    cloud, turn = belief.cloud, T_world_object.rotation
+    own = (cloud.points - belief.offset) @ turn.T + T_world_object.translation
+    near = np.linalg.norm(cloud.past - T_world_object.translation, axis=1) < REACH
+    points = np.concatenate([own, cloud.past[near]])
+    if cloud.table is None:
+        return points
+    return points[points[:, 2] > cloud.table + max(3.0 * cloud.noise, 0.003)]
+
+
+REACH = 0.3
+"""Distance (m) from an object beyond which no part of a hand is that grasps it."""
+
+
 def _hits(plan: GraspPlan, belief: Belief, kind: int) -> bool:
     """Whether the palm or an inner link is in another hypothesis."""
     hand, state = plan.task.hand, HandState(plan.task.hand, plan.q)
@@ -405,6 +543,11 @@ def _abstained(
     """Why no plan is given."""
     if best is None:
         why = "no grasp was found whose contacts are certain enough: " + "; ".join(refused)
+    elif best.clearance < CLEAR:
+        why = (
+            f"in the best grasp the hand is {1e3 * best.clearance:.1f} mm from points that were "
+            f"seen, less than {1e3 * CLEAR:g} mm: other things are in the way"
+        )
     else:
         worst = 1e3 * float(best.position_std.max())
         why = (

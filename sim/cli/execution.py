@@ -233,16 +233,11 @@ class TrialOptions(ExecutionOptions):
         """
         from rich.progress import Progress
 
-        from sim.trial import Trial
+        from sim.trial import simulate
 
         parts: dict[str, Any] = {**self.parts(), "truth": truth}
-        kind: Callable[..., Trial] = Trial
-        if handover:
-            from sim.handover import HandoverTrial
-
-            kind = HandoverTrial
-            if self.controller == ExecutionOptions.controller:
-                parts["controller"] = None  # its own
+        if handover and self.controller == ExecutionOptions.controller:
+            parts["controller"] = None  # its own
         if self.view:
             from sim.show.window import check_display
 
@@ -252,12 +247,15 @@ class TrialOptions(ExecutionOptions):
         def execute(plan: Any, picture: Path | None) -> TrialReport:
             with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
                 bar = progress.add_task("simulating", total=1.0)
-                return kind(plan, **parts).run(
-                    progress=lambda share: progress.update(bar, completed=share),
-                    view=self.view,
-                    picture=picture,
-                    video=self.video,
-                    arrows=self.arrows,
-                )
+                shown: dict[str, Any] = {
+                    "progress": lambda share: progress.update(bar, completed=share),
+                    **{"view": self.view, "picture": picture},
+                    **{"video": self.video, "arrows": self.arrows},
+                }
+                if handover:
+                    from sim.handover import HandoverTrial
+
+                    return HandoverTrial(plan, **parts).run(**shown)
+                return simulate(plan, **parts, **shown)
 
         return execute

@@ -15,8 +15,8 @@ from sim.cli.options import (
     ArrowsOption,
     HandArgument,
     JsonOption,
-    ObjectArgument,
     PictureOption,
+    SeenArgument,
     command,
     flag,
     option,
@@ -38,7 +38,7 @@ def _folder_name(item: Any) -> str:
 def run(
     context: typer.Context,
     hand: HandArgument,
-    object: ObjectArgument,
+    object: SeenArgument,
     out_dir: Annotated[
         Path | None, option("Folder for plan, report, its page and picture.", None, None, "--out")
     ] = None,
@@ -61,16 +61,19 @@ def run(
 
     if out_dir is not None:
         make_folder(out_dir)
-    truth = truth_of(object, needed=False) if is_cloud(object) else None
+    cloud = is_cloud(object)
+    truth = truth_of(object, needed=False) if cloud else None
     execute = trial.trial(truth, handover=handover_to is not None)
     trial.check_policy(hand, lambda: object_of(object, **request.told_of_object()), None)
     request, write = trial.reckoned(request), cast(Any, write_plan)
     if handover_to is None:
-        plan: Any = request.plan(hand, object)
+        found: Any = request.of_cloud(hand, object) if cloud else request.plan(hand, object)
+        plan: Any = found.plan if cloud else found
     else:
         from planner.files import write_handover
 
-        plan, write = request.handover(hand, object, handover_to), write_handover
+        found, write = request.handover(hand, object, handover_to), write_handover
+        plan = found
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
     make_folder(folder)
@@ -79,7 +82,9 @@ def run(
     write(plan, folder / "plan.json")
     if not as_json and trial.verbose:
         tell(str(plan))
-    report = replace(execute(plan, folder / "held.png"), command=told_command(context))
+    report = replace(execute(found, folder / "held.png"), command=told_command(context))
+    if cloud and report.plan is not plan:  # another of its plans
+        write(report.plan, folder / "plan.json")
     write_report(report.to_dict(), folder / "report.json")
     report.save_html(folder / "report.html")
     if as_json:
@@ -97,7 +102,7 @@ def run(
 @command
 def plan(
     hand: HandArgument,
-    object: ObjectArgument,
+    object: SeenArgument,
     output: Annotated[
         Path,
         option("The plan file; of several, NAME-1.json and so on.", None, None, "--out", "-o"),

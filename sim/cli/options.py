@@ -64,6 +64,10 @@ OBJECT = (
 )
 HandArgument = Annotated[str, argument(HAND, "HAND")]
 ObjectArgument = Annotated[str, argument(OBJECT, "OBJECT")]
+SeenArgument = Annotated[
+    str,
+    argument(f"{OBJECT}; or what cameras saw: cloud.ply, .pcd, .xyz, .npy, .json", "OBJECT"),
+]
 ObjectsArgument = Annotated[list[str], argument("Objects as `plan` takes them.", "OBJECT...")]
 PlanArgument = Annotated[Path, argument("A plan file.", "PLAN")]
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from planner.errors import NoGraspFoundError
     from planner.motion.handover import HandoverPlan
     from planner.plan import GraspPlan
+    from planner.search.from_cloud import CloudPlan
     from planner.search.grasp import Attempt
     from planner.synthesis.options import SynthesisOptions
     from planner.task import GraspTask
@@ -191,7 +192,7 @@ class BestOptions(PlanOptions):
         from planner.search.grasp import plan_grasp
 
         if is_cloud(object):
-            return self._of_cloud(hand, object)
+            return self.of_cloud(hand, object).plan
         _refuse_our_file(object)
         options, task, compares = self.synthesis(), self.task(hand, object), self._compares
         with heeding_ctrl_c(at_once=not compares) as check, err.status(_title(task)) as status:
@@ -220,8 +221,8 @@ class BestOptions(PlanOptions):
             )
         return plan
 
-    def _of_cloud(self, hand: str, file: str) -> GraspPlan:
-        """Plan on what cameras saw; what is believed of the rest is told on stderr.
+    def of_cloud(self, hand: str, file: str) -> CloudPlan:
+        """Plans on what cameras saw; what is believed of the rest is told on stderr.
 
         Raises:
             TaskError: Options that mean nothing for a cloud.
@@ -266,7 +267,7 @@ class BestOptions(PlanOptions):
             f"camera saw: {belief.hypothesis.name}",
         ):
             say(err, escape(note))
-        return plan.plan
+        return plan
 
     def _advise(
         self, error: NoGraspFoundError, task: GraspTask, search: dict[str, Any], status: Status

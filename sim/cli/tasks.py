@@ -135,9 +135,26 @@ def error_of(name: str, text: str) -> tuple[float, float]:
     Raises:
         TaskError: Something else.
     """
+    from planner.errors import TaskError
+
     length, comma, degrees = text.partition(",")
-    turn = numbers(name, degrees, 1)[0] if comma else 0.0
-    return length_of(name, length), math.radians(turn)
+    try:
+        turn = numbers(name, degrees, 1)[0] if comma else 0.0
+        shift = length_of(name, length)
+    except TaskError as error:
+        raise TaskError(
+            f"{error}; an error of a pose is a length and degrees, 5mm,5, or the length alone"
+        ) from error
+    if shift > MOST_SHIFT or not 0.0 <= turn <= MOST_DEGREES:
+        raise TaskError(
+            f"{name} {text!r} is {shift:g} m and {turn:g} degrees; give at most {MOST_SHIFT:g} m, "
+            f"as 5mm, and 0 to {MOST_DEGREES:g} degrees"
+        )
+    return shift, math.radians(turn)
+
+
+MOST_SHIFT, MOST_DEGREES = 0.1, 28.0
+"""Largest error of a calibration, m and degrees: more is a wrong unit (``sim.scan``)."""
 
 
 def table_of(text: str) -> float | None:

@@ -272,6 +272,16 @@ class Recloses(Protocol):
 
 
 @runtime_checkable
+class Refuses(Protocol):
+    """A controller that may find that what it feels is no grasp to lift."""
+
+    @property
+    def refused(self) -> str:
+        """Why it would not lift, "" while nothing speaks against it."""
+        ...
+
+
+@runtime_checkable
 class HasOwnAim(Protocol):
     """A controller that turns further than asked by a margin of its own, however sure a pose is."""
 

@@ -228,6 +228,7 @@ class Calibration:
         task = plan.task
         self._hand, self._fingers, self._shape = task.hand, task.fingers, task.object.shape
         self._read, self._true = (MovingHand(task.hand, plan.q) for _ in range(2))
+        self._believed = task.object.belief is not None
         self._samples: list[ContactSample] = []
         self.offset = np.zeros(task.hand.nq)
         self.estimate: OffsetEstimate | None = None
@@ -235,9 +236,10 @@ class Calibration:
     def learn(self, observation: Observation) -> bool:
         """Compare the contacts of now, as read; whether the offsets have changed.
 
-        Nothing is learned of a hand without pads.
+        Nothing is learned of a hand without pads, nor from a surface of which cameras saw a part:
+        it is known to millimetres, as the tips of joints that are off by a degree or two.
         """
-        if not observation.reads_pads:
+        if self._believed or not observation.reads_pads:
             return False
         T_base_world = observation.T_world_base.inverse()
         pads = observation.pads

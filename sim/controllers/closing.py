@@ -143,7 +143,7 @@ class GuardedClosing:
         self._touched: NDArray[np.bool_] = np.zeros(n, dtype=bool)
         self._held: dict[int, FloatArray] = {}
         self._neighbours = Neighbours(plan.task.hand, self._fingers)
-        self.careful = False
+        self.careful = plan.task.object.belief is not None  # its place is known to millimetres
 
     def step(self, elapsed: float, observation: Observation) -> FloatArray:
         """Reference posture (nq,); advances every finger that does not touch."""

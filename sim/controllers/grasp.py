@@ -12,6 +12,10 @@ stiffness and damping: at q = q_ref it gives exactly the torque that is wanted, 
 adds kp (q_ref - q). That spring is what keeps the object still, since planned forces alone are in
 neutral equilibrium. Joints whose actuators have no stiffness (motors) get one here.
 
+Of an object that cameras saw in part (``GraspObject.belief``) forces are planned again, when the
+squeeze begins, over the contacts that pads feel, by the programme of the plan; ``refused`` says why
+those do not close or bear the weight, then and before the lift.
+
 ``Reclosing``: closes until felt; if the contacts contradict the joints, opens and closes anew.
 
 Called by ``GraspController`` in the phase "close". The first closing finds out where the joints
@@ -26,13 +30,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
+from planner.contacts import ContactSet
+from planner.forces import ForceArguments, distribute_forces
 from planner.hands.hand import Hand
 from planner.joints.actuation import Actuation
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, cross, minimum_jerk
+from planner.quality import force_closure
+from planner.spatial import SE3, FloatArray, contact_frames, cross, minimum_jerk
+from planner.tolerances import CLOSURE_EDGES, FRICTION_SHARE
+from planner.verification.grasp import force_arguments, no_forces
 from sim.controllers.base import Observation, Recloses, Sense
 from sim.controllers.calibration import Calibration
 from sim.controllers.closing import GuardedClosing
@@ -146,6 +157,19 @@ limit turns servos into sources of torque with what was just read; at 100 Hz ove
 late packets that swings, and the object was dropped (examples/20_hand_over_udp.py)."""
 
 
+SHARES = (0.5, 0.7, FRICTION_SHARE)
+"""Shares of the friction (-) within which felt forces are looked for, one after the other: normals
+that are felt by joints off by a degree are off by two or three."""
+
+LOOKED = 0.8
+"""Share of the phase "settle" (-) after which contacts, now under full forces, are looked at again.
+"""
+
+MOST_FELT = 100.0
+"""Normal force (N) without limit: beyond that of any actuator; times 0 for a finger that feels
+nothing."""
+
+
 class GraspController:
     """Executes the fingers' part of a plan.
 
@@ -157,6 +181,8 @@ class GraspController:
         calibration: Encoder offsets that the first touch found.
         friction: Dry friction of the joints that was felt before the first touch.
         share: Share (-) of the planned forces that it presses with at present; may be set.
+        refused: Why the contacts that are felt of a believed object are not to be lifted by; "" if
+            they are, or the object is known.
     """
 
     needs: tuple[Sense, ...] = ("touch", "object_pose")
@@ -169,13 +195,7 @@ class GraspController:
         self._hand: Hand = task.hand
         self._fingers = task.fingers
         self._gravity = task.gravity
-        planned = plan.contacts_in_object
-        self._points = planned.positions
-        self._forces = planned.forces_in_axes()
-        soft = np.array([m == "soft" for m in planned.models])
-        torsion = np.where(soft, np.nan_to_num(planned.forces[:, 3]), 0.0)
-        self._moments = torsion[:, None] * planned.normals
-        self._twists = bool(torsion.any())
+        self._take(plan.contacts_in_object)
         self.calibration = Calibration(plan)
         self._closing = Reclosing(plan, self.calibration)
         self._light = ContactForceLimit(self._hand)
@@ -188,6 +208,8 @@ class GraspController:
         self._latched = False
         self._time = 0.0
         self.share = 1.0
+        self.refused = ""
+        self._feels = task.object.belief is not None and task.is_of_fingertips
         self.q_ref = plan.q_pregrasp.copy()
         self._law_q = self.q_ref
 
@@ -200,11 +222,20 @@ class GraspController:
         torque = weight.copy()
         if observation.phase == "close":
             self.q_ref = self._closing.step(elapsed, observation)
-        elif observation.phase != "approach":
+        elif observation.phase == "approach":
+            if self._feels and observation.normal_forces.any():
+                self.refused = "a finger felt the object on the way in"
+        else:
             if not self._latched:
                 self._latched = True
                 self._servo.rest()
                 self.q_ref = observation.q.copy()
+                self._feels = self._feels and observation.reads_pads
+                if self._feels:
+                    self._feel(observation)
+            if self._feels and observation.phase == "settle" and observation.progress > LOOKED:
+                self._feels = False
+                self.refused = not_closed(*felt_contacts(self.plan, observation))
             pressing = self.share * self._pressing_torque(observation)
             if observation.phase == "squeeze":
                 ramp = float(minimum_jerk(np.asarray(observation.progress)))
@@ -230,6 +261,37 @@ class GraspController:
         """Whether the closing goes on though all fingers touch."""
         return self._closing.busy
 
+    def _take(self, contacts: ContactSet) -> None:
+        """Press by contacts in the object's frame, with their forces, from now on."""
+        self._points = contacts.positions
+        self._forces = contacts.forces_in_axes()
+        soft = np.array([m == "soft" for m in contacts.models])
+        torsion = np.where(soft, np.nan_to_num(contacts.forces[:, 3]), 0.0)
+        self._moments = torsion[:, None] * contacts.normals
+        self._twists = bool(torsion.any())
+
+    def _feel(self, observation: Observation) -> None:
+        """Plan the forces again over the contacts that are felt; or say why they are none."""
+        felt, contacts = felt_contacts(self.plan, observation)
+        self.refused = not_closed(felt, contacts)
+        if self.refused:
+            return
+        task, base = self.plan.task, observation.T_world_base
+        limited = force_arguments(task, contacts, base, observation.q)
+        free: ForceArguments = {"wrench": limited["wrench"]}
+        # fingers with fewer drives than joints press in one direction alone, and the surface is
+        # elsewhere: what no drive gives is then left to the finger's own bones
+        for given, share in product((limited, free), SHARES):
+            given |= {"min_normal": task.grip_force * felt, "max_normal": MOST_FELT * felt}
+            given["friction_scale"] = share
+            forces = distribute_forces(contacts, **given)
+            if forces.found:
+                break
+        if forces.found:
+            self._take(forces.contacts.transformed(observation.T_world_object.inverse()))
+        else:
+            self.refused = f"over the contacts that are felt, {no_forces(task, forces).text}"
+
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
         return saturated(self._hand.actuation, self._law_q, self._torque)
@@ -248,6 +310,48 @@ class GraspController:
         if self._twists:
             moments += self._moments @ turn
         return self._loads.torque(forces, moments)
+
+
+class Opening(GraspController):
+    """Opens fingers from where they are to their pre-grasp, and keeps them there."""
+
+    _closed: FloatArray | None = None
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) for the hand's actuators."""
+        if self._closed is None:
+            self._closed = observation.q.copy()
+        share = observation.progress if observation.phase == "open" else 1.0
+        way = self.plan.q_pregrasp - self._closed
+        self.q_ref = self._closed + float(minimum_jerk(np.asarray(share))) * way
+        return super().step(replace(observation, phase="approach"))
+
+
+def felt_contacts(plan: GraspPlan, seen: Observation) -> tuple[NDArray[np.bool_], ContactSet]:
+    """Which fingers (n,) feel the object, and their contacts, world; planned ones of the others."""
+    pads = seen.pads
+    felt = (pads.normal_force > 0.0) & np.isfinite(pads.position).all(axis=1)
+    there = plan.contacts_in_object.transformed(seen.T_world_object)
+    normals = np.where(felt[:, None], pads.normal, there.normals)
+    positions = np.where(felt[:, None], pads.position, there.positions)
+    return felt, replace(there, positions=positions, frames=contact_frames(normals))
+
+
+def not_closed(felt: NDArray[np.bool_], contacts: ContactSet) -> str:
+    """Why the contacts that are felt do not close, "" if they do."""
+    names = [name for name, feels in zip(contacts.fingers, felt, strict=True) if feels]
+    if not names:
+        return "no finger feels the object"
+    there = ContactSet.from_arrays(
+        contacts.positions[felt],
+        contacts.normals[felt],
+        mu=contacts.mu[felt],
+        mu_torsion=contacts.mu_torsion[felt],
+        model=contacts.models[0],
+        center=contacts.center,
+    )
+    found = force_closure(there, CLOSURE_EDGES)
+    return "" if found.closed else f"the contacts felt by {', '.join(names)} do not close"
 
 
 def saturated(actuation: Actuation, q: FloatArray, torque: FloatArray) -> tuple[str, ...]:

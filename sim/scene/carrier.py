@@ -134,6 +134,9 @@ class GantryCarrier:
         if phase == "approach":
             s, rate = timeline.profile(share)
             return (1.0 - s) * self._start, -rate / timeline.approach * self._start
+        if phase == "retreat":
+            s, rate = timeline.profile(share)
+            return s * self._start, rate / timeline.approach * self._start
         if phase == "lift":
             s, rate = timeline.profile(share)
             return s * self._lifted, rate / timeline.lift * self._lifted
@@ -187,6 +190,8 @@ class ArmCarrier:
         s, rate = self._timeline.profile(share)
         if phase == "approach":
             return _on(self._path.approach, s, rate / self._timeline.approach)
+        if phase == "retreat":
+            return _on(self._path.approach[::-1], s, rate / self._timeline.approach)
         if phase == "lift":
             top = self._lift_share
             return _on(self._path.lift, top * s, top * rate / self._timeline.lift)
