@@ -56,16 +56,21 @@ class DrakeCase:
         """What it is called."""
         return f"push {AXES[self.index - 1]}" if self.index else "hold"
 
+    def push(self, plan: GraspPlan) -> FloatArray:
+        """The push (6,), N, world axes, about the centre of mass; zero without one."""
+        if not self.index:
+            return np.zeros(6)
+        weight = plan.task.object.mass * STANDARD_GRAVITY
+        return np.append(PUSH_SHARE * weight * axis_of(self.index - 1), np.zeros(3))
+
     def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
         """Export and hold it; the controller is left out."""
-        weight = plan.task.object.mass * STANDARD_GRAVITY
-        force = PUSH_SHARE * weight * axis_of(self.index - 1) if self.index else np.zeros(3)
+        push = self.push(plan)
         with tempfile.TemporaryDirectory() as made:
             folder = Path(made) / "scene"
             export_scene(plan, folder, physics=conditions.physics)
-            wrench = np.append(force, np.zeros(3))
-            seen = hold_in_drake(folder, wrench=wrench if self.index else None)
-        size = float(np.linalg.norm(force))
+            seen = hold_in_drake(folder, wrench=push)
+        size = float(np.linalg.norm(push))
         pushed = seen.time > seen.pushed_from
         return Outcome(
             index=self.index,
@@ -76,7 +81,7 @@ class DrakeCase:
             samples=_samples(plan, seen, conditions.physics.mu),
             load=np.where(pushed, size, 0.0),
             unit="N" if self.index else "",
-            wrench=wrench / size if self.index else np.zeros(6),
+            wrench=push / size if self.index else push,
         )
 
 
