@@ -23,7 +23,7 @@ from planner.errors import TaskError
 from planner.search.grasp import plan_grasp
 from sim.cli.execution import physics_of
 from sim.cli.options import PhysicsOption, SimMuOption
-from sim.protocols.drake import drake_cases, hold_in_drake
+from sim.protocols.drake import drake_cases, holds_in_drake
 from sim.protocols.drake_scene import drake_missing
 from sim.scene.export import export_scene
 from sim.scene.export.check import hold
@@ -69,7 +69,7 @@ def measure(case: Row) -> Row:
         exported = time.process_time()
         here = [hold(folder / "scene.xml", push=test.push(plan)) for test in tests]
         stepped = time.process_time()
-        there = [hold_in_drake(folder, wrench=test.push(plan)) for test in tests]
+        there = list(holds_in_drake(folder, [test.push(plan) for test in tests]))
     lost = [f"{test.name}: {o.detail}" for test, o in zip(tests, there, strict=True) if not o.held]
     held, other = all(h for h, _, _ in here), not lost
     return {
