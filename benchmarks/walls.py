@@ -1,6 +1,7 @@
 """Grasp cups, mugs and bowls of thin walls: found within 1 s, rate, held.
 
-Objects stand as they are used: in the stable pose whose z axis points up most.
+Objects stand as they are used: in the stable pose whose z axis points up most. Where no fingers are
+named, a search may spare one.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from planner.search.grasp import attempts
 from planner.shapes import Mesh, Shape
 from planner.task import GraspTask
 from sim.cli.execution import error_model_of
-from sim.cli.options import ErrorModelOption
+from sim.cli.options import ErrorModelOption, FingersOption, names
 from sim.tables import Row
 from sim.trial import simulate
 
@@ -44,15 +45,17 @@ class Options(HandOptions):
         int, typer.Option(min=0, help="How many of them are executed in simulation.")
     ] = 2
     error_model: ErrorModelOption = "ideal"
+    fingers: FingersOption = None
 
 
 def cases(options: Options) -> Iterator[Row]:
     """Requests of every hand and object."""
     error_model = error_model_of(options.error_model)
+    fingers = names(options.fingers) if options.fingers else None
     for cell in cells_of(options.hand_names, options.objects):
         for k in range(options.n):
             run = {"seed": options.seed, "execute": k < options.trials, "error_model": error_model}
-            yield {**cell, "k": k, **run}
+            yield {**cell, "k": k, "fingers": fingers, **run}
 
 
 def as_used(shape: Shape) -> int:
@@ -73,6 +76,7 @@ def measure(case: Row) -> Row:
         item,
         T_world_object=shape.resting_pose(index=as_used(shape)),
         table_height=0.0,
+        fingers=case["fingers"],
         joint_error=off,
     )
     made = attempts(task, seed=seed_of(case["seed"], shape, case["k"]))

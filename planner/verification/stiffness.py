@@ -17,6 +17,10 @@ for forces s f_i. The first line is a spring that no force weakens; the others g
 (Cutkosky and Kao 1989; Howard and Kumar 1996). The servos' part falls with the square of the
 object's size and the levers' with its size: a small object that is pressed hard turns aside, the
 less, the flatter it and the tips are.
+
+Where friction is a damper, as in simulations that regularise it, a contact slides by s with s' = -c
+f_t. Sliding carries the contact over both surfaces, by A S_tip s over the object, so that levers
+and normals change. Where that leads to no balance, what springs would hold turns aside slowly.
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh, expm
 
 from planner.errors import PlannerError
 from planner.forces import ForceSolution
@@ -64,6 +68,9 @@ class GraspStiffness:
             it should be.
         forces: Of the contacts (n, 4), N and N m, in contact frames.
         curvatures: Of the object (n, 2, 2), 1/m, along the contacts' tangents.
+        slips: (2n, N), what the forces do per metre by which the object slides along a tangent.
+        tilts: (2n, N), how much of a normal force comes to lie along a tangent.
+        tilted: (2n, 2n), the same per metre of sliding, N/m.
     """
 
     springs: FloatArray
@@ -72,6 +79,9 @@ class GraspStiffness:
     shifts: FloatArray
     forces: FloatArray
     curvatures: FloatArray
+    slips: FloatArray
+    tilts: FloatArray
+    tilted: FloatArray
 
     @classmethod
     def of(
@@ -112,7 +122,17 @@ class GraspStiffness:
             to_object.rotation @ contacts.frames[:, :, 1:],
         )
         compliance = _rolling(task, curved, contacts.frames)
+        slips, tilts, tilted = np.zeros((n, 2, 6 + nq)), np.zeros((n, 2, 6 + nq)), []
         for i, f in enumerate(pushes):
+            tangents, normal = contacts.frames[i, :, 1:], contacts.normals[i]
+            ways = tangents.T @ compliance[i] @ tangents  # A in the tangent plane
+            over, under = ways / task.fingers[i].pad.radius, ways @ curved[i]
+            slips[i, :, 3:6] = -(tangents @ over).T @ skew(f)
+            slips[i, :, 6:] = -(tangents @ under).T @ skew(f) @ angular[i]
+            tilts[i, :, 3:6] = np.cross(normal, tangents, axis=0).T
+            tilts[i] += curved[i] @ ways @ tangents.T @ skew(normal) @ turns[i]
+            tilts[i] *= forces.forces[i, 0]
+            tilted.append(forces.forces[i, 0] * curved[i] @ over)
             bending[3:6, 3:6] -= skew(f) @ arms[i]
             # f . (a_k x J_j) for k before j on the finger: moved by both
             second = np.triu(angular[i].T @ np.cross(linear[i], f, axis=0))
@@ -125,6 +145,9 @@ class GraspStiffness:
             shifts=shifts.reshape(2 * n, -1),
             forces=np.array(forces.forces),
             curvatures=curved,
+            slips=slips.reshape(2 * n, -1),
+            tilts=tilts.reshape(2 * n, -1),
+            tilted=block_diag(*tilted),
         )
 
     @property
@@ -154,6 +177,13 @@ class GraspStiffness:
             Changes (m + 3n, n, 4), N and N m in contact frames, and rotations (m + 3n, 3), rad:
             under every wrench, with every tip out of place, with every contact along both tangents.
         """
+        moved, changes = self._elastic(factor, wrenches, misplaced)
+        return changes.reshape(len(moved), -1, 4), moved[:, 3:6]
+
+    def _elastic(
+        self, factor: float, wrenches: FloatArray, misplaced: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Movements (m + 3n, N) and changes of contact forces (m + 3n, 4n); see ``under``."""
         n, _, size = self.rows.shape
         m, k = len(wrenches), np.tile([CONTACT] * 3 + [SPIN], n)
         flat = self.rows.reshape(4 * n, size)
@@ -169,7 +199,47 @@ class GraspStiffness:
         moved = np.linalg.solve(self.springs + factor * self.bending, pushed.T).T
         gaps = moved @ flat.T
         gaps[m : m + n] -= gone
-        return -(gaps * k).reshape(-1, n, 4), moved[:, 3:6]
+        return moved, -gaps * k
+
+    def crept(
+        self, factor: float, wrenches: FloatArray, misplaced: float, slides: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """The same after contacts have crept; a first row tells what pressing alone changes.
+
+        Args:
+            factor: As in ``under``.
+            wrenches: As there; its rows follow, each in addition.
+            misplaced: As there.
+            slides: How far a contact slides along both tangents and spins in that time (n, 3),
+                against a constant force of one, m/N and rad/(N m).
+
+        Returns:
+            Changes (1 + m + 3n, n, 4), in the frames of the contacts to which they have slid, and
+            rotations (1 + m + 3n, 3).
+        """
+        n, _, size = self.rows.shape
+        moved, changes = self._elastic(factor, wrenches, misplaced)
+        moved = np.vstack([np.zeros((1, size)), moved])
+        changes = np.vstack([np.zeros((1, 4 * n)), changes])
+        along = (4 * np.arange(n)[:, None] + [1, 2, 3]).reshape(-1)
+        plane = np.arange(3 * n).reshape(n, 3)[:, :2].reshape(-1)  # without spin
+        k, flat = np.tile([CONTACT] * 2 + [SPIN], n), self.rows.reshape(4 * n, size)
+        pushed, tilts, tilted = k[:, None] * flat[along], np.zeros((3 * n, size)), np.diag(k)
+        pushed[plane] += factor * self.slips
+        tilts[plane] = factor * self.tilts
+        tilted[np.ix_(plane, plane)] -= factor * self.tilted
+        by_sliding = np.linalg.solve(self.springs + factor * self.bending, pushed.T)
+        left = tilted - (k[:, None] * flat[along] + tilts) @ by_sliding
+        pulls = changes[:, along] - moved @ tilts.T
+        pulls[0] += factor * self.forces[:, 1:].reshape(-1)
+        c, still = slides.reshape(-1, 1), np.zeros((3 * n, 3 * n))
+        steps = expm(np.block([[-c * left, np.eye(3 * n)], [still, still]]))[: 3 * n, 3 * n :]
+        slid = -(steps @ (c * pulls.T)).T
+        changes[:, along] = pulls + slid @ left.T
+        changes[0, along] -= factor * self.forces[:, 1:].reshape(-1)
+        changes[:, ::4] -= CONTACT * slid @ by_sliding.T @ flat[::4].T
+        moved += slid @ by_sliding.T
+        return changes.reshape(len(moved), n, 4), moved[:, 3:6]
 
 
 def _rolling(task: GraspTask, curved: FloatArray, frames: FloatArray) -> FloatArray:

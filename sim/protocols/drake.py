@@ -12,8 +12,8 @@ What happens before the grasp is left out: it is a second opinion on the grasp, 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -56,16 +56,21 @@ class DrakeCase:
         """What it is called."""
         return f"push {AXES[self.index - 1]}" if self.index else "hold"
 
+    def push(self, plan: GraspPlan) -> FloatArray:
+        """The push (6,), N, world axes, about the centre of mass; zero without one."""
+        if not self.index:
+            return np.zeros(6)
+        weight = plan.task.object.mass * STANDARD_GRAVITY
+        return np.append(PUSH_SHARE * weight * axis_of(self.index - 1), np.zeros(3))
+
     def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
         """Export and hold it; the controller is left out."""
-        weight = plan.task.object.mass * STANDARD_GRAVITY
-        force = PUSH_SHARE * weight * axis_of(self.index - 1) if self.index else np.zeros(3)
+        push = self.push(plan)
         with tempfile.TemporaryDirectory() as made:
             folder = Path(made) / "scene"
             export_scene(plan, folder, physics=conditions.physics)
-            wrench = np.append(force, np.zeros(3))
-            seen = hold_in_drake(folder, wrench=wrench if self.index else None)
-        size = float(np.linalg.norm(force))
+            seen = hold_in_drake(folder, wrench=push)
+        size = float(np.linalg.norm(push))
         pushed = seen.time > seen.pushed_from
         return Outcome(
             index=self.index,
@@ -76,7 +81,7 @@ class DrakeCase:
             samples=_samples(plan, seen, conditions.physics.mu),
             load=np.where(pushed, size, 0.0),
             unit="N" if self.index else "",
-            wrench=wrench / size if self.index else np.zeros(6),
+            wrench=push / size if self.index else push,
         )
 
 
@@ -234,7 +239,45 @@ def hold_in_drake(
         FileFormatError: The folder is no export, or Drake cannot read it.
     """
     scene = load_drake_scene(folder, time_step=time_step)
-    return _Trial(scene).run(scene.check["seconds"] if seconds is None else seconds, wrench)
+    return next(_Trial(scene).run(scene.check["seconds"] if seconds is None else seconds, [wrench]))
+
+
+def holds_in_drake(folder: Path, wrenches: Sequence[FloatArray | None]) -> Iterator[Held]:
+    """The same for several wrenches, whose first half is simulated once."""
+    scene = load_drake_scene(folder)
+    return _Trial(scene).run(scene.check["seconds"], wrenches)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """Samples (time, mm, degrees, pose) and touches (sample, body, position, normal, force)."""
+
+    samples: list[tuple[float, float, float, SE3]] = field(default_factory=list)
+    touches: list[tuple[int, str, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
+
+    def told(self, begin: SE3, *, held: bool, pushed_from: float) -> Held:
+        """The same as arrays."""
+        time, mm, deg, poses = zip(*self.samples, strict=True)
+        moment, bodies, *arrays = zip(*self.touches, strict=True) if self.touches else [()] * 5
+        positions, normals, forces = (np.array(a, dtype=float).reshape(-1, 3) for a in arrays)
+        return Held(
+            held=held,
+            detail=f"after {time[-1]:.2f} s the object had moved {mm[-1]:.1f} mm and turned "
+            f"{deg[-1]:.1f} degrees, with {moment.count(len(time) - 1)} contacts",
+            time=np.array(time),
+            moved_mm=np.array(mm),
+            turned_deg=np.array(deg),
+            rise_mm=1e3 * np.array([(p.translation - begin.translation)[2] for p in poses]),
+            centers=np.array([pose.translation for pose in poses]),
+            touches=Touches(
+                moment=np.array(moment, dtype=np.int64),
+                bodies=tuple(bodies),
+                positions=positions,
+                normals=normals,
+                forces=forces,
+            ),
+            pushed_from=pushed_from,
+        )
 
 
 class _Trial:
@@ -264,18 +307,27 @@ class _Trial:
         self._commands = np.array([squeeze["commands"][n] for n in scene.explicit.names])
         self._torque = plant.get_applied_generalized_force_input_port()
 
-    def run(self, seconds: float, wrench: FloatArray | None) -> Held:
-        """Simulate."""
-        scene, check = self._scene, self._scene.check
-        step = float(scene.plant.time_step())
-        steps, look, sample = (round(t / step) for t in (seconds, LOOK_EVERY, SAMPLE_EVERY))
-        begin = self._object_pose()
-        samples: list[tuple[float, float, float, SE3]] = []
-        touches: list[tuple[int, str, FloatArray, FloatArray, FloatArray]] = []
-        lost = False
-        for k in range(1, steps + 1):
-            late = k * step > seconds / 2
-            self._push(wrench if wrench is not None and late else None)
+    def run(self, seconds: float, wrenches: Sequence[FloatArray | None]) -> Iterator[Held]:
+        """Simulate: a first half, and from its end a second one for every wrench."""
+        steps = round(seconds / float(self._scene.plant.time_step()))
+        begin, half = self._object_pose(), steps // 2
+        first = _Seen()
+        lost = self._advance(range(1, half + 1), None, begin, first)
+        root = self._simulator.get_mutable_context()
+        middle = root.Clone()
+        for wrench in wrenches:
+            root.SetTimeStateAndParametersFrom(middle)
+            self._simulator.Initialize()
+            seen = _Seen(samples=[*first.samples], touches=[*first.touches])
+            gone = lost or self._advance(range(half + 1, steps + 1), wrench, begin, seen)
+            yield seen.told(begin, held=not gone, pushed_from=seconds / 2)
+
+    def _advance(self, steps: range, wrench: FloatArray | None, begin: SE3, seen: _Seen) -> bool:
+        """Simulate some steps; whether the object was lost."""
+        step = float(self._scene.plant.time_step())
+        look, sample = (round(t / step) for t in (LOOK_EVERY, SAMPLE_EVERY))
+        for k in steps:
+            self._push(wrench)
             try:
                 self._simulator.AdvanceTo(k * step)
             except RuntimeError as error:
@@ -283,34 +335,15 @@ class _Trial:
                     f"Drake gave up after {k * step:.3f} s: {error}; leave this plan out, or try a "
                     "smaller time step"
                 ) from error
-            if not (lost := k % look == 0 and self._lost(begin, check)) and k % sample:
+            lost = k % look == 0 and self._lost(begin, self._scene.check)
+            if not lost and k % sample:
                 continue
             pose = self._object_pose()
-            touches += [(len(samples), *touch) for touch in self._touches()]
-            samples.append((k * step, *pose_change(begin, pose), pose))
+            seen.touches.extend((len(seen.samples), *touch) for touch in self._touches())
+            seen.samples.append((k * step, *pose_change(begin, pose), pose))
             if lost:
-                break
-        time, mm, deg, poses = zip(*samples, strict=True)
-        moment, bodies, *arrays = zip(*touches, strict=True) if touches else [()] * 5
-        positions, normals, forces = (np.array(a, dtype=float).reshape(-1, 3) for a in arrays)
-        return Held(
-            held=not lost,
-            detail=f"after {time[-1]:.2f} s the object had moved {mm[-1]:.1f} mm and turned "
-            f"{deg[-1]:.1f} degrees, with {moment.count(len(samples) - 1)} contacts",
-            time=np.array(time),
-            moved_mm=np.array(mm),
-            turned_deg=np.array(deg),
-            rise_mm=1e3 * np.array([(p.translation - begin.translation)[2] for p in poses]),
-            centers=np.array([pose.translation for pose in poses]),
-            touches=Touches(
-                moment=np.array(moment, dtype=np.int64),
-                bodies=tuple(bodies),
-                positions=positions,
-                normals=normals,
-                forces=forces,
-            ),
-            pushed_from=seconds / 2,
-        )
+                return True
+        return False
 
     def _lost(self, begin: SE3, check: Mapping[str, Any]) -> bool:
         """Whether the object has left its place, or is nowhere."""

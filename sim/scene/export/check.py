@@ -15,8 +15,14 @@ import numpy as np
 SECONDS, MOST_MM, MOST_DEG = 2.0, 10.0, 15.0
 
 
-def hold(scene: Path, seconds: float = SECONDS) -> tuple[bool, float, float]:
-    """Whether the object is held to the end, and how far it moved (mm) and turned (degrees)."""
+def hold(
+    scene: Path, seconds: float = SECONDS, push: "np.typing.ArrayLike" = 0.0
+) -> tuple[bool, float, float]:
+    """Whether the object is held to the end, and how far it moved (mm) and turned (degrees).
+
+    In the second half a push, force (N) and torque (N m) in world axes, acts on the object's centre
+    of mass.
+    """
     model = mujoco.MjModel.from_xml_path(str(scene))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("grasp").id)
@@ -26,6 +32,8 @@ def hold(scene: Path, seconds: float = SECONDS) -> tuple[bool, float, float]:
     position, turn = data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy()
     mm = deg = 0.0
     while data.time < seconds and mm <= MOST_MM and deg <= MOST_DEG:
+        if data.time >= seconds / 2:
+            data.xfrc_applied[body] = push
         mujoco.mj_step(model, data)
         mm = 1e3 * float(np.linalg.norm(data.xpos[body] - position))
         cosine = (float(np.trace(turn.T @ data.xmat[body].reshape(3, 3))) - 1.0) / 2.0
