@@ -34,8 +34,10 @@ from planner.motion.context import tripods, with_rolling_pads
 from planner.motion.ending import Rests, planned_ending, standing
 from planner.motion.path import (
     LARGEST_TURN,
+    AnyAttitude,
     ObjectPath,
     check_place,
+    checked_attitude,
     checked_axis,
     checked_shift,
     tilts,
@@ -164,6 +166,7 @@ def plan_single_stroke(
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
     rests: Rests | None = None,
+    attitude: AnyAttitude = "down",
 ) -> ManipulationPlan:
     """Plan a manipulation on one grasp.
 
@@ -180,6 +183,7 @@ def plan_single_stroke(
         max_attempts: Budget in attempts.
         rests: Tells whether an object stays where a task has it, as ``sim.manipulation.rests``;
             None takes geometry alone.
+        attitude: As for ``plan_motion``.
 
     Raises:
         NoGraspFoundError: The budget ended.
@@ -194,6 +198,9 @@ def plan_single_stroke(
     if path_tolerance is None:
         turning = TILT_TOLERANCE if tilts(direction) else TURN_TOLERANCE
         path_tolerance = SHIFT_TOLERANCE if moved.any() else turning
+    asked = ObjectPath(
+        axis=direction, angle=angle, shift=moved, attitude=checked_attitude(attitude)
+    )
     on_arm = None if task.hand.arm is None else OnArm(task)
     made: list[MotionAttempt] = []
     tried: list[tuple[str, ...]] = []
@@ -203,7 +210,7 @@ def plan_single_stroke(
         if len(made) >= max_attempts or good_enough(found) or (attempts is None and found):
             break
         tried.append(fallback.task.finger_names)
-        path = _with_overshoot(direction, angle, moved, fallback.overshoot)
+        path = _with_overshoot(asked, fallback.overshoot)
         most = max_attempts if attempts is None else min(max_attempts, len(made) + attempts)
         for attempt in motion_attempts(
             fallback.task,
@@ -226,7 +233,6 @@ def plan_single_stroke(
         best = max(found, key=merit)
         record = replace(best.record, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
         return replace(best, record=record)
-    asked = ObjectPath(axis=direction, angle=angle, shift=moved)
     sets = " or ".join(", ".join(names) for names in dict.fromkeys(tried))
     raise nothing_found(
         f"way to turn or move {task.object.name} by {asked} with {task.hand.name} ({sets})",
@@ -267,15 +273,14 @@ def merit(plan: ManipulationPlan) -> float:
     return min(plan.reserve / GOOD_RESERVE, plan.margin / GOOD_MARGIN)
 
 
-def _with_overshoot(
-    axis: FloatArray, angle: float, shift: FloatArray, overshoot: float
-) -> ObjectPath:
+def _with_overshoot(asked: ObjectPath, overshoot: float) -> ObjectPath:
     """The path asked for with an overshoot (rad) of the turn, and the same share of translation."""
+    angle = asked.angle
     if angle == 0.0:
-        return ObjectPath(axis=axis, angle=0.0, shift=shift)
+        return asked
     turn = max(abs(angle), min(abs(angle) + overshoot, LARGEST_TURN))
     whole = math.copysign(turn, angle)
-    return ObjectPath(axis=axis, angle=whole, shift=whole / angle * shift)
+    return replace(asked, angle=whole, shift=whole / angle * asked.shift)
 
 
 def _pivoting(motion: MovementPlan) -> Failure | None:

@@ -340,7 +340,7 @@ def planned_points(
     points = np.array([k.contacts_in_object.positions for k in motion.knots])
     planned = interp1d([k.path_parameter for k in motion.knots], points, axis=0)(path_parameter)
     order = {name: k for k, name in enumerate(PHASES)}
-    order["regrasp"] = order["back"] = order["turn"]
+    order |= dict.fromkeys(("regrasp", "back", "wrist", "wrist back"), order["turn"])
     index = np.array([order[p] for p in phase], dtype=int)
     off = (index < order["verify"]) | (index > order["lower"])
     planned[off[:, None] | away] = np.nan
