@@ -168,6 +168,7 @@ def plan_manipulation(
             "translation or the regrasps out, and turn by half a turn at most"
         )
     direction = checked_axis(axis)
+    checked_attitude(attitude)
     if task.hand.arm is not None and (regrasp or abs(angle) > LARGEST_TURN):
         raise TaskError(
             f"{task.hand.name} is on an arm; turns with regrasps are planned for hands whose base "
@@ -181,7 +182,7 @@ def plan_manipulation(
         "seed": seed,
         "max_attempts": max_attempts,
         "rests": rests,
-        "attitude": checked_attitude(attitude),
+        "attitude": attitude,
     }
     stroke = partial(plan_single_stroke, task, shift=shift, **asked)
     strokes = partial(plan_regrasping, task, **asked)

@@ -492,7 +492,8 @@ class MovementPlan(Shown):
 
         Phases are approach, close, and turn, or "stroke 1", "regrasp FINGER", "stroke 2" and so on.
         With an ending lift comes before the turn, and after it back where the plan has one, carry,
-        lower, open and retreat; in another attitude wrist before the turn and "wrist back" after; the turn ends at ``angle`` then, short of the planned overshoot.
+        lower, open and retreat; in another attitude also wrist before the turn, and "wrist back"
+        before the carry; the turn ends at ``angle`` then, short of the planned overshoot.
         Contact forces are not part of it. Joints pass through the knots without overshoot.
 
         Args:

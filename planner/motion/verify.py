@@ -225,7 +225,7 @@ class MovementVerifier:
             return unclosed
         borne = [plan_forces(one, contacts, T_world_base, waypoint.q) for one in bearing]
         for share, forces in zip(np.linspace(1.0, 0.0, len(borne)), borne, strict=True):
-            if not forces.found:
+            if not forces.found or (len(borne) > 1 and pressed(forces) > MOST_PRESS):
                 return _falls(task, forces, share, borne)
         off, turned = _off_path(T_world_object, wanted)
         slid, gap, within = np.zeros(len(touches)), 0.0, None
@@ -387,12 +387,24 @@ def _falls(
 ) -> Failure:
     """The failure of contacts that cannot bear the weight at a share of the way to the attitude."""
     failure = no_forces(task, forces)
+    if forces.found:
+        text = f"forces: a finger has to press with {pressed(forces):.1f} N (at most {MOST_PRESS})"
+        failure = replace(failure, text=text)
     if len(borne) == 1 or not borne[-1].found:
         return failure
     where = "in the attitude" if share == 1.0 else f"{100 * share:.0f} % of the way to the attitude"
     failure = failure.at(f"held with the palm down, but {where}")
     return replace(failure, kind=FALLS, numbers={**failure.numbers, "share": share})
 
+
+def pressed(forces: ForceSolution) -> float:
+    """Largest normal force, N."""
+    return float(forces.contacts.forces[:, 0].max())
+
+
+MOST_PRESS = 12.0
+"""Largest normal force (N) of a finger in an attitude and on the way there: the closed loop asks for
+a quarter more at most, and at 13 to 15 N a Shadow-type hand ran into that with the palm up."""
 
 FALLS = "falls_in_attitude"
 """Kind of a failure of a grasp that bears the weight palm down, but not in the attitude."""

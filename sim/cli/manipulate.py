@@ -91,9 +91,9 @@ class TurnOptions(TaskOptions):
         axis, degrees, shift = movement(self.rotate, self.shift)
         angle = math.radians(degrees) if math.isfinite(degrees) else None
         asked: dict[str, Any] = {"axis": axis, "angle": angle, "shift": shift, "seed": self.seed}
-        return (
-            asked if self.attitude == "down" else asked | {"attitude": attitude_of(self.attitude)}
-        )
+        if self.attitude != "down":
+            asked["attitude"] = attitude_of(self.attitude)
+        return asked
 
     @property
     def upright(self) -> float | None:

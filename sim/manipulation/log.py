@@ -263,7 +263,8 @@ def force_limit(plan: ManipulationPlan) -> float:
 
     It follows from the plan's own largest force at any knot and while any finger moves on.
     """
-    planned = [knot.contacts.forces[:, 0] for knot in plan.knots]
+    solved = [one for knot in plan.knots for one in (knot.forces, *knot.on_the_way)]
+    planned = [forces.contacts.forces[:, 0] for forces in solved]
     for move in plan.relocations:
         planned += [contacts.forces[:, 0] for contacts in (move.before, move.during, move.after)]
     return max(LEAST_LIMIT, OVER_PLAN * float(np.nanmax(np.concatenate(planned))))

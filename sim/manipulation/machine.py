@@ -174,10 +174,8 @@ class StateMachine:
 
     @property
     def _back(self) -> tuple[ManipulationPhase, ...]:
-        wrist: tuple[ManipulationPhase, ...] = (
-            ("wrist back",) if self._plan.path.turns_wrist else ()
-        )
-        return ("back", *wrist) if self.ending.back else wrist
+        back: tuple[ManipulationPhase, ...] = ("back",) if self.ending.back else ()
+        return (*back, "wrist back") if self._plan.path.turns_wrist else back
 
     @property
     def _cycle(self) -> tuple[Relocation, ...]:
