@@ -403,8 +403,8 @@ def pressed(forces: ForceSolution) -> float:
 
 
 MOST_PRESS = 12.0
-"""Largest normal force (N) of a finger in an attitude and on the way there: the closed loop asks for
-a quarter more at most, and at 13 to 15 N a Shadow-type hand ran into that with the palm up."""
+"""Largest normal force (N) of a finger in an attitude and on the way there: the closed loop asks
+for a quarter more at most, and at 13 to 15 N a Shadow-type hand ran into that with the palm up."""
 
 FALLS = "falls_in_attitude"
 """Kind of a failure of a grasp that bears the weight palm down, but not in the attitude."""

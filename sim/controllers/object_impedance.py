@@ -79,6 +79,9 @@ was felt, and never less than this (-)."""
 UNTURNED = 1.0 + 2.0 * math.cos(math.radians(1.0))
 """Trace (-) of a rotation by a degree: a base that turns less, as one that sways, stands still."""
 
+TURNING_TIME = 0.1
+"""Time (s) after a turn by a degree for which the base counts as turning."""
+
 CONFIRMED = 0.95
 """A slip at this share of the believed friction or more confirms it (-)."""
 
@@ -165,6 +168,7 @@ class ObjectImpedance:
         self._correction = EstimateCorrection()
         self._calibrated = self._moved = False
         self._loaded: FloatArray = plan.T_world_base.rotation.T
+        self._turning_until = 0.0
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
         self._grip = 1.0
@@ -292,7 +296,7 @@ class ObjectImpedance:
         )
         if carries:
             self._judge(elapsed, wrench, missed)
-        if carries and not self.gave_up:
+        if carries and not self.gave_up and self._time > self._turning_until:
             self.law.learn(elapsed, missed)
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
@@ -305,7 +309,8 @@ class ObjectImpedance:
         """Keep the learned load where it is in the world while the wrist turns.
 
         Most of it is weight that was not believed. Kept in the base's axes it would count twice
-        with the palm up.
+        with the palm up. Meanwhile nothing is learned: the dry friction of joints that stand still
+        takes the change of weight, and a load of 10 N was learned against it.
 
         Args:
             turn: Rotation (3, 3) of the world in the base.
@@ -314,6 +319,7 @@ class ObjectImpedance:
         if np.trace(change) < UNTURNED:
             self.law.load = (self.law.load.reshape(2, 3) @ change.T).ravel()
             self._loaded = turn.copy()
+            self._turning_until = self._time + TURNING_TIME
 
     def _carried(
         self,
