@@ -12,6 +12,7 @@ import pytest
 from manipulations import QUICK, task_of
 
 from planner.errors import NoGraspFoundError, NotFoundError, TaskError
+from planner.failure import Failure
 from planner.files import read_movement, write_movement
 from planner.files.movements import movement_to_dict
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
@@ -119,10 +120,10 @@ def test_a_file_keeps_the_attitude_and_has_none_without(
     assert "attitude" not in movement_to_dict(level)["path"]
 
 
-def test_a_grasp_that_holds_palm_down_may_fall_in_an_attitude(plan: ManipulationPlan) -> None:
-    """The failure says so, how far the wrist gets, and names the limit."""
-    heavy = replace(plan.task, object=replace(plan.task.object, mass=0.75))
-    way = replace(plan.path, attitude="up")
+def test_a_grasp_that_holds_palm_down_may_fall_in_an_attitude(
+    plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The failure says so, where on the wrist's way, and names the limit; palm down it holds."""
     points = [
         Waypoint(
             path_parameter=knot.path_parameter,
@@ -131,13 +132,20 @@ def test_a_grasp_that_holds_palm_down_may_fall_in_an_attitude(plan: Manipulation
         )
         for knot in plan.knots[:2]
     ]
-    verifier = MovementVerifier(heavy)
-    down = verifier.verify_knots(plan.T_world_base, points, replace(way, attitude="down"), 0.03)
-    assert isinstance(down, tuple)
-    fallen = verifier.verify_knots(plan.T_world_base, points, way, 0.03)
-    assert not isinstance(fallen, tuple)
+    monkeypatch.setattr("planner.motion.verify.MOST_PRESS", 1.0)
+    verifier = MovementVerifier(plan.task)
+    down = replace(plan.path, attitude="down")
+    assert isinstance(verifier.verify_knots(plan.T_world_base, points, down, 0.03), tuple)
+    fallen = verifier.verify_knots(plan.T_world_base, points, plan.path, 0.03)
+    assert isinstance(fallen, Failure)
     assert fallen.kind == FALLS
-    assert "palm down, but" in fallen.text
+    assert "palm down, but in the attitude: forces: a finger has to press" in fallen.text
+
+    monkeypatch.setattr("planner.motion.single_stroke.FALLEN", 2)
+    monkeypatch.setattr("planner.motion.verify.MOST_PRESS", 0.1)
+    with pytest.raises(NoGraspFoundError, match="falls in this attitude") as raised:
+        plan_manipulation(plan.task, angle=plan.angle, attitude="up")
+    assert len(raised.value.attempts) <= 8
 
 
 def test_a_gantry_turns_by_half_a_turn_about_any_axis() -> None:
@@ -178,11 +186,10 @@ def test_an_object_is_turned_palm_up_and_put_down(report: ManipulationReport) ->
     assert turned[:, 2, 2].max() < -0.999
 
 
-def test_an_arm_that_cannot_turn_the_hand_there_says_so() -> None:
+def test_an_arm_that_cannot_turn_the_hand_there_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """Before anything is planned."""
     task = task_of("cylinder:0.03x0.08", "allegro_on_arm7")
-    assert task.T_world_base is not None
-    aside = np.array([-0.25, 0.0, 0.0])
-    far = SE3(task.T_world_base.rotation, task.T_world_base.translation + aside)
-    with pytest.raises((TaskError, NoGraspFoundError), match="reach"):
-        plan_manipulation(replace(task, T_world_base=far), angle=1.0, attitude="up")
+    high = "planner.motion.single_stroke.WRIST_LIFT"
+    monkeypatch.setattr(high, 5.0)
+    with pytest.raises(TaskError, match="does not reach the attitude"):
+        plan_manipulation(task, angle=1.0, attitude="up")

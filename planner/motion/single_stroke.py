@@ -47,7 +47,7 @@ from planner.motion.path import (
 from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
 from planner.motion.search import MotionAttempt, motion_attempts
 from planner.motion.task import with_fingers
-from planner.motion.verify import MovementVerifier, Waypoint, pressed
+from planner.motion.verify import FALLS, MovementVerifier, Waypoint, pressed
 from planner.plan import SolveRecord
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.synthesis.problem import Start
@@ -85,6 +85,10 @@ MAX_ATTEMPTS = 50
 MOST_PIVOT = math.radians(12.0)
 """Most (rad) that a tip may pivot while the object is tilted or moved. With more,
 torsional friction may stop the object short of its target."""
+
+FALLEN = 12
+"""Grasps that hold palm down but not in the attitude after which the search ends if none did: some
+seconds. A Shadow-type hand had up to 6 before its first plan."""
 
 OVERSHOOT, TIPS_OVERSHOOT, LEAST_OVERSHOOT = (math.radians(degrees) for degrees in (8.0, 5.0, 2.0))
 """Planned overshoot (rad) of the turn. A grasp made beside its planned place meets a joint limit
@@ -213,6 +217,7 @@ def plan_single_stroke(
     made: list[MotionAttempt] = []
     tried: list[tuple[str, ...]] = []
     found: list[ManipulationPlan] = []
+    fallen = 0
     for fallback in fallback_schedule(task if on_arm is None else on_arm.alone):
         attempts = fallback.attempts
         if len(made) >= max_attempts or good_enough(found) or (attempts is None and found):
@@ -231,6 +236,14 @@ def plan_single_stroke(
                 break
             made.append(attempt)
             if attempt.plan is None:
+                fallen += attempt.failure is not None and attempt.failure.kind == FALLS
+                if fallen == FALLEN and not found:
+                    raise nothing_found(
+                        f"grasp of {task.object.name} by {task.hand.name} that holds it while the "
+                        "wrist turns: it falls in this attitude",
+                        made,
+                        "Try another attitude, a lighter object, more friction or other fingers",
+                    )
                 continue
             whole = _whole(attempt.plan, on_arm, angle, moved, place, rests)
             if isinstance(whole, Failure):
