@@ -306,6 +306,7 @@ def _rest_of(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) 
         seed=plan.record.seed + 1,
         regrasp=plan.cycles > 1,
         rests=rests,
+        attitude=plan.path.attitude,
     )
 
 
