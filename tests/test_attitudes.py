@@ -16,7 +16,7 @@ from planner.failure import Failure
 from planner.files import read_movement, write_movement
 from planner.files.movements import movement_to_dict
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
-from planner.motion.path import ATTITUDES, ObjectPath, checked_attitude
+from planner.motion.path import ATTITUDES, AnyAttitude, ObjectPath, checked_attitude
 from planner.motion.verify import FALLS, MovementVerifier, Waypoint
 from planner.spatial import SE3
 from sim.manipulation import ManipulationReport, manipulate
@@ -39,13 +39,9 @@ def report(plan: ManipulationPlan) -> ManipulationReport:
     return manipulate(plan, timeline=replace(QUICK, wrist_rate=2.0))
 
 
-def path(attitude: object = "down") -> ObjectPath:
-    return ObjectPath(
-        axis=np.array([0.0, 0.0, 1.0]),
-        angle=1.0,
-        shift=np.zeros(3),
-        attitude=attitude,  # type: ignore[arg-type]
-    )
+def path(attitude: AnyAttitude = "down") -> ObjectPath:
+    turn = checked_attitude(attitude)
+    return ObjectPath(axis=np.array([0.0, 0.0, 1.0]), angle=1.0, shift=np.zeros(3), attitude=turn)
 
 
 @pytest.mark.parametrize(("name", "felt"), [("down", (0, 0, -G)), ("up", (0, 0, G))])
@@ -92,7 +88,10 @@ def test_forces_bear_the_weight_in_the_attitude_and_on_the_way(plan: Manipulatio
 
 def test_the_hand_is_lifted_clear_of_the_table_before_it_turns(plan: ManipulationPlan) -> None:
     """Nothing of it comes lower than 25 mm above the table while the wrist turns."""
-    assert plan.motion.with_knots(plan.knots, replace(plan.path, attitude="down")).rise == 0.0
+    assert (
+        plan.motion.with_knots(plan.knots, replace(plan.path, attitude=ATTITUDES["down"])).rise
+        == 0.0
+    )
     hand, q = plan.task.hand, plan.grasp.q
     data = hand.pin_model.createData()
     pin.forwardKinematics(hand.pin_model, data, q)
@@ -116,7 +115,7 @@ def test_a_file_keeps_the_attitude_and_has_none_without(
     again = read_movement(tmp_path / "up.json")
     np.testing.assert_array_equal(again.path.attitude, ATTITUDES["up"])
     assert again.reserve == pytest.approx(plan.reserve, abs=1e-3)
-    level = replace(plan, path=replace(plan.path, attitude="down"))
+    level = replace(plan, path=replace(plan.path, attitude=ATTITUDES["down"]))
     assert "attitude" not in movement_to_dict(level)["path"]
 
 
@@ -134,7 +133,7 @@ def test_a_grasp_that_holds_palm_down_may_fall_in_an_attitude(
     ]
     monkeypatch.setattr("planner.motion.verify.MOST_PRESS", 1.0)
     verifier = MovementVerifier(plan.task)
-    down = replace(plan.path, attitude="down")
+    down = replace(plan.path, attitude=ATTITUDES["down"])
     assert isinstance(verifier.verify_knots(plan.T_world_base, points, down, 0.03), tuple)
     fallen = verifier.verify_knots(plan.T_world_base, points, plan.path, 0.03)
     assert isinstance(fallen, Failure)

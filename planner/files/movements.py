@@ -37,7 +37,7 @@ from planner.files.disk import MOVEMENT_FORMATS, checked_file, read_json, write_
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
 from planner.motion.ending import backwards, object_at_target, verify_release
-from planner.motion.path import ObjectPath
+from planner.motion.path import ObjectPath, checked_attitude
 from planner.motion.plan import (
     Ending,
     Knot,
@@ -384,7 +384,7 @@ def _strokes(file: MovementFile, grasp: GraspPlan, path: str) -> MovementPlan:
             axis=np.array(file.path.axis),
             angle=file.path.angle_rad,
             shift=np.array(file.path.shift_m),
-            attitude=file.path.attitude or "down",
+            attitude=checked_attitude(file.path.attitude or "down"),
         )
     except TaskError as error:
         raise FileFormatError(f"{path} is damaged: {error}") from error

@@ -110,7 +110,8 @@ def checked_attitude(given: AnyAttitude) -> FloatArray:
     if isinstance(given, str):
         if given not in ATTITUDES:
             raise NotFoundError("attitude", given, ATTITUDES)
-        return ATTITUDES[given].copy()
+        named: FloatArray = ATTITUDES[given]
+        return named.copy()
     turn = finite_array("attitude", given, (3, 3), error=TaskError)
     if np.abs(turn @ turn.T - np.eye(3)).max() > NO_ROTATION or np.linalg.det(turn) < 0:
         raise TaskError(

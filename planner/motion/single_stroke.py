@@ -412,8 +412,9 @@ class OnArm:
                 "over the object that it reaches it turns none there, about the object 0.2 m above "
                 "its place; give another attitude, or T_world_base, the pose of the arm's root"
             )
-        self._turned = found[best]
-        return found[best]
+        chosen: FloatArray = found[best]
+        self._turned = chosen
+        return chosen
 
     def carried(self, motion: MovementPlan) -> MovementPlan | Failure:
         """A motion of the hand alone with the arm below it, judged again; or why it fails."""

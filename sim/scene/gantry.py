@@ -12,7 +12,7 @@ The servos carry the hand's weight by feed-forward, so that it does not sag.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
@@ -73,7 +73,7 @@ class Gantry:
     dof: IntArray
     ctrl: IntArray
     gains: FloatArray
-    hinges: FloatArray
+    hinges: FloatArray = field(default_factory=lambda: np.eye(3))
 
     def coordinates(self, T_world_base: SE3) -> FloatArray:
         """Joints (6,), m and rad, that put the hand's base at a pose.
