@@ -50,6 +50,7 @@ from planner.task import GraspTask
 from sim.cli.execution import error_model_of, estimate_of, physics_of
 from sim.cli.options import (
     NO_SHIFT,
+    AttitudeOption,
     ErrorModelOption,
     EstimateOption,
     FingersOption,
@@ -57,6 +58,7 @@ from sim.cli.options import (
     RotateOption,
     ShiftOption,
     StandOption,
+    attitude_of,
     movement,
     names,
 )
@@ -99,6 +101,7 @@ class Options(HandOptions):
     height: HeightOption = 0.08
     rotate: RotateOption = None
     shift: ShiftOption = NO_SHIFT
+    attitude: AttitudeOption = "down"
     fingers: FingersOption = None
     stand: StandOption = 0.0
     physics: PhysicsOption = "ours"
@@ -135,6 +138,7 @@ class Turn:
         estimator: Name of what tells the controller where the object is; see ``Simulation``.
         controller: What drives the fingers, as ``sim.learning.named_driver`` takes it; the closed
             loop if "".
+        attitude: Of the hand meanwhile, as ``--attitude`` takes it.
     """
 
     hand: str
@@ -152,6 +156,7 @@ class Turn:
     error_model: ErrorModel = EXACT
     estimator: str | None = None
     controller: str = ""
+    attitude: str = "down"
 
     @property
     def regrasps(self) -> bool:
@@ -192,6 +197,7 @@ def plan_turn(turn: Turn, task: GraspTask) -> ManipulationPlan:
         place=turn.draw().place,
         seed=turn.seed + turn.number,
         rests=rests,
+        attitude=attitude_of(turn.attitude),
     )
 
 
@@ -284,6 +290,7 @@ def cases(options: Options) -> Iterator[Row]:
                     error_model=error_model_of(options.error_model),
                     estimator=estimate_of(options.estimate),
                     controller=options.controller,
+                    attitude=options.attitude,
                 )
                 yield {"hand": hand, "object": label, "number": k, "turn": turn}
 

@@ -102,6 +102,7 @@ class Simulation:
         error_model: AnyErrorModel | None = None,
         estimator: AnyEstimator | None = None,
         truth: Truth | None = None,
+        hinges: FloatArray | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
 
@@ -121,6 +122,7 @@ class Simulation:
                 task and sensor errors; if None, that with all senses where the pose that is read
                 has errors, and none else.
             truth: Object and table that there really are, unknown to the plan; as planned if None.
+            hinges: Axes (3, 3) of the gantry's hinges in its columns, world; the world's if None.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
@@ -160,6 +162,7 @@ class Simulation:
             physics=physics,
             change=None if self.error_model is None else self.error_model.change,
             truth=truth,
+            hinges=hinges,
         )
         self.data: Any = self.scene.start(
             plan.q_start if q is None else q,

@@ -51,6 +51,13 @@ class LinkGeometry:
     kind: str
     size: FloatArray
 
+    @property
+    def corners(self) -> FloatArray:
+        """Corners (8, 3) of the box along its own axes around it, own frame, m."""
+        self.geometry.computeLocalAABB()
+        ends = self.geometry.aabb_local.min_, self.geometry.aabb_local.max_
+        return np.array(np.meshgrid(*np.transpose(ends))).reshape(3, 8).T
+
 
 def hand_geometries(model: Any, pin_model: Any) -> tuple[LinkGeometry, ...]:
     """Every geom of the model that can collide (contype or conaffinity set).

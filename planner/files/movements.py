@@ -37,7 +37,7 @@ from planner.files.disk import MOVEMENT_FORMATS, checked_file, read_json, write_
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
 from planner.motion.ending import backwards, object_at_target, verify_release
-from planner.motion.path import ObjectPath
+from planner.motion.path import ObjectPath, checked_attitude
 from planner.motion.plan import (
     Ending,
     Knot,
@@ -80,11 +80,12 @@ class KnotData(StrictData):
 
 
 class PathData(StrictData):
-    """The path of the object, world axes."""
+    """The path of the object, world axes; no attitude is that of the grasp."""
 
     axis: Vector3
     angle_rad: Finite
     shift_m: Vector3
+    attitude: tuple[Vector3, Vector3, Vector3] | None = None
 
 
 class LimitData(StrictData):
@@ -175,9 +176,7 @@ def movement_to_dict(plan: MovementPlan) -> dict[str, Any]:
     data = MovementFile(
         written_by=written_by(),
         grasp=PlanFile.model_validate(plan_to_dict(plan.grasp)),
-        path=PathData(
-            axis=tuple(plan.path.axis), angle_rad=plan.path.angle, shift_m=tuple(plan.path.shift)
-        ),
+        path=_path_data(plan.path),
         tube_m=plan.path_tolerance,
         knots=[_knot_data(knot) for knot in plan.knots],
         limits=[LimitData.of(limit) for limit in plan.limits],
@@ -191,7 +190,17 @@ def movement_to_dict(plan: MovementPlan) -> dict[str, Any]:
             **{k: getattr(plan.record, k) for k in MotionRecordData.model_fields}
         ),
     )
-    return data.model_dump(mode="json")
+    written: dict[str, Any] = data.model_dump(mode="json")
+    if data.path.attitude is None:  # as earlier versions wrote and read it
+        del written["path"]["attitude"]
+    return written
+
+
+def _path_data(path: ObjectPath) -> PathData:
+    rows = path.attitude.tolist() if path.turns_wrist else None
+    return PathData(
+        axis=tuple(path.axis), angle_rad=path.angle, shift_m=tuple(path.shift), attitude=rows
+    )
 
 
 def _knot_data(knot: Knot) -> KnotData:
@@ -375,6 +384,7 @@ def _strokes(file: MovementFile, grasp: GraspPlan, path: str) -> MovementPlan:
             axis=np.array(file.path.axis),
             angle=file.path.angle_rad,
             shift=np.array(file.path.shift_m),
+            attitude=checked_attitude(file.path.attitude or "down"),
         )
     except TaskError as error:
         raise FileFormatError(f"{path} is damaged: {error}") from error

@@ -22,7 +22,13 @@ from planner.errors import NoGraspFoundError, TaskError
 from planner.kinematics.state import HandState
 from planner.motion.context import MotionContext, attempts_in_turn
 from planner.motion.order import NO_ORDER, Lift, NoOrder, Order, find_order
-from planner.motion.path import ObjectPath, checked_axis, checked_shift
+from planner.motion.path import (
+    AnyAttitude,
+    ObjectPath,
+    checked_attitude,
+    checked_axis,
+    checked_shift,
+)
 from planner.motion.plan import GaitPlan, MovementPlan, Relocation, Stroke
 from planner.motion.regrasp import cut_motion, plan_back, plan_others
 from planner.motion.search import MOTION_OPTIONS, PATH_TOLERANCE, UP, check_task
@@ -71,6 +77,7 @@ def plan_gait(
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
     options: SynthesisOptions = MOTION_OPTIONS,
+    attitude: AnyAttitude = "down",
 ) -> MovementPlan:
     """A motion of the object in the hand that is longer than one grasp allows, by regrasping.
 
@@ -87,6 +94,7 @@ def plan_gait(
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
         options: Margins and weights at each knot.
+        attitude: As for ``plan_motion``.
 
     Raises:
         NoGraspFoundError: The budget ended; carries every attempt and its failure.
@@ -99,7 +107,7 @@ def plan_gait(
     check_task(task, path_tolerance, seed)
     _check_fingers(task)
     shift = checked_shift(shift)
-    pieces = _pieces(checked_axis(axis), angle, shift)
+    pieces = _pieces(checked_axis(axis), angle, shift, checked_attitude(attitude))
 
     contexts = [
         partial(
@@ -158,7 +166,7 @@ def _nothing_found(
 
 
 def _pieces(
-    axis: FloatArray, angle: float, shift: FloatArray
+    axis: FloatArray, angle: float, shift: FloatArray, attitude: FloatArray
 ) -> list[tuple[ObjectPath, int, bool]]:
     """What attempts alternate between: a stroke, the number of cycles, whether lifts are required.
 
@@ -171,7 +179,10 @@ def _pieces(
         count = max(1, int(np.ceil(pieces - LONGER)))
         if count not in counts:
             counts.append(count)
-    paths = [(ObjectPath(axis=axis, angle=angle / n, shift=shift / n), n) for n in counts]
+    whole = [(angle / n, shift / n, n) for n in counts]
+    paths = [
+        (ObjectPath(axis=axis, angle=turn, shift=by, attitude=attitude), n) for turn, by, n in whole
+    ]
     held = [(path, n, True) for path, n in paths]
     return held if counts == [1] else [*held, (*paths[0], False)]
 

@@ -22,7 +22,15 @@ from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.failure import Failure
 from planner.motion.ending import Rests, planned_ending, stands
 from planner.motion.gait import plan_gait
-from planner.motion.path import LARGEST_TURN, check_place, checked_axis, checked_shift, tilts
+from planner.motion.path import (
+    LARGEST_TURN,
+    AnyAttitude,
+    check_place,
+    checked_attitude,
+    checked_axis,
+    checked_shift,
+    tilts,
+)
 from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
 from planner.motion.single_stroke import LEAST_OVERSHOOT, MAX_ATTEMPTS, plan_single_stroke
 from planner.motion.task import manipulation_task, on_stand
@@ -62,6 +70,7 @@ def plan_regrasping(
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
     rests: Rests | None = None,
+    attitude: AnyAttitude = "down",
 ) -> ManipulationPlan:
     """Plan a turn by strokes and regrasps, with approach and ending.
 
@@ -74,6 +83,7 @@ def plan_regrasping(
         seed: Same seed, same plan.
         max_attempts: Budget in attempts, of each gait.
         rests: As for ``plan_manipulation``.
+        attitude: As for ``plan_manipulation``.
 
     Raises:
         NoGraspFoundError: The budget ended.
@@ -92,6 +102,7 @@ def plan_regrasping(
             angle=math.copysign(abs(angle) + LEAST_OVERSHOOT, angle),
             seed=seed + again * SEEDS_APART,
             max_attempts=max_attempts,
+            attitude=attitude,
         )
         attempts, cpu_s = attempts + gait.record.attempts, cpu_s + gait.record.cpu_s
         ending = planned_ending(gait, angle, place, rests=rests)
@@ -118,6 +129,7 @@ def plan_manipulation(
     max_attempts: int = MAX_ATTEMPTS,
     regrasp: bool = False,
     rests: Rests | None = None,
+    attitude: AnyAttitude = "down",
 ) -> ManipulationPlan:
     """Pick an object from a table, turn or move it in the hand, put it down: planned whole.
 
@@ -138,6 +150,9 @@ def plan_manipulation(
         rests: Whether an object stays where a task has it, as ``sim.manipulation.rests``. Without
         it
             geometry alone decides, and fewer objects stand turned on a stand.
+        attitude: Of the hand while it turns or moves the object: "down" as it grasps, "sideways",
+            "up" (palm up), or the rotation (3, 3) from the grasp to there, world. Axis, angle and
+            shift are told for the hand as it grasps, and turn with it.
 
     Raises:
         NoGraspFoundError: The budget ended; carries the failures of strokes and of regrasps.
@@ -153,6 +168,7 @@ def plan_manipulation(
             "translation or the regrasps out, and turn by half a turn at most"
         )
     direction = checked_axis(axis)
+    checked_attitude(attitude)
     if task.hand.arm is not None and (regrasp or abs(angle) > LARGEST_TURN):
         raise TaskError(
             f"{task.hand.name} is on an arm; turns with regrasps are planned for hands whose base "
@@ -166,6 +182,7 @@ def plan_manipulation(
         "seed": seed,
         "max_attempts": max_attempts,
         "rests": rests,
+        "attitude": attitude,
     }
     stroke = partial(plan_single_stroke, task, shift=shift, **asked)
     strokes = partial(plan_regrasping, task, **asked)

@@ -6,16 +6,18 @@ its frame, and its origin has moved by s * shift. Axis and shift are in world ax
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
 from planner.arrays import check_fields, checked_number, finite_array, float_array
-from planner.errors import TaskError, shown
+from planner.errors import NotFoundError, TaskError, shown
 from planner.immutable import freeze
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.task import GraspTask
 
 SHORTEST = 1e-9
 """Length (-) below which an axis has no direction; turns (rad) and shifts (m) below it are zero."""
@@ -77,19 +79,66 @@ def checked_shift(given: Any) -> FloatArray:
     return shift
 
 
+ATTITUDES = {
+    "down": np.eye(3),
+    "sideways": np.diag([1.0, 0.0, 0.0]) + np.array([[0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]),
+    "up": np.diag([1.0, -1.0, -1.0]),
+}
+"""Attitudes by name: the hand as it grasps from above, rolled by 90 and by 180 degrees about the
+world's x axis. The heading of the grasp is the planner's to choose, so any horizontal axis is as
+good for a hand whose base is free."""
+
+AnyAttitude: TypeAlias = str | Sequence[Sequence[float]] | FloatArray
+"""A name of ``ATTITUDES``, or a rotation (3, 3), world axes."""
+
+UNTURNED, NO_ROTATION = 1e-9, 1e-6
+"""Angle (rad) below which an attitude is that of the grasp; and error (-) from which on a matrix is
+no rotation."""
+
+WRIST_STEP = np.deg2rad(15.0)
+"""Most (rad) that the wrist turns between two orientations at which forces are verified: gravity
+changes by less than 0.13 of the weight to either side of one."""
+
+
+def checked_attitude(given: AnyAttitude) -> FloatArray:
+    """The rotation (3, 3), world, that an attitude is.
+
+    Raises:
+        NotFoundError: A name that is none.
+        TaskError: Not a rotation.
+    """
+    if isinstance(given, str):
+        if given not in ATTITUDES:
+            raise NotFoundError("attitude", given, ATTITUDES)
+        named: FloatArray = ATTITUDES[given]
+        return named.copy()
+    turn = finite_array("attitude", given, (3, 3), error=TaskError)
+    if np.abs(turn @ turn.T - np.eye(3)).max() > NO_ROTATION or np.linalg.det(turn) < 0:
+        raise TaskError(
+            "attitude is no rotation; give a matrix with orthonormal columns, or a name"
+        )
+    return turn
+
+
 @dataclass(frozen=True, kw_only=True)
 class ObjectPath:
     """The path of an object from its present pose.
+
+    All poses and axes are those of a hand that stays as it grasped. In another attitude hand and
+    object are turned as one before, so that seen from the hand gravity alone is different.
 
     Attributes:
         axis: (3,), unit, world.
         angle: Turn about the axis over the whole path, rad, with its sign.
         shift: Translation over the whole path (3,), m, world.
+        attitude: Rotation (3, 3), world, of hand and object from the grasp to where the path is
+            made.
     """
 
     axis: FloatArray
     angle: float
     shift: FloatArray
+    attitude: FloatArray = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
         """Check the numbers, and make the axis a unit vector.
@@ -109,12 +158,40 @@ class ObjectPath:
         object.__setattr__(self, "axis", axis / float(np.linalg.norm(axis)))
         object.__setattr__(self, "shift", shift)
         object.__setattr__(self, "angle", float(self.angle))
-        freeze(self, arrays=("axis", "shift"))
+        object.__setattr__(self, "attitude", checked_attitude(self.attitude))
+        freeze(self, arrays=("axis", "shift", "attitude"))
 
     def cut(self, path_parameter: float) -> ObjectPath:
         """The path up to a path parameter in (0, 1]."""
         s = path_parameter
-        return ObjectPath(axis=self.axis, angle=s * self.angle, shift=s * self.shift)
+        return replace(self, angle=s * self.angle, shift=s * self.shift)
+
+    @property
+    def wrist_turn(self) -> FloatArray:
+        """Rotation vector (3,), rad, world, of the attitude; zero where the hand stays."""
+        return np.asarray(pin.log3(self.attitude))
+
+    @property
+    def turns_wrist(self) -> bool:
+        """Whether the path is made in another attitude than the grasp."""
+        return rotation_angle(self.attitude) > UNTURNED
+
+    def wrist(self, share: float) -> FloatArray:
+        """Rotation (3, 3), world, of hand and object at a share of the way to the attitude."""
+        return np.asarray(pin.exp3(share * self.wrist_turn))
+
+    @property
+    def wrist_shares(self) -> FloatArray:
+        """Shares (m,) of the way to the attitude at which forces are verified, 0 with the first."""
+        n = int(np.ceil(np.linalg.norm(self.wrist_turn) / WRIST_STEP - UNTURNED))
+        return np.linspace(0.0, 1.0, n + 1)
+
+    def borne(self, task: GraspTask, share: float = 1.0) -> GraspTask:
+        """The task with gravity as the hand has it in the attitude, or at a share of the way."""
+        if not self.turns_wrist:
+            return task
+        turn = self.attitude if share == 1.0 else self.wrist(share)
+        return replace(task, gravity=turn.T @ task.gravity)
 
     def pose(self, T_world_start: SE3, path_parameter: float) -> SE3:
         """Pose of the object at a path parameter; the path begins at ``T_world_start``."""
@@ -130,4 +207,8 @@ class ObjectPath:
             parts.append(f"{np.rad2deg(self.angle):.1f} degrees about ({axis})")
         if float(np.linalg.norm(self.shift)) >= SHORTEST:
             parts.append(f"({', '.join(f'{1e3 * v:.1f}' for v in self.shift)}) mm")
-        return " and ".join(parts)
+        told = " and ".join(parts)
+        if not self.turns_wrist:
+            return told
+        wrist = ", ".join(f"{v:.0f}" for v in np.rad2deg(self.wrist_turn) + 0.0)
+        return f"{told}, hand turned by ({wrist}) degrees"

@@ -40,6 +40,9 @@ from planner.task import GraspTask, Obstacle
 LIFT_S, CARRY_S, LOWER_S, OPEN_S, RETREAT_S = 0.7, 0.8, 0.6, 0.4, 0.6
 """Durations (s) of the pieces of a trajectory in which the base moves or the fingers open."""
 
+WRIST_RATE = 1.0
+"""Mean rate (rad/s) at which the wrist turns to the attitude and back."""
+
 SMALLEST_RANGE = 1e-3
 """Least range (rad or m) of a joint by which distances are divided."""
 
@@ -48,6 +51,10 @@ NO_LIMIT = 1e-9
 
 SAME_PLACE = 1e-6
 """Distance (m) below which two places are the same."""
+
+
+CLEAR = 0.03
+"""How far (m) hand and object stay above table and obstacles while the wrist turns."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +98,8 @@ class Knot:
         off_path: Distance of the object from its path, m.
         slips: Slip (n,), m, of each pad since the knot before: 0 if it rolls.
         between: Largest pad gap, m, half-way from the knot before, joints interpolated linearly.
+        on_the_way: The distributions while the wrist turns from the path's attitude back to that
+            of the grasp, at its ``wrist_shares`` from the last but one to the first; () without.
     """
 
     path_parameter: float
@@ -103,6 +112,7 @@ class Knot:
     off_path: float
     slips: FloatArray
     between: float
+    on_the_way: tuple[ForceSolution, ...] = ()
 
     def __post_init__(self) -> None:
         """Keep copies that nobody changes."""
@@ -359,17 +369,50 @@ class MovementPlan(Shown):
     def reserve(self) -> float:
         """Least share of its limit that an actuator of the fingers keeps, over all knots.
 
-        The forces are those that bear the weight.
+        The forces are those that bear the weight, also while the wrist turns.
         """
         task = self.task
         actuation, used = task.hand.actuation, driving(task.hand, task.fingers)
         left = 1.0
         for knot in self.knots:
             low, high = actuation.force_limits(knot.q)[used].T
-            force = knot.forces.actuator_forces[used]
-            limit = np.where(force > 0, high, -low)
-            left = min(left, float((1.0 - np.abs(force) / np.maximum(limit, NO_LIMIT)).min()))
+            for forces in (knot.forces, *knot.on_the_way):
+                force = forces.actuator_forces[used]
+                limit = np.where(force > 0, high, -low)
+                left = min(left, float((1.0 - np.abs(force) / np.maximum(limit, NO_LIMIT)).min()))
         return left
+
+    @cached_property
+    def rise(self) -> float:
+        """How far (m) above the grasp the hand is before its wrist turns, 0 without an attitude.
+
+        Hand and object turn about the object's centre there, ``CLEAR`` of table and obstacles.
+        """
+        if not self.path.turns_wrist:
+            return 0.0
+        task, hand = self.task, self.task.hand
+        center = task.T_world_object.translation
+        radius = task.object.shape.bounding_radius
+        corners = [radius * np.vstack([np.eye(3), -np.eye(3)])]
+        for knot in (self.knots[0], self.knots[-1]):
+            state = HandState(hand, knot.q)
+            for one in hand.geometries:
+                if hand.arm is None or one.name not in hand.arm.geometries:
+                    pose = self.T_world_base * state.joint_pose(one.joint_id) * one.T_joint_geometry
+                    corners.append(one.corners @ pose.rotation.T)
+                    corners[-1] += pose.translation - center
+        turns = np.array([self.path.wrist(share) for share in self.path.wrist_shares])
+        lowest = float((np.vstack(corners) @ turns[:, 2].T).min())
+        tops = [task.table_height or 0.0]
+        for o in task.obstacles:
+            half = np.abs(o.T_world_obstacle.rotation[2]) @ o.size / 2
+            tops.append(float(o.T_world_obstacle.translation[2] + half))
+        return max(0.0, max(tops) + CLEAR - lowest - float(center[2]))
+
+    def turned_base(self, share: float) -> SE3:
+        """Pose of the base, not lifted, at a share of the wrist's way to the attitude."""
+        center, turn = self.task.T_world_object.translation, self.path.wrist(share)
+        return SE3(turn, center - turn @ center) * self.T_world_base
 
     @property
     def joint_room(self) -> tuple[str, float, float]:
@@ -449,7 +492,8 @@ class MovementPlan(Shown):
 
         Phases are approach, close, and turn, or "stroke 1", "regrasp FINGER", "stroke 2" and so on.
         With an ending lift comes before the turn, and after it back where the plan has one, carry,
-        lower, open and retreat; the turn ends at ``angle`` then, short of the planned overshoot.
+        lower, open and retreat; in another attitude also wrist before the turn, and "wrist back"
+        before the carry; the turn ends at ``angle`` then, short of the planned overshoot.
         Contact forces are not part of it. Joints pass through the knots without overshoot.
 
         Args:
@@ -474,15 +518,25 @@ class MovementPlan(Shown):
         if self.ending is None:
             self._move(builder)
             return builder.built()
-        base, up = self.T_world_base, np.array([0.0, 0.0, lift_m])
-        builder.move_base("lift", _moved(base, up), LIFT_S)
+        base, up = self.T_world_base, np.array([0.0, 0.0, max(lift_m, self.rise)])
+        builder.move_base("lift", _moved(base, up), LIFT_S * self._stretch(lift_m))
+        turned = [_moved(self.turned_base(share), up) for share in self.path.wrist_shares]
+        wrist_s = float(np.linalg.norm(self.path.wrist_turn)) / WRIST_RATE
+        for pose in turned[1:]:
+            builder.move_base("wrist", pose, wrist_s / (len(turned) - 1))
         T_world_object, q = self._move(builder)
+        for pose in turned[-2::-1]:
+            builder.move_base("wrist back", pose, wrist_s / (len(turned) - 1))
         to_target = self.ending.T_world_target * T_world_object.inverse() * base
         builder.move_base("carry", _moved(to_target, up), CARRY_S)
-        builder.move_base("lower", to_target, LOWER_S)
+        builder.move_base("lower", to_target, LOWER_S * self._stretch(lift_m))
         builder.turn("open", np.array([q, self.ending.release.q]), np.array([0.0, 1.0]), OPEN_S)
         builder.move_base("retreat", self.way_out(to_target), RETREAT_S)
         return builder.built()
+
+    def _stretch(self, lift_m: float) -> float:
+        """How many times as long lift and lowering take: as many as the hand is lifted further."""
+        return max(1.0, self.rise / lift_m)
 
     def _move(self, builder: TrajectoryBuilder) -> tuple[SE3, FloatArray]:
         """Append all phases, and the way back; object, before any lift, and joints at the end."""

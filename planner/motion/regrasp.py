@@ -127,7 +127,7 @@ def plan_back(motion: MovementPlan, path_parameter: float) -> tuple[Relocation, 
         n = len(task.fingers)
         text = f"{n} fingers are too few to lift one of them"
         return Failure(kind="too_few_fingers", text=text, numbers={"fingers": n})
-    found = RegraspPlanner(task).relocations(cut_motion(motion, path_parameter))
+    found = RegraspPlanner(motion.path.borne(task)).relocations(cut_motion(motion, path_parameter))
     return found.failure if isinstance(found, NoOrder) else found
 
 
@@ -143,7 +143,8 @@ def plan_others(
     """
     task = stroke.grasp.task
     numbers = [frozenset(map(task.finger_names.index, names)) for names in (moved, refused)]
-    found = RegraspPlanner(task).relocations(stroke, moved=numbers[0], refused=numbers[1])
+    planner = RegraspPlanner(stroke.path.borne(task))
+    found = planner.relocations(stroke, moved=numbers[0], refused=numbers[1])
     return found.failure if isinstance(found, NoOrder) else found
 
 

@@ -18,7 +18,7 @@ from planner.motion.context import (
     merit,
     with_rolling_pads,
 )
-from planner.motion.path import LARGEST_TURN, ObjectPath
+from planner.motion.path import LARGEST_TURN, AnyAttitude, ObjectPath, checked_attitude
 from planner.motion.plan import MovementPlan
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
@@ -114,6 +114,7 @@ def plan_motion(
     max_attempts: int = MAX_ATTEMPTS,
     best_of: int | None = None,
     options: SynthesisOptions = MOTION_OPTIONS,
+    attitude: AnyAttitude = "down",
 ) -> MovementPlan:
     """A motion of the object in the hand, without regrasping.
 
@@ -135,6 +136,8 @@ def plan_motion(
             None, else the one with the largest margin of closure; fewer where the budget ends
             before. None for one where an angle is given and for ``BEST_OF`` where it is not.
         options: Margins and weights at each knot.
+        attitude: Of the hand while it turns or moves the object: a name of ``ATTITUDES``, or the
+            rotation (3, 3) from the grasp to there, world.
 
     Returns:
         The plan; it tells what limits it.
@@ -150,6 +153,7 @@ def plan_motion(
         axis=np.asarray(axis, dtype=np.float64),
         angle=LARGEST_TURN if angle is None else angle,
         shift=np.asarray(shift, dtype=np.float64),
+        attitude=checked_attitude(attitude),
     )
     best_of = best_of or (1 if full else BEST_OF)
     check_task(task, path_tolerance, seed)

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
 
 from planner.approach.arm_path import LIFT_HEIGHT, verify_arm_path
 from planner.approach.pregrasp import way_back
@@ -28,14 +29,17 @@ from planner.errors import HandError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.arm import read_mount
-from planner.kinematics.arm_ik import reach, straight_path
+from planner.kinematics.arm_ik import palm_path, palm_pose, reach, straight_path
 from planner.kinematics.state import HandState
 from planner.motion.context import tripods, with_rolling_pads
 from planner.motion.ending import Rests, planned_ending, standing
 from planner.motion.path import (
     LARGEST_TURN,
+    UNTURNED,
+    AnyAttitude,
     ObjectPath,
     check_place,
+    checked_attitude,
     checked_axis,
     checked_shift,
     tilts,
@@ -43,9 +47,10 @@ from planner.motion.path import (
 from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
 from planner.motion.search import MotionAttempt, motion_attempts
 from planner.motion.task import with_fingers
-from planner.motion.verify import MovementVerifier, Waypoint
+from planner.motion.verify import FALLS, MovementVerifier, Waypoint, pressed
 from planner.plan import SolveRecord
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.synthesis.problem import Start
 from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
@@ -58,6 +63,10 @@ GOOD_RESERVE, GOOD_MARGIN = 0.1, 0.15
 """Share of its limit that every actuator keeps, and margin of closure (-), with which a plan is
 good enough. The reserve moves the fingers and answers pushes, slips and an object beside its
 planned place."""
+
+GOOD_PRESS = 7.5
+"""Largest normal force (N) in an attitude and on the way there with which a plan is good enough:
+the closed loop may ask for 1.6 times as much."""
 
 GOOD_ON_BALLS = 0.4
 """Margin of closure (-) with which a plan for a ball is good enough, whatever its reserve. Below it
@@ -76,6 +85,10 @@ MAX_ATTEMPTS = 50
 MOST_PIVOT = math.radians(12.0)
 """Most (rad) that a tip may pivot while the object is tilted or moved. With more,
 torsional friction may stop the object short of its target."""
+
+FALLEN = 12
+"""Grasps that hold palm down but not in the attitude after which the search ends if none did: some
+seconds. A Shadow-type hand had up to 6 before its first plan."""
 
 OVERSHOOT, TIPS_OVERSHOOT, LEAST_OVERSHOOT = (math.radians(degrees) for degrees in (8.0, 5.0, 2.0))
 """Planned overshoot (rad) of the turn. A grasp made beside its planned place meets a joint limit
@@ -164,6 +177,7 @@ def plan_single_stroke(
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
     rests: Rests | None = None,
+    attitude: AnyAttitude = "down",
 ) -> ManipulationPlan:
     """Plan a manipulation on one grasp.
 
@@ -180,6 +194,7 @@ def plan_single_stroke(
         max_attempts: Budget in attempts.
         rests: Tells whether an object stays where a task has it, as ``sim.manipulation.rests``;
             None takes geometry alone.
+        attitude: As for ``plan_motion``.
 
     Raises:
         NoGraspFoundError: The budget ended.
@@ -195,15 +210,20 @@ def plan_single_stroke(
         turning = TILT_TOLERANCE if tilts(direction) else TURN_TOLERANCE
         path_tolerance = SHIFT_TOLERANCE if moved.any() else turning
     on_arm = None if task.hand.arm is None else OnArm(task)
+    turned = checked_attitude(attitude)
+    if on_arm is not None:
+        turned = on_arm.headed(turned, free=isinstance(attitude, str))
+    asked = ObjectPath(axis=direction, angle=angle, shift=moved, attitude=turned)
     made: list[MotionAttempt] = []
     tried: list[tuple[str, ...]] = []
     found: list[ManipulationPlan] = []
+    fallen = 0
     for fallback in fallback_schedule(task if on_arm is None else on_arm.alone):
         attempts = fallback.attempts
         if len(made) >= max_attempts or good_enough(found) or (attempts is None and found):
             break
         tried.append(fallback.task.finger_names)
-        path = _with_overshoot(direction, angle, moved, fallback.overshoot)
+        path = _with_overshoot(asked, fallback.overshoot)
         most = max_attempts if attempts is None else min(max_attempts, len(made) + attempts)
         for attempt in motion_attempts(
             fallback.task,
@@ -216,6 +236,14 @@ def plan_single_stroke(
                 break
             made.append(attempt)
             if attempt.plan is None:
+                fallen += attempt.failure is not None and attempt.failure.kind == FALLS
+                if fallen == FALLEN and not found:
+                    raise nothing_found(
+                        f"grasp of {task.object.name} by {task.hand.name} that holds it while the "
+                        "wrist turns: it falls in this attitude",
+                        made,
+                        "Try another attitude, a lighter object, more friction or other fingers",
+                    )
                 continue
             whole = _whole(attempt.plan, on_arm, angle, moved, place, rests)
             if isinstance(whole, Failure):
@@ -226,7 +254,6 @@ def plan_single_stroke(
         best = max(found, key=merit)
         record = replace(best.record, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
         return replace(best, record=record)
-    asked = ObjectPath(axis=direction, angle=angle, shift=moved)
     sets = " or ".join(", ".join(names) for names in dict.fromkeys(tried))
     raise nothing_found(
         f"way to turn or move {task.object.name} by {asked} with {task.hand.name} ({sets})",
@@ -264,18 +291,21 @@ def merit(plan: ManipulationPlan) -> float:
     """How good a plan is (-), from 1 on good enough to be taken at once."""
     if plan.task.object.shape.ball_like:
         return plan.margin / GOOD_ON_BALLS
-    return min(plan.reserve / GOOD_RESERVE, plan.margin / GOOD_MARGIN)
+    good = min(plan.reserve / GOOD_RESERVE, plan.margin / GOOD_MARGIN)
+    if not plan.path.turns_wrist:
+        return good
+    solved = [one for knot in plan.knots for one in (knot.forces, *knot.on_the_way)]
+    return min(good, GOOD_PRESS / max(map(pressed, solved)))
 
 
-def _with_overshoot(
-    axis: FloatArray, angle: float, shift: FloatArray, overshoot: float
-) -> ObjectPath:
+def _with_overshoot(asked: ObjectPath, overshoot: float) -> ObjectPath:
     """The path asked for with an overshoot (rad) of the turn, and the same share of translation."""
+    angle = asked.angle
     if angle == 0.0:
-        return ObjectPath(axis=axis, angle=0.0, shift=shift)
+        return asked
     turn = max(abs(angle), min(abs(angle) + overshoot, LARGEST_TURN))
     whole = math.copysign(turn, angle)
-    return ObjectPath(axis=axis, angle=whole, shift=whole / angle * shift)
+    return replace(asked, angle=whole, shift=whole / angle * asked.shift)
 
 
 def _pivoting(motion: MovementPlan) -> Failure | None:
@@ -297,6 +327,13 @@ def _pivoting(motion: MovementPlan) -> Failure | None:
         numbers={"pivot_deg": degrees},
     )
 
+
+WRIST_LIFT, NOMINAL = 0.2, 12
+"""Height (m) over the grasp at which an attitude is asked for before there is a plan, and number of
+palm poses that are drawn for that."""
+
+HEADINGS = np.arange(4) * np.pi / 2
+"""Turns (rad) about the vertical of the axis of a named attitude."""
 
 SPARE = 0.02
 """How much farther (m) than planned the arm must reach at the target: the object lies in the hand
@@ -328,10 +365,56 @@ class OnArm:
         if task.hand.rolls:
             hand = hand.rolling
         self.alone = replace(task, hand=hand, T_world_base=None)
+        self._turned: FloatArray | None = None
 
     def reaches(self, T_world_base: SE3, q: FloatArray) -> bool:
-        """Whether the arm brings the palm there that the hand alone has at a base pose and q."""
-        return self._reached(self.alone, T_world_base, q) is not None
+        """Whether the arm brings the palm there that the hand alone has at a base pose and q.
+
+        Also where hand and object are in the attitude, about as high as they are lifted for it.
+        """
+        if self._reached(self.alone, T_world_base, q) is None:
+            return False
+        return self._turned is None or self._reaches_turned(T_world_base, q, self._turned)
+
+    def _reaches_turned(self, T_world_base: SE3, q: FloatArray, turn: FloatArray) -> bool:
+        center = self._task.T_world_object.translation
+        lift = np.array([0.0, 0.0, WRIST_LIFT])
+        there = SE3(turn, center - turn @ center + lift) * T_world_base
+        return self._reached(self.alone, there, q) is not None
+
+    def headed(self, attitude: FloatArray, *, free: bool) -> FloatArray:
+        """An attitude that the arm reaches, which ``reaches`` asks for from now on.
+
+        Args:
+            attitude: Rotation (3, 3), world.
+            free: Whether the horizontal axis of the turn may be another.
+
+        Raises:
+            TaskError: It reaches none.
+        """
+        if rotation_angle(attitude) <= UNTURNED:
+            return attitude
+        turns = [pin.exp3(np.array([0.0, 0.0, h])) for h in HEADINGS[: None if free else 1]]
+        seeder, rng = turning_seeder_for(self.alone), np.random.default_rng(0)
+        starts = [seeder.draw(rng) for _ in range(NOMINAL)]
+        poses = [
+            (self._task.T_world_object * start.T_object_base, start.q)
+            for start in starts
+            if isinstance(start, Start)
+        ]
+        able = [pose for pose in poses if self._reached(self.alone, *pose) is not None]
+        found = [turn @ attitude @ turn.T for turn in turns]
+        reached = [sum(self._reaches_turned(*pose, turn) for pose in able) for turn in found]
+        best = int(np.argmax(reached))
+        if not reached[best]:
+            raise TaskError(
+                f"{self._task.hand.name} does not reach the attitude: of {len(able)} palm poses "
+                "over the object that it reaches it turns none there, about the object 0.2 m above "
+                "its place; give another attitude, or T_world_base, the pose of the arm's root"
+            )
+        chosen: FloatArray = found[best]
+        self._turned = chosen
+        return chosen
 
     def carried(self, motion: MovementPlan) -> MovementPlan | Failure:
         """A motion of the hand alone with the arm below it, judged again; or why it fails."""
@@ -376,8 +459,11 @@ class OnArm:
         if isinstance(there, Failure):
             return there
         world, hand, now = CollisionWorld(there), there.hand, np.array(end.q)
+        lift = max(LIFT_HEIGHT, motion.rise)
+        if stuck := self._stuck(motion, lift):
+            return stuck
         to = ending.T_world_target.translation - end.T_world_object.translation
-        up = np.array([0.0, 0.0, LIFT_HEIGHT])
+        up = np.array([0.0, 0.0, lift])
         out = way_back(hand, self._root, ending.release)
         away = ending.T_world_target.translation - self._root.translation
         away[2] = 0.0
@@ -397,6 +483,26 @@ class OnArm:
             ):
                 return touched.at(what)
             now[hand.arm_index] = path[-1]
+        return None
+
+    def _stuck(self, motion: MovementPlan, lift: float) -> Failure | None:
+        """Why the arm cannot turn hand and object to the attitude, lifted (m); None if it can."""
+        task, q = motion.task, np.array(motion.grasp.q)
+        world, T_root_palm = CollisionWorld(task), palm_pose(task.hand, q)
+        for share in motion.path.wrist_shares if motion.path.turns_wrist else ():
+            pose = motion.turned_base(share)
+            pose.translation = pose.translation + np.array([0.0, 0.0, lift])
+            path = palm_path(task.hand, q, self._root.inverse() * pose * T_root_palm)
+            if path is None:
+                return Failure(
+                    kind="arm_unreachable",
+                    text=f"the arm cannot turn the hand to the attitude: it ends "
+                    f"{100 * share:.0f} % of the way there",
+                )
+            touched = verify_arm_path(world, self._root, q, path, clearance=0.0, held=True)
+            if touched:
+                return touched.at("turn the hand to the attitude")
+            q[task.hand.arm_index] = path[-1]
         return None
 
     def _reached(self, task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray | None:

@@ -442,7 +442,7 @@ def load_parameters(
     used = driving(task.hand, task.fingers)
     low, high = task.hand.actuation.force_limits(q)[used].T
     low, high = np.minimum(low, -LEAST_LIMIT), np.maximum(high, LEAST_LIMIT)
-    weight = task.object.mass * task.gravity
+    weight = task.object.mass * path.borne(task).gravity
     carry = float(np.linalg.norm(weight)) / (FRICTION_SHARE * task.mu * len(task.fingers))
     to_object = task.T_world_object.rotation.T
     return np.array(

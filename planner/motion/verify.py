@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -24,6 +23,7 @@ from planner.collision.pad_contact import PadContact, pad_contact_queries, pad_c
 from planner.collision.world import Clearance, CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
+from planner.forces import ForceSolution
 from planner.motion.order import NoOrder
 from planner.motion.path import ObjectPath
 from planner.motion.plan import Knot, MovementPlan, Relocation, Stroke
@@ -96,11 +96,14 @@ class MovementVerifier:
         self._world = CollisionWorld(task)
         self._lifted = replace(task, table_height=None, obstacles=())
         self._free = CollisionWorld(self._lifted)
+        self._planners: dict[bytes, RegraspPlanner] = {}
 
-    @cached_property
-    def _regrasp(self) -> RegraspPlanner:
-        """Plans relocations; made where a movement has any."""
-        return RegraspPlanner(self._task)
+    def _regrasp(self, path: ObjectPath) -> RegraspPlanner:
+        """Plans relocations in the attitude of a path; made where a movement has any."""
+        key = path.attitude.tobytes()
+        if key not in self._planners:
+            self._planners[key] = RegraspPlanner(path.borne(self._task))
+        return self._planners[key]
 
     def verify(
         self,
@@ -146,12 +149,15 @@ class MovementVerifier:
             T_world_start: Pose of the object where the path begins; where the task has it if None.
         """
         start = self._task.T_world_object if T_world_start is None else T_world_start
+        bearing = [path.borne(self._lifted, share) for share in path.wrist_shares[::-1]]
         out: list[Knot] = []
         before: tuple[Waypoint, list[PadContact]] | None = None
         for waypoint in waypoints:
             touches = pad_contacts(self._lifted, self._base(waypoint), waypoint.q)
             wanted = path.pose(start, waypoint.path_parameter)
-            knot = self._knot(waypoint, touches, T_world_base, wanted, path_tolerance, before)
+            knot = self._knot(
+                waypoint, touches, T_world_base, wanted, path_tolerance, before, bearing
+            )
             if isinstance(knot, Failure):
                 return knot.at(f"at {100 * waypoint.path_parameter:.0f} % of the path")
             out.append(knot)
@@ -197,8 +203,12 @@ class MovementVerifier:
         wanted: SE3,
         path_tolerance: float,
         before: tuple[Waypoint, list[PadContact]] | None,
+        bearing: Sequence[GraspTask],
     ) -> Knot | Failure:
-        """One knot; or why it, or the interval from the knot before, fails."""
+        """One knot; or why it, or the interval from the knot before, fails.
+
+        ``bearing`` is the task with gravity as it is in the attitude, and on the way back from it.
+        """
         task = self._lifted
         verification = verify_geometry(
             self._free, self._base(waypoint), waypoint.q, touches, object_moved=True
@@ -213,9 +223,10 @@ class MovementVerifier:
         unclosed = _verify_closure(closure)
         if unclosed is not None:
             return unclosed
-        forces = plan_forces(task, contacts, T_world_base, waypoint.q)
-        if not forces.found:
-            return no_forces(task, forces)
+        borne = [plan_forces(one, contacts, T_world_base, waypoint.q) for one in bearing]
+        for share, forces in zip(np.linspace(1.0, 0.0, len(borne)), borne, strict=True):
+            if not forces.found or (len(borne) > 1 and pressed(forces) > MOST_PRESS):
+                return _falls(task, forces, share, borne)
         off, turned = _off_path(T_world_object, wanted)
         slid, gap, within = np.zeros(len(touches)), 0.0, None
         if before is not None:
@@ -232,8 +243,9 @@ class MovementVerifier:
             path_parameter=waypoint.path_parameter,
             T_world_object=T_world_object,
             q=waypoint.q,
-            contacts=forces.contacts,
-            forces=forces,
+            contacts=borne[0].contacts,
+            forces=borne[0],
+            on_the_way=tuple(borne[1:]),
             closure=closure,
             verification=verification,
             off_path=off,
@@ -279,7 +291,7 @@ class MovementVerifier:
         phases: list[Stroke | Relocation] = [Stroke(cycle=0, knots=stroke.knots)]
         first: tuple[Relocation, ...] = ()
         if cycles > 1:
-            found = self._regrasp.relocations(stroke)
+            found = self._regrasp(stroke.path).relocations(stroke)
             if isinstance(found, NoOrder):
                 return found.failure
             if isinstance(found, Failure):
@@ -301,7 +313,8 @@ class MovementVerifier:
         self, relocations: tuple[Relocation, ...], stroke: MovementPlan, cycle: int
     ) -> Failure | None:
         """Why a swing after a later stroke fails, None if all are free."""
-        task, paths = self._regrasp.lifted, self._regrasp.paths
+        planner = self._regrasp(stroke.path)
+        task, paths = planner.lifted, planner.paths
         first = stroke.knots[-1].T_world_object
         if same_space(task.object.shape, first, _displaced(first, stroke, cycle)):
             return None  # nothing differs
@@ -346,7 +359,8 @@ class MovementVerifier:
         The same contacts in the world close as before and bear the weight with the same forces, and
         the pads slide as little as before. Clearances are computed again.
         """
-        task = self._regrasp.lifted
+        planner = self._regrasp(stroke.path)
+        task = planner.lifted
         base = task.T_world_object * T_world_object.inverse() * stroke.T_world_base
         touches = pad_contacts(task, base, knot.q)
         contacts = contacts_of(task, touches).transformed(
@@ -356,7 +370,7 @@ class MovementVerifier:
         turned = np.abs(contacts.normals - knot.contacts.normals).max()
         if apart > SAME_POINT or turned > SAME_NORMAL:
             return None
-        verification = verify_geometry(self._regrasp.paths.world, base, knot.q, touches)
+        verification = verify_geometry(planner.paths.world, base, knot.q, touches)
         if not verification.ok:
             return None
         moved = T_world_object.translation - knot.T_world_object.translation
@@ -366,6 +380,34 @@ class MovementVerifier:
             contacts=replace(knot.contacts, center=knot.contacts.center + moved),
             verification=verification,
         )
+
+
+def _falls(
+    task: GraspTask, forces: ForceSolution, share: float, borne: Sequence[ForceSolution]
+) -> Failure:
+    """The failure of contacts that cannot bear the weight at a share of the way to the attitude."""
+    failure = no_forces(task, forces)
+    if forces.found:
+        text = f"forces: a finger has to press with {pressed(forces):.1f} N (at most {MOST_PRESS})"
+        failure = replace(failure, text=text)
+    if len(borne) == 1 or not borne[-1].found:
+        return failure
+    where = "in the attitude" if share == 1.0 else f"{100 * share:.0f} % of the way to the attitude"
+    failure = failure.at(f"held with the palm down, but {where}")
+    return replace(failure, kind=FALLS, numbers={**failure.numbers, "share": share})
+
+
+def pressed(forces: ForceSolution) -> float:
+    """Largest normal force, N."""
+    return float(forces.contacts.forces[:, 0].max())
+
+
+MOST_PRESS = 12.0
+"""Largest normal force (N) of a finger in an attitude and on the way there: the closed loop asks
+for a quarter more at most, and at 13 to 15 N a Shadow-type hand ran into that with the palm up."""
+
+FALLS = "falls_in_attitude"
+"""Kind of a failure of a grasp that bears the weight palm down, but not in the attitude."""
 
 
 def _verify_closure(closure: ClosureResult) -> Failure | None:

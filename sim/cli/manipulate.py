@@ -30,6 +30,7 @@ from sim.cli.options import (
     SEARCH,
     TRIAL,
     AttemptsOption,
+    AttitudeOption,
     ControllerOption,
     JsonOption,
     MuOption,
@@ -38,6 +39,7 @@ from sim.cli.options import (
     SeedOption,
     ShiftOption,
     argument,
+    attitude_of,
     command,
     flag,
     movement,
@@ -68,6 +70,7 @@ class TurnOptions(TaskOptions):
     place: Annotated[str, option("Where it is put, m; it stands at 0,0.", "X,Y", MOVEMENT)] = (
         "0.1,0.05"
     )
+    attitude: AttitudeOption = "down"
     gait: Annotated[
         bool, flag("--gait", "Turn by strokes, fingers moving on between them.", MOVEMENT)
     ] = False
@@ -80,14 +83,17 @@ class TurnOptions(TaskOptions):
     ] = None
 
     def movement(self) -> dict[str, Any]:
-        """Axis, angle (rad, None for the largest) and shift, as planning takes them.
+        """Axis, angle (rad, None for the largest), shift and attitude, as planning takes them.
 
         Raises:
             TaskError: They hold something else.
         """
         axis, degrees, shift = movement(self.rotate, self.shift)
         angle = math.radians(degrees) if math.isfinite(degrees) else None
-        return {"axis": axis, "angle": angle, "shift": shift, "seed": self.seed}
+        asked: dict[str, Any] = {"axis": axis, "angle": angle, "shift": shift, "seed": self.seed}
+        if self.attitude != "down":
+            asked["attitude"] = attitude_of(self.attitude)
+        return asked
 
     @property
     def upright(self) -> float | None:
@@ -161,7 +167,7 @@ class TurnExecution(ExecutionOptions):
 IN_BOTH = {
     *("hand", "object", "output", "as_json", "video", "arrows", "plan_only", "rotate", "shift"),
     *("gait", "seed", "mu", "max_attempts", "fingers", "mass", "repair", "strict", "stand"),
-    "joint_error",
+    *("joint_error", "attitude"),
 }
 """Parameters of a manipulation and of a plan alone."""
 

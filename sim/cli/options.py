@@ -14,11 +14,15 @@ from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
 from sim.cli.common import errors_for_people
+
+if TYPE_CHECKING:
+    from planner.motion.path import AnyAttitude
+    from planner.spatial import FloatArray
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
@@ -111,6 +115,16 @@ RotateOption = Annotated[
 ]
 ShiftOption = Annotated[
     str, option("Translation in the hand, m, world.", "X,Y,Z", MOVEMENT, show_default=False)
+]
+
+AttitudeOption = Annotated[
+    str,
+    option(
+        "Attitude of the hand while it turns or moves the object: down as it grasps, sideways, up "
+        "(the palm), or roll, pitch, yaw in degrees about the world's axes.",
+        "NAME|R,P,Y",
+        MOVEMENT,
+    ),
 ]
 
 SeedOption = Annotated[int, option("Same seed, same result.", "N", min=0)]
@@ -275,6 +289,21 @@ def movement(rotate: str | None, shift: str) -> tuple[Vector, float, Vector]:
     if rotate is None:
         rotate = "z:0" if any((x, y, z)) else USUAL_TURN
     return (*_turn(rotate), (x, y, z))
+
+
+def attitude_of(text: str) -> AnyAttitude:
+    """What --attitude holds, as planning takes it: a name, or R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    Raises:
+        TaskError: Something else.
+    """
+    if "," not in text:
+        return text
+    import pinocchio as pin
+
+    roll, pitch, yaw = (math.radians(v) for v in numbers("--attitude", text, 3))
+    turn: FloatArray = pin.rpy.rpyToMatrix(roll, pitch, yaw)
+    return turn
 
 
 def _turn(text: str) -> tuple[Vector, float]:

@@ -76,6 +76,12 @@ FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
 """After a slip at less friction than was believed, friction is believed to be this share of what
 was felt, and never less than this (-)."""
 
+UNTURNED = 1.0 + 2.0 * math.cos(math.radians(1.0))
+"""Trace (-) of a rotation by a degree: a base that turns less, as one that sways, stands still."""
+
+TURNING_TIME = 0.1
+"""Time (s) after a turn by a degree for which the base counts as turning."""
+
 CONFIRMED = 0.95
 """A slip at this share of the believed friction or more confirms it (-)."""
 
@@ -161,6 +167,8 @@ class ObjectImpedance:
         self._stops = StopCorrection(task.hand.actuation, plan.q)
         self._correction = EstimateCorrection()
         self._calibrated = self._moved = False
+        self._loaded: FloatArray = plan.T_world_base.rotation.T
+        self._turning_until = 0.0
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
         self._grip = 1.0
@@ -278,6 +286,7 @@ class ObjectImpedance:
         twist = moving - wanted_twist
         if self._stops.acts:
             self._feel_stops(elapsed, observation, pads.force @ T_base_world.rotation.T)
+        self._turn_load(T_base_world.rotation)
         wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
         # where it only holds, a wrench that is in doubt is no reason to press less
@@ -287,7 +296,7 @@ class ObjectImpedance:
         )
         if carries:
             self._judge(elapsed, wrench, missed)
-        if carries and not self.gave_up:
+        if carries and not self.gave_up and self._time > self._turning_until:
             self.law.learn(elapsed, missed)
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
@@ -295,6 +304,22 @@ class ObjectImpedance:
             *(forces, normals, holding, self.schedule.searching, corrected, read),
             moments=self.forces[:, 3] if self._soft else None,
         )
+
+    def _turn_load(self, turn: FloatArray) -> None:
+        """Keep the learned load where it is in the world while the wrist turns.
+
+        Most of it is weight that was not believed. Kept in the base's axes it would count twice
+        with the palm up. Meanwhile nothing is learned: the dry friction of joints that stand still
+        takes the change of weight, and a load of 10 N was learned against it.
+
+        Args:
+            turn: Rotation (3, 3) of the world in the base.
+        """
+        change = turn @ self._loaded.T
+        if np.trace(change) < UNTURNED:
+            self.law.load = (self.law.load.reshape(2, 3) @ change.T).ravel()
+            self._loaded = turn.copy()
+            self._turning_until = self._time + TURNING_TIME
 
     def _carried(
         self,

@@ -13,6 +13,7 @@ the normal until it feels the object.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -97,7 +98,8 @@ class ManipulationDriver:
             deviation: Believed standard deviation of the turn as it will be read, rad.
         """
         motion = self._motion
-        beyond = TILTED_BEYOND if tilts(motion.path.axis) else BEYOND
+        path = motion.path
+        beyond = TILTED_BEYOND if tilts(path.attitude @ path.axis) else BEYOND
         beyond += min(SURE * deviation, MOST_SURE)
         most = min(abs(left) + beyond, abs(motion.path.angle))
         angle = math.copysign(most, self._plan.angle)
@@ -178,17 +180,25 @@ class BaseMover:
         """Stay at a pose."""
         self.fault = ""
         self._gantry = gantry
-        self._from = self._to = gantry.coordinates(T_world_base)
+        self._way: FloatArray = gantry.coordinates(T_world_base)[None]
+        self._smooth: CubicSpline | None = None
         self._duration = 1.0
 
     def stay(self) -> None:
         """Stay where it was sent last."""
-        self._from = self._to
+        self._way, self._smooth = self._way[-1:], None
 
     def go(self, T_world_base: SE3, duration: float) -> None:
         """From where it was sent last to a pose, in a time (s) that is the phase's own."""
-        self._from, self._to = self._to, self._gantry.coordinates(T_world_base)
-        self._duration = duration
+        self._way = np.vstack([self._way[-1], self._gantry.coordinates(T_world_base)])
+        self._smooth, self._duration = None, duration
+
+    def go_along(self, poses: Sequence[SE3], duration: float) -> None:
+        """From where it was sent last through poses evenly, the first of which is about there."""
+        way = np.array([self._gantry.coordinates(pose) for pose in poses[1:]])
+        way[:, 3:] = np.unwrap(way[:, 3:], axis=0)  # the first hinge may turn by half a turn
+        self._way, self._duration = np.vstack([self._way[-1], way]), duration
+        self._smooth = CubicSpline(np.linspace(0.0, 1.0, len(self._way)), self._way)
 
     def T_world_base(self, simulation: Simulation) -> SE3:
         """Where the base is now."""
@@ -198,8 +208,11 @@ class BaseMover:
         """Set the gantry's commands for a share of the way."""
         del phase
         s, rate = Timeline.profile(share)
-        way = self._to - self._from
-        target, velocity = self._from + s * way, rate / self._duration * way
+        if self._smooth is not None:
+            target, velocity = self._smooth(s), rate / self._duration * self._smooth(s, 1)
+        else:
+            way = self._way[-1] - self._way[0]
+            target, velocity = self._way[0] + s * way, rate / self._duration * way
         data.ctrl[self._gantry.ctrl] = self._gantry.command(data, target, velocity)
 
 
@@ -228,14 +241,21 @@ class ArmMover(ArmCarrier):
 
     def go(self, T_world_base: SE3, duration: float) -> None:
         """From where it was sent last straight to a pose, in a time (s)."""
+        self.go_along([T_world_base, T_world_base], duration)
+
+    def go_along(self, poses: Sequence[SE3], duration: float) -> None:
+        """From where it was sent last through poses, the first of which is about there."""
         self.fault = ""
-        q = self._q_grasp.copy()
-        q[self._hand.arm_index] = self._way[-1]
-        goal = self._root.inverse() * T_world_base * self._T_root_palm
-        way = palm_path(self._hand, q, goal)
-        if way is None:
-            self.fault = "the arm cannot bring the hand there within its limits"
-            return
+        q, whole = self._q_grasp.copy(), [self._way[-1:]]
+        for pose in poses[1:]:
+            q[self._hand.arm_index] = whole[-1][-1]
+            goal = self._root.inverse() * pose * self._T_root_palm
+            way = palm_path(self._hand, q, goal)
+            if way is None:
+                self.fault = "the arm cannot bring the hand there within its limits"
+                return
+            whole.append(way[1:])
+        way = np.concatenate(whole)
         self._way, self._duration = way, duration
         # rates that jump from row to row shake the object: 20 mm/s of slip in a carry of 12 cm
         self._smooth = CubicSpline(np.linspace(0.0, 1.0, len(way)), way)

@@ -263,7 +263,8 @@ def force_limit(plan: ManipulationPlan) -> float:
 
     It follows from the plan's own largest force at any knot and while any finger moves on.
     """
-    planned = [knot.contacts.forces[:, 0] for knot in plan.knots]
+    solved = [one for knot in plan.knots for one in (knot.forces, *knot.on_the_way)]
+    planned = [forces.contacts.forces[:, 0] for forces in solved]
     for move in plan.relocations:
         planned += [contacts.forces[:, 0] for contacts in (move.before, move.during, move.after)]
     return max(LEAST_LIMIT, OVER_PLAN * float(np.nanmax(np.concatenate(planned))))
@@ -340,7 +341,7 @@ def planned_points(
     points = np.array([k.contacts_in_object.positions for k in motion.knots])
     planned = interp1d([k.path_parameter for k in motion.knots], points, axis=0)(path_parameter)
     order = {name: k for k, name in enumerate(PHASES)}
-    order["regrasp"] = order["back"] = order["turn"]
+    order |= dict.fromkeys(("regrasp", "back", "wrist", "wrist back"), order["turn"])
     index = np.array([order[p] for p in phase], dtype=int)
     off = (index < order["verify"]) | (index > order["lower"])
     planned[off[:, None] | away] = np.nan

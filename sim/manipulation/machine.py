@@ -2,13 +2,15 @@
 
     state      phases                                          passed            failed, with retry
     ---------  ----------------------------------------------  ----------------  ------------------
-    pick       stand, approach, close, squeeze, verify, lift   turn              end
+    pick       stand, approach, close, squeeze, verify, lift,  turn              end
+               wrist
     turn       turn                                            regrasp, hold     regrasp, put down
     regrasp    regrasp, once for each finger                   turn              regrasp, put down
     hold       hold                                            place             put down
-    place      verify again, back, carry, lower, release,      end               end
-               open, retreat
-    put down   back, lower, release, open, retreat             end               end
+    place      verify again, back, wrist back, carry, lower,   end               end
+               release, open, retreat
+    put down   back, wrist back, lower, release, open,         end               end
+               retreat
 
 A turn by strokes (a gait) goes on to "regrasp" until the object has turned as far as was asked. A
 failure ends the run unless a retry is asked for and the hand still touches the object:
@@ -20,7 +22,8 @@ failure ends the run unless a retry is asked for and the hand still touches the 
   executes the rest of the turn anew;
 - else the run ends.
 
-"back" is run only where the ending says that the motion is made backwards.
+"back" is run only where the ending says that the motion is made backwards, "wrist" and "wrist back"
+where the motion is made in another attitude of the hand than the grasp.
 """
 
 from __future__ import annotations
@@ -113,7 +116,7 @@ class StateMachine:
         self._went_back = False
         self._moved: list[str] = []
         self._queue: deque[tuple[ManipulationPhase, str, Relocation | None]] = deque()
-        self._enter("pick", *PICK)
+        self._enter("pick", *PICK, *(("wrist",) if plan.path.turns_wrist else ()))
 
     @property
     def next(self) -> PhaseCall | None:
@@ -171,7 +174,8 @@ class StateMachine:
 
     @property
     def _back(self) -> tuple[ManipulationPhase, ...]:
-        return ("back",) if self.ending.back else ()
+        back: tuple[ManipulationPhase, ...] = ("back",) if self.ending.back else ()
+        return (*back, "wrist back") if self._plan.path.turns_wrist else back
 
     @property
     def _cycle(self) -> tuple[Relocation, ...]:

@@ -81,6 +81,8 @@ class Phases:
             "squeeze": self._squeeze,
             "verify": lambda: self._verify("verify"),
             "lift": self._lift,
+            "wrist": lambda: self._wrist("wrist"),
+            "wrist back": lambda: self._wrist("wrist back"),
             "turn": self._turn,
             "regrasp": lambda: self._regrasp(call),
             "hold": self._hold,
@@ -152,19 +154,46 @@ class Phases:
         return reason, numbers
 
     def _lift(self) -> Measured:
-        timeline, simulation = self._timeline, self._sim.simulation
-        self._sim.mover.go(_raised(self._plan.T_world_base, timeline.height), timeline.lift)
-        fault = self._sim.run("lift", timeline.lift)
+        simulation, height = self._sim.simulation, self._height
+        duration = self._timeline.lift * self._stretch
+        self._sim.mover.go(_raised(self._plan.T_world_base, height), duration)
+        fault = self._sim.run("lift", duration)
         numbers = self._in_hand()
         first = float(simulation.plan.task.T_world_object.translation[2])
         numbers["rise_mm"] = 1e3 * (float(simulation.T_world_object.translation[2]) - first)
-        short = 1e3 * timeline.height - numbers["rise_mm"]
+        short = 1e3 * height - numbers["rise_mm"]
         if not fault and max(numbers["shift_mm"], short) > self._criteria.slip_mm:
             fault = (
                 f"the object moved {numbers['shift_mm']:.1f} mm in the hand and rose {short:.1f} "
                 "mm less than the hand"
             )
         return fault, numbers
+
+    @property
+    def _height(self) -> float:
+        """How far the object is lifted, m."""
+        return max(self._timeline.height, self._plan.rise)
+
+    @property
+    def _stretch(self) -> float:
+        """How many times as long as without an attitude lift and lowering take."""
+        return self._height / self._timeline.height
+
+    def _wrist(self, phase: ManipulationPhase) -> Measured:
+        """Turn hand and object as one about the object to the attitude, or back."""
+        path = self._plan.path
+        shares = path.wrist_shares if phase == "wrist" else path.wrist_shares[::-1]
+        poses = [_raised(self._plan.turned_base(share), self._height) for share in shares]
+        duration = float(np.linalg.norm(path.wrist_turn)) / self._timeline.wrist_rate
+        before = self._in_hand()
+        self._sim.mover.go_along(poses, duration)
+        fault = self._sim.run(phase, duration)
+        numbers = self._in_hand()
+        moved = abs(numbers["shift_mm"] - before["shift_mm"])
+        numbers["drift_mm"] = moved
+        if not fault and moved > self._criteria.slip_mm:
+            fault = f"the object moved {moved:.1f} mm in the hand while the wrist turned"
+        return fault or self._tilted(numbers), numbers
 
     @property
     def _turned(self) -> float:
@@ -289,15 +318,15 @@ class Phases:
         return fault or self._shortfall(numbers), numbers
 
     def _carry(self, ending: Ending) -> Measured:
-        above = _raised(ending.T_world_target, self._timeline.height)
+        above = _raised(ending.T_world_target, self._height)
         self._sim.mover.go(self._sim.base_for(above), self._timeline.carry)
         fault = self._sim.run("carry", self._timeline.carry)
         return fault, off_target(above, self._sim.simulation.T_world_object)
 
     def _lower(self, ending: Ending) -> Measured:
-        target = ending.T_world_target
-        self._sim.mover.go(self._sim.base_for(target), self._timeline.lower)
-        fault = self._sim.run("lower", self._timeline.lower)
+        target, duration = ending.T_world_target, self._timeline.lower * self._stretch
+        self._sim.mover.go(self._sim.base_for(target), duration)
+        fault = self._sim.run("lower", duration)
         return fault, off_target(target, self._sim.simulation.T_world_object)
 
     def _let_go(self, phase: ManipulationPhase, duration: float, ending: Ending) -> Measured:

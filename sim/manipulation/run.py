@@ -161,6 +161,9 @@ class ManipulationRun:
         plan, simulation = self.plan, self.sim.simulation
         axis, back = plan.path.axis, plan.ending.back
         first, now = simulation.plan.task.T_world_object, self.sim.reading.T_world_object()
+        if plan.path.turns_wrist:  # as it will be when the wrist has turned back
+            center, turn = plan.task.T_world_object.translation, plan.path.attitude.T
+            now = SE3(turn @ now.rotation, center + turn @ (now.translation - center))
         turned = signed_twist(now.rotation @ first.rotation.T, axis)
         x, y = now.translation[:2].tolist()
         task = replace(plan.task, T_world_object=first)
@@ -303,6 +306,7 @@ def _rest_of(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) 
         seed=plan.record.seed + 1,
         regrasp=plan.cycles > 1,
         rests=rests,
+        attitude=plan.path.attitude,
     )
 
 

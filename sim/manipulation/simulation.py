@@ -163,6 +163,7 @@ class ManipulationSim:
             controller=self.driver,
             error_model=options.error_model,
             estimator=options.estimator or getattr(holding, "estimator", None),
+            hinges=_hinges(plan.path.wrist_turn) if plan.path.turns_wrist else None,
         )
         self.mover = mover_of(grasp, self.simulation.scene)
         self.simulation.carrier = self.mover
@@ -252,6 +253,14 @@ class ManipulationSim:
             return ""
         gave_up = self.driver.holding.gave_up
         return "the object was dropped" + (f": {gave_up}" if gave_up else "")
+
+
+def _hinges(wrist_turn: FloatArray) -> FloatArray:
+    """Axes (3, 3) of the gantry's hinges, the first that of the wrist's turn (3,)."""
+    first = wrist_turn / np.linalg.norm(wrist_turn)
+    second = np.cross(first, np.eye(3)[np.abs(first).argmin()])
+    second /= np.linalg.norm(second)
+    return np.column_stack([first, second, np.cross(first, second)])
 
 
 class Reading:

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.arrays import check_fields
+from planner.motion.plan import WRIST_RATE
 from planner.spatial import SE3, FloatArray, signed_twist
 from sim.controllers import Phase
 from sim.verdict import COLLISION_N
@@ -33,17 +34,22 @@ ManipulationPhase: TypeAlias = Literal[
     "retreat",
     "regrasp",
     "back",
+    "wrist",
+    "wrist back",
 ]
 """A phase of a manipulation."""
 
-PHASES: tuple[ManipulationPhase, ...] = ManipulationPhase.__args__[:-2]  # type: ignore[attr-defined]
+PHASES: tuple[ManipulationPhase, ...] = ManipulationPhase.__args__[:-4]  # type: ignore[attr-defined]
 """Phases of a manipulation in order, of one stroke that goes as planned. What else may happen is in
 ``sim.manipulation.machine``."""
 
 TURNING: tuple[ManipulationPhase, ...] = ("turn", "regrasp", "hold")
 """Phases of the turn."""
 
-IN_THE_AIR: tuple[ManipulationPhase, ...] = ("lift", *TURNING, "verify again", "back", "carry")
+IN_THE_AIR: tuple[ManipulationPhase, ...] = (
+    *("lift", "wrist", *TURNING),
+    *("verify again", "back", "wrist back", "carry"),
+)
 """Phases in which the hand alone carries the object, from the lift to the table."""
 
 CONTROLLER_PHASE: dict[ManipulationPhase, Phase] = {
@@ -63,6 +69,8 @@ CONTROLLER_PHASE: dict[ManipulationPhase, Phase] = {
     "retreat": "retreat",
     "regrasp": "hold",
     "back": "turn",
+    "wrist": "carry",
+    "wrist back": "carry",
 }
 """What each phase is to a controller."""
 
@@ -90,7 +98,8 @@ class ManipulationTimeline:
         release: Forces down.
         open: Fingers open.
         retreat: Out.
-        height: How far the object is lifted, m.
+        height: How far the object is lifted, m; further where the wrist turns, and longer as much.
+        wrist_rate: Mean rate at which the wrist turns to another attitude and back, rad/s.
     """
 
     stand: float = 0.1
@@ -112,6 +121,7 @@ class ManipulationTimeline:
     open: float = 0.4
     retreat: float = 0.6
     height: float = 0.08
+    wrist_rate: float = WRIST_RATE
 
     def __post_init__(self) -> None:
         """Check that every number is positive."""

@@ -236,6 +236,7 @@ def build_scene(
     physics: AnyPhysics | None = None,
     change: Callable[[Any], None] | None = None,
     truth: Truth | None = None,
+    hinges: FloatArray | None = None,
 ) -> Scene:
     """Assemble and compile the scene of a task.
 
@@ -246,21 +247,23 @@ def build_scene(
         physics: How MuJoCo computes, or the name of a preset; defaults if None.
         change: Changes the ``mujoco.MjSpec`` to a world that differs from the task's; not if None.
         truth: Object and table that there really are; those of the task if None.
+        hinges: Axes (3, 3) of the gantry's hinges in its columns, world; the world's if None.
 
     Raises:
         ModelError: MuJoCo refuses the scene.
     """
+    hinges = np.eye(3) if hinges is None else hinges
     physics = PRESETS.given(physics)
     hand = task.hand
     truth = truth or _believed(task)
-    spec = scene_spec(task, T_world_base, physics, truth=truth)
+    spec = scene_spec(task, T_world_base, physics, truth=truth, hinges=hinges)
     if change is not None:
         change(spec)
     add_looks(spec, task, T_world_base, hand.neutral if q is None else q)
     model = compile_spec(spec, f"the scene of {spec.modelname}")
     gantry = None
     if hand.arm is None:
-        gantry = tuned_gantry(model, T_world_base, truth.object.mass, OBJECT)
+        gantry = tuned_gantry(model, T_world_base, truth.object.mass, OBJECT, hinges)
     return index_scene(task, physics, T_world_base, model, gantry, truth.object.shape)
 
 
@@ -278,6 +281,7 @@ def scene_spec(
     *,
     with_gantry: bool = True,
     truth: Truth | None = None,
+    hinges: FloatArray | None = None,
 ) -> Any:
     """The ``mujoco.MjSpec`` of a task's scene, not compiled and without what is only looked at.
 
@@ -288,27 +292,28 @@ def scene_spec(
         with_gantry: Whether a gantry carries the hand; else its base stands fixed in the world, as
             the root of an arm does.
         truth: Object and table that there really are; those of the task if None.
+        hinges: Axes (3, 3) of the gantry's hinges in its columns, world; the world's if None.
     """
     spec = mujoco.MjSpec()
     spec.modelname = f"{task.hand.name}, {task.object.name}"
     physics.apply(spec, task.gravity)
     truth = truth or _believed(task)
-    _add_hand(spec, task, T_world_base, physics, with_gantry)
+    gantry = _add_hand(spec, task, T_world_base, physics)
+    if with_gantry and task.hand.arm is None:
+        add_gantry(spec, gantry, task.hand.mj_model, np.eye(3) if hinges is None else hinges)
     _add_object(spec, task, truth, physics)
     _add_surroundings(spec, task, truth.table_height, physics)
     return spec
 
 
-def _add_hand(
-    spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOptions, with_gantry: bool
-) -> None:
+def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOptions) -> Any:
+    """Add the hand on a body, which is returned."""
     position, quaternion = pose_to_wxyz(T_world_base)
     gantry = spec.worldbody.add_body(name=GANTRY, pos=position)
     child = hand_spec(task.hand, physics, task.gravity)
     dress_hand(child, task.hand.mj_model)
     spec.attach(child, prefix=HAND_PREFIX, frame=gantry.add_frame(quat=quaternion))
-    if with_gantry and task.hand.arm is None:
-        add_gantry(spec, gantry, task.hand.mj_model)
+    return gantry
 
 
 def hand_spec(hand: Hand, physics: PhysicsOptions, gravity: FloatArray) -> Any:

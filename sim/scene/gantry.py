@@ -1,16 +1,18 @@
 """The gantry that a hand without an arm hangs on: six driven joints, and what drives them.
 
 All six read zero at the planned base pose: three slides along the world's axes, then three hinges
-about them, so that
+about axes of choice, the world's by default, so that
 
-    T_world_base = Trans(p0 + [x, y, z]) Rx(rx) Ry(ry) Rz(rz) R0.
+    T_world_base = Trans(p0 + [x, y, z]) B Rx(rx) Ry(ry) Rz(rz) B' R0,
+
+with the hinges' axes in the columns of B. The first hinge turns by any angle without a singularity.
 
 The servos carry the hand's weight by feed-forward, so that it does not sag.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
@@ -63,6 +65,7 @@ class Gantry:
         dof: (6,), the same in ``data.qvel``.
         ctrl: (6,), its servos in ``data.ctrl``.
         gains: (2, 6), stiffness (N/m, N m/rad) and damping of the servos.
+        hinges: (3, 3), axes of the hinges in its columns, world.
     """
 
     T_world_base: SE3
@@ -70,13 +73,15 @@ class Gantry:
     dof: IntArray
     ctrl: IntArray
     gains: FloatArray
+    hinges: FloatArray = field(default_factory=lambda: np.eye(3))
 
     def coordinates(self, T_world_base: SE3) -> FloatArray:
         """Joints (6,), m and rad, that put the hand's base at a pose.
 
-        The hinges turn by Rx Ry Rz; they cannot turn about y by 90 degrees away from the grasp.
+        The second hinge cannot turn by 90 degrees away from the grasp.
         """
         turn = T_world_base.rotation @ self.T_world_base.rotation.T
+        turn = self.hinges.T @ turn @ self.hinges
         ry = np.arcsin(np.clip(turn[0, 2], -1.0, 1.0))
         rx = np.arctan2(-turn[1, 2], turn[2, 2])
         rz = np.arctan2(-turn[0, 1], turn[0, 0])
@@ -86,7 +91,7 @@ class Gantry:
     def pose(self, coordinates: FloatArray) -> SE3:
         """Pose of the hand's base for joints (6,), m and rad: the inverse of ``coordinates``."""
         turn = self.T_world_base.rotation
-        for angle, axis in zip(coordinates[:2:-1], np.eye(3)[::-1], strict=True):  # Rx Ry Rz R0
+        for angle, axis in zip(coordinates[:2:-1], self.hinges.T[::-1], strict=True):  # Rx Ry Rz R0
             turn = pin.exp3(float(angle) * axis) @ turn
         return SE3(turn, self.T_world_base.translation + coordinates[:3])
 
@@ -106,21 +111,23 @@ class Gantry:
         return np.asarray(target + forward / kp)
 
 
-def add_gantry(spec: Any, body: Any, hand_model: Any) -> None:
+def add_gantry(spec: Any, body: Any, hand_model: Any, hinges: FloatArray) -> None:
     """Give a body of a ``mujoco.MjSpec`` the joints and servos, and a mass if it carries none.
 
     Args:
         spec: The scene; changed.
         body: Stands where the base is; the hand is attached to it.
         hand_model: ``mujoco.MjModel`` of the hand alone.
+        hinges: (3, 3), axes of the hinges in its columns, world.
     """
+    axes = np.vstack([np.eye(3), hinges.T])
     if not _fixed_mass(hand_model):
         body.explicitinertial = True
         body.mass, body.inertia = GANTRY_MASS, np.full(3, GANTRY_INERTIA)
     for k, axis in enumerate(GANTRY_AXES):
         name = f"{GANTRY}_{axis}"
         kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
-        body.add_joint(name=name, type=kind, axis=np.eye(3)[k % 3])
+        body.add_joint(name=name, type=kind, axis=axes[k])
         servo = spec.add_actuator(name=name, target=name)
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
         servo.gaintype = mujoco.mjtGain.mjGAIN_FIXED
@@ -134,7 +141,9 @@ def _fixed_mass(hand_model: Any) -> bool:
     return bool((least[fixed] >= mujoco.mjMINVAL).any())
 
 
-def tuned_gantry(model: Any, T_world_base: SE3, payload: float, payload_body: str) -> Gantry:
+def tuned_gantry(
+    model: Any, T_world_base: SE3, payload: float, payload_body: str, hinges: FloatArray
+) -> Gantry:
     """Set the servos' gains in a compiled model, from the inertia that each axis carries.
 
     Args:
@@ -142,6 +151,7 @@ def tuned_gantry(model: Any, T_world_base: SE3, payload: float, payload_body: st
         T_world_base: Base pose at which the joints read zero.
         payload: Mass that will be carried, kg.
         payload_body: Name of its body.
+        hinges: (3, 3), axes of the hinges in its columns, world.
     """
     names = [f"{GANTRY}_{axis}" for axis in GANTRY_AXES]
     dof = np.array([int(model.joint(name).dofadr[0]) for name in names])
@@ -150,7 +160,7 @@ def tuned_gantry(model: Any, T_world_base: SE3, payload: float, payload_body: st
     mujoco.mj_forward(model, data)
     mass_matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass_matrix)
-    arm = np.array(data.body(payload_body).xpos - data.body(GANTRY).xpos)
+    arm = hinges.T @ (data.body(payload_body).xpos - data.body(GANTRY).xpos)
     lever2 = arm @ arm - arm**2
     carried = np.diag(mass_matrix)[dof] + payload * np.concatenate([np.ones(3), lever2])
     kp = carried * GANTRY_FREQUENCY**2
@@ -164,4 +174,5 @@ def tuned_gantry(model: Any, T_world_base: SE3, payload: float, payload_body: st
         dof=dof,
         ctrl=ctrl,
         gains=np.array([kp, kd]),
+        hinges=hinges,
     )

@@ -1,0 +1,194 @@
+"""Other attitudes of the hand: gravity in planning, the wrist's way, files, and an execution."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from manipulations import QUICK, task_of
+
+from planner.errors import NoGraspFoundError, NotFoundError, TaskError
+from planner.failure import Failure
+from planner.files import read_movement, write_movement
+from planner.files.movements import movement_to_dict
+from planner.motion.manipulation import ManipulationPlan, plan_manipulation
+from planner.motion.path import ATTITUDES, AnyAttitude, ObjectPath, checked_attitude
+from planner.motion.verify import FALLS, MovementVerifier, Waypoint
+from planner.spatial import SE3
+from sim.manipulation import ManipulationReport, manipulate
+from sim.manipulation.simulation import _hinges
+from sim.scene.gantry import Gantry
+
+G = 9.81
+
+
+@pytest.fixture(scope="module")
+def plan() -> ManipulationPlan:
+    """A small turn of a cylinder with the palm up."""
+    task = task_of("cylinder:0.03x0.08", mass=0.2)
+    return plan_manipulation(task, angle=math.radians(40.0), place=(0.04, -0.02), attitude="up")
+
+
+@pytest.fixture(scope="module")
+def report(plan: ManipulationPlan) -> ManipulationReport:
+    """What comes of it."""
+    return manipulate(plan, timeline=replace(QUICK, wrist_rate=2.0))
+
+
+def path(attitude: AnyAttitude = "down") -> ObjectPath:
+    turn = checked_attitude(attitude)
+    return ObjectPath(axis=np.array([0.0, 0.0, 1.0]), angle=1.0, shift=np.zeros(3), attitude=turn)
+
+
+@pytest.mark.parametrize(("name", "felt"), [("down", (0, 0, -G)), ("up", (0, 0, G))])
+def test_gravity_is_what_an_attitude_changes(name: str, felt: tuple[float, ...]) -> None:
+    """Seen from the hand; and sideways it is level, halfway there at 45 degrees."""
+    task = task_of("cylinder:0.03x0.08")
+    np.testing.assert_allclose(path(name).borne(task).gravity, felt, atol=1e-9)
+    sideways = path("sideways")
+    assert abs(sideways.borne(task).gravity[2]) < 1e-9
+    assert sideways.borne(task, 0.5).gravity[2] == pytest.approx(-G * math.cos(math.pi / 4))
+
+
+def test_the_way_of_the_wrist_ends_in_the_attitude() -> None:
+    """Half a turn too, whose axis has no sign."""
+    for turn in ATTITUDES.values():
+        one = path(turn)
+        np.testing.assert_allclose(one.wrist(0.0), np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(one.wrist(1.0), turn, atol=1e-9)
+        assert len(one.wrist_shares) == 1 + round(np.linalg.norm(one.wrist_turn) * 12 / np.pi)
+    np.testing.assert_array_equal(path("sideways").cut(0.5).attitude, ATTITUDES["sideways"])
+
+
+def test_what_is_no_attitude_is_refused() -> None:
+    """By name, and what would mirror the hand."""
+    with pytest.raises(NotFoundError, match="attitude"):
+        checked_attitude("left")
+    with pytest.raises(TaskError, match="no rotation"):
+        checked_attitude(np.diag([1.0, 1.0, -1.0]))
+
+
+def test_forces_bear_the_weight_in_the_attitude_and_on_the_way(plan: ManipulationPlan) -> None:
+    """Contact forces and gravity as the hand feels it add up to nothing at every orientation."""
+    task, way = plan.task, plan.path
+    for knot in plan.knots:
+        solved = [knot.forces, *knot.on_the_way]
+        assert len(solved) == len(way.wrist_shares) == 13
+        for share, forces in zip(way.wrist_shares[::-1], solved, strict=True):
+            weight = task.object.mass * way.borne(task, float(share)).gravity
+            pressed = forces.contacts
+            total = np.einsum("nij,nj->i", pressed.frames, pressed.forces[:, :3])
+            np.testing.assert_allclose(total, -weight, atol=2e-3)
+    assert plan.reserve > 0.0
+
+
+def test_the_hand_is_lifted_clear_of_the_table_before_it_turns(plan: ManipulationPlan) -> None:
+    """Nothing of it comes lower than 25 mm above the table while the wrist turns."""
+    assert (
+        plan.motion.with_knots(plan.knots, replace(plan.path, attitude=ATTITUDES["down"])).rise
+        == 0.0
+    )
+    hand, q = plan.task.hand, plan.grasp.q
+    data = hand.pin_model.createData()
+    pin.forwardKinematics(hand.pin_model, data, q)
+    lowest = np.inf
+    for share in np.linspace(0.0, 1.0, 61):
+        base = plan.turned_base(float(share))
+        for one in hand.geometries:
+            corners = one.corners @ one.T_joint_geometry.rotation.T
+            corners = corners + one.T_joint_geometry.translation
+            for corner in corners:
+                lowest = min(lowest, base.act(data.oMi[one.joint_id].act(corner))[2])
+    assert plan.task.table_height is not None
+    assert lowest + plan.rise > plan.task.table_height + 0.025
+
+
+def test_a_file_keeps_the_attitude_and_has_none_without(
+    plan: ManipulationPlan, tmp_path: Path
+) -> None:
+    """So that earlier versions read what they could plan, and their files are read."""
+    write_movement(plan, tmp_path / "up.json")
+    again = read_movement(tmp_path / "up.json")
+    np.testing.assert_array_equal(again.path.attitude, ATTITUDES["up"])
+    assert again.reserve == pytest.approx(plan.reserve, abs=1e-3)
+    level = replace(plan, path=replace(plan.path, attitude=ATTITUDES["down"]))
+    assert "attitude" not in movement_to_dict(level)["path"]
+
+
+def test_a_grasp_that_holds_palm_down_may_fall_in_an_attitude(
+    plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The failure says so, where on the wrist's way, and names the limit; palm down it holds."""
+    points = [
+        Waypoint(
+            path_parameter=knot.path_parameter,
+            T_object_base=knot.T_world_object.inverse() * plan.T_world_base,
+            q=knot.q,
+        )
+        for knot in plan.knots[:2]
+    ]
+    monkeypatch.setattr("planner.motion.verify.MOST_PRESS", 1.0)
+    verifier = MovementVerifier(plan.task)
+    down = replace(plan.path, attitude=ATTITUDES["down"])
+    assert isinstance(verifier.verify_knots(plan.T_world_base, points, down, 0.03), tuple)
+    fallen = verifier.verify_knots(plan.T_world_base, points, plan.path, 0.03)
+    assert isinstance(fallen, Failure)
+    assert fallen.kind == FALLS
+    assert "palm down, but in the attitude: forces: a finger has to press" in fallen.text
+
+    monkeypatch.setattr("planner.motion.single_stroke.FALLEN", 2)
+    monkeypatch.setattr("planner.motion.verify.MOST_PRESS", 0.1)
+    with pytest.raises(NoGraspFoundError, match="falls in this attitude") as raised:
+        plan_manipulation(plan.task, angle=plan.angle, attitude="up")
+    assert len(raised.value.attempts) <= 8
+
+
+def test_a_gantry_turns_by_half_a_turn_about_any_axis() -> None:
+    """Its coordinates give the pose back, and the first hinge alone turns."""
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        axis = rng.normal(size=3)
+        axis /= np.linalg.norm(axis)
+        none = np.zeros(6, dtype=np.int64)
+        gantry = Gantry(
+            T_world_base=SE3.Random(),
+            qpos=none,
+            dof=none,
+            ctrl=none,
+            gains=np.ones((2, 6)),
+            hinges=_hinges(axis),
+        )
+        for angle in (0.3, 1.57, 3.1):
+            start = gantry.T_world_base
+            pose = SE3(pin.exp3(angle * axis) @ start.rotation, start.translation + 0.1)
+            found = gantry.coordinates(pose)
+            np.testing.assert_allclose(found[3:], [angle, 0.0, 0.0], atol=1e-6)
+            assert gantry.pose(found).isApprox(pose, 1e-6)
+
+
+def test_an_object_is_turned_palm_up_and_put_down(report: ManipulationReport) -> None:
+    """The palm looks up during the turn; the wrist turns before it and back after it."""
+    names = [result.phase for result in report.results]
+    assert names.index("wrist") + 1 == names.index("turn")
+    assert names.index("wrist back") == names.index("carry") - 1
+    assert report.complete, str(report)
+    assert report.success_with_closure, str(report)
+    turning = report.log.during("turn")
+    base = report.recording.T_world_base[turning]
+    first = report.recording.T_world_base[0]
+    up = [pin.Quaternion(w, x, y, z).matrix() for *_, w, x, y, z in (*base, first)]
+    turned = np.array([u @ up[-1].T for u in up[:-1]])
+    assert turned[:, 2, 2].max() < -0.999
+
+
+def test_an_arm_that_cannot_turn_the_hand_there_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before anything is planned."""
+    task = task_of("cylinder:0.03x0.08", "allegro_on_arm7")
+    high = "planner.motion.single_stroke.WRIST_LIFT"
+    monkeypatch.setattr(high, 5.0)
+    with pytest.raises(TaskError, match="does not reach the attitude"):
+        plan_manipulation(task, angle=1.0, attitude="up")
