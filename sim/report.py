@@ -25,7 +25,7 @@ from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers.base import Event
 from sim.recording import Recording, SampleData, Samples
-from sim.report_file import ComparisonData, ExecutionFile, ReportFile
+from sim.report_file import ComparisonData, ExecutionFile, ReportFile, UseRecord
 from sim.screen import Report, reality_lines
 from sim.tables import table
 from sim.verdict import Reason, Thresholds, Verdict, largest
@@ -203,6 +203,8 @@ class TrialReport(ExecutionReport):
         carried_by: What carried the hand: "gantry", six driven axes, or "arm".
         object_deviation_mm: How far convex pieces that stood for a mesh reach out of it at most.
         picture: Picture of the held object, None if there is none.
+        use: Of a tool: what it is, what was done, and what was measured at the times of the
+            samples, as plain data of ``sim.report_file.UseRecord``; None of other trials.
     """
 
     verdict: Verdict
@@ -221,6 +223,7 @@ class TrialReport(ExecutionReport):
     carried_by: Literal["gantry", "arm"] = "gantry"
     object_deviation_mm: float = 0.0
     picture: Path | None = None
+    use: dict[str, Any] | None = None
 
     @property
     def quality_planned(self) -> QualityReport:
@@ -275,6 +278,8 @@ class TrialReport(ExecutionReport):
             "not held": f"[bold red]not held, {self.reason}[/]: {escape(self.verdict.detail)}",
         }[self.verdict.outcome]
         yield Text.from_markup(f"{escape(self.hand)}, {escape(self.object)}: {line}")
+        if self.use is not None:
+            yield Text(f"use: {self.use['told']}")
         if self.remedies:
             yield Text("each of these keeps the object from creeping:")
         for remedy in self.remedies:
@@ -369,4 +374,5 @@ class TrialReport(ExecutionReport):
             object_deviation_mm=self.object_deviation_mm,
             picture=None if self.picture is None else self.picture.name,
             samples=SampleData.model_validate(self.samples.to_dict()),
+            use=None if self.use is None else UseRecord(**finite(self.use)),
         )

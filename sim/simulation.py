@@ -102,6 +102,7 @@ class Simulation:
         reality: AnyReality | None = None,
         estimator: AnyEstimator | None = None,
         truth: Truth | None = None,
+        change: Callable[[Any], None] | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
 
@@ -121,6 +122,8 @@ class Simulation:
                 task and sensor errors; if None, that with all senses where the pose that is read
                 has errors, and none else.
             truth: Object and table that there really are, unknown to the plan; as planned if None.
+            change: Changes the ``mujoco.MjSpec`` of the scene that is built, before a reality does:
+                what else stands in it.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
@@ -156,7 +159,7 @@ class Simulation:
             T_world_base=plan.T_world_base,
             q=plan.q,
             physics=physics,
-            change=None if self.reality is None else self.reality.change,
+            change=_one_after_the_other(change, self.reality),
             truth=truth,
         )
         self.data: Any = self.scene.start(
@@ -472,6 +475,21 @@ def filmed(video: Path | None) -> Iterator[None]:
         _tapes.reset(token)
     for tape in tapes[:1]:
         draw_tape(tape, video=video)
+
+
+def _one_after_the_other(
+    change: Callable[[Any], None] | None, reality: RealityOfTrial | None
+) -> Callable[[Any], None] | None:
+    """A caller's change of the scene, then that of a reality; None where there is neither."""
+    steps = [step for step in (change, None if reality is None else reality.change) if step]
+    if len(steps) < 2:
+        return steps[0] if steps else None
+
+    def both(spec: Any) -> None:
+        for step in steps:
+            step(spec)
+
+    return both
 
 
 def _read_touch(scene: Scene, data: Any, fingers: Sequence[str]) -> TouchReading:

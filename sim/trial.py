@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
 from sim.scene.build import Truth
 from sim.scene.carrier import Timeline
-from sim.scene.physics import AnyPhysics
+from sim.scene.physics import PRESETS, AnyPhysics
 from sim.sensing.reality import AnyReality
 from sim.show.picture import check_video, draw_tape, moments_of
 from sim.simulation import Simulation
@@ -142,6 +142,7 @@ class Trial:
         self.plan = plan = given_plan(plan)
         self.timeline = asked.timeline or Timeline()
         self.thresholds = asked.thresholds or Thresholds()
+        self._physics = PRESETS.given(asked.physics)
         self.simulation = Simulation(
             plan,
             physics=asked.physics,
@@ -150,10 +151,15 @@ class Trial:
             reality=asked.reality,
             estimator=asked.estimator,
             truth=asked.truth,
+            change=self._surroundings(),
         )
         self._object = plan.task.object if asked.truth is None else asked.truth.object
         self.recorder = Recorder(self.simulation, asked.record_every)
         self._not_lifted = False
+
+    def _surroundings(self) -> Callable[[Any], None] | None:
+        """What adds to the ``mujoco.MjSpec`` what else stands in the scene; None for nothing."""
+        return None
 
     def run(
         self,
