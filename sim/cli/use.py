@@ -24,9 +24,7 @@ from sim.cli.common import (
 from sim.cli.execution import physics_of, reality_of
 from sim.cli.options import (
     GRIP,
-    SEARCH,
     TRIAL,
-    ArrowsOption,
     HandArgument,
     JsonOption,
     MuOption,
@@ -48,7 +46,7 @@ if TYPE_CHECKING:
     from planner.search.grasp import Attempt
     from planner.tools import Tool
 
-ToolArgument = Annotated[str, argument("screwdriver, key, lid, or a tool file NAME.toml.", "TOOL")]
+ToolArgument = Annotated[str, argument("screwdriver, key, lid, hammer, or NAME.toml.", "TOOL")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,25 +54,18 @@ class UseOptions:
     """What ``use`` is asked for beside hand and tool."""
 
     seed: SeedOption = 0
-    max_attempts: Annotated[int, option("Attempts before giving up.", "N", SEARCH, min=1)] = 100
-    scale: Annotated[
-        float, option("How many times larger than in its file the tool is.", "K", SEARCH)
-    ] = 1.0
+    scale: Annotated[float, option("How many times larger the tool is.", "K", GRIP)] = 1.0
     margin: Annotated[
-        float | None,
-        option("How many times each needed wrench the grasp must produce; 2.", "K", GRIP, min=1.0),
+        float | None, option("Margin of each needed wrench; 2.", "K", GRIP, min=1.0)
     ] = None
     mu: MuOption = DEFAULT_MU
-    fixture_friction: Annotated[
-        float, option("Factor on the fixture's friction, unknown to the plan.", "K", TRIAL, min=0.0)
-    ] = 1.0
+    resist: Annotated[float, option("Factor on the fixture's friction.", "K", TRIAL, min=0.0)] = 1.0
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
     reality: RealityOption = "ideal"
     reality_seed: RealitySeedOption = None
     view: ViewOption = False
     video: VideoOption = None
-    arrows: ArrowsOption = False
     verbose: VerboseOption = False
 
     def plan(self, hand: str, tool: Tool) -> GraspPlan:
@@ -94,7 +85,6 @@ class UseOptions:
                 hand,
                 tool,
                 seed=self.seed,
-                max_attempts=self.max_attempts,
                 progress=show,
                 mu=self.mu,
                 **margin,
@@ -113,7 +103,7 @@ def use(
     request: UseOptions,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan the grasp of a tool for its use, use it, judge both; writes plan and report.
+    """Plan the grasp of a tool, use it, judge; writes plan and report.
 
     Files: plan.json, report.json, used.png, and report.html, to open in any browser: the motion,
     the forces, and what the tool did over time.
@@ -140,7 +130,7 @@ def use(
     write_plan(plan, folder / "plan.json")
     if request.verbose and not as_json:
         tell(str(plan))
-    trial = UseTrial(plan, loaded, friction=request.fixture_friction, **parts)
+    trial = UseTrial(plan, loaded, friction=request.resist, **parts)
     with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
         bar = progress.add_task("using", total=1.0)
         report = trial.run(
@@ -148,7 +138,6 @@ def use(
             view=request.view,
             picture=folder / "used.png",
             video=request.video,
-            arrows=request.arrows,
         )
     report = replace(report, command=told_command(context))
     write_report(report.to_dict(), folder / "report.json")

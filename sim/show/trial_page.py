@@ -66,6 +66,9 @@ CELL, MARGIN, GAP, TEXT = 10, 4, 14, 16
 DARK = np.array([13.0, 59.0, 102.0])
 """Colour of the most loaded taxel; one without load is white."""
 
+USE_UNITS = {"deg": "degrees", "Nm": "N m", "mps": "m/s"}
+"""Ends of the names of a use's channels -> their units, where these are others."""
+
 LEAST_ARROW = 0.02
 """Shear (N) of a taxel from which on an arrow shows it."""
 
@@ -257,7 +260,7 @@ def _use_plots(use: UseRecord) -> list[Plot]:
     return [
         Plot(
             title=use.titles[name],
-            unit=name.rpartition("_")[2],
+            unit=USE_UNITS.get(name.rpartition("_")[2], name.rpartition("_")[2]),
             lines=(Line(name=use.tool, values=column(values)),),
         )
         for name, values in use.channels.items()
