@@ -321,9 +321,9 @@ def sections_mesh(what: str, sections: Sequence[SectionData], scale: float = 1.0
     k = np.arange(AROUND)
     following, faces = (k + 1) % AROUND, []
     for i in range(len(rings) - 1):
-        a, b, c, d = (AROUND * i + k, AROUND * i + following, AROUND * (i + 1) + k, 0)
-        d = AROUND * (i + 1) + following
-        faces += [np.column_stack([a, b, d]), np.column_stack([a, d, c])]
+        below, above = AROUND * i, AROUND * (i + 1)
+        faces.append(np.column_stack([below + k, below + following, above + following]))
+        faces.append(np.column_stack([below + k, above + following, above + k]))
     bottom, top, last = len(points) - 2, len(points) - 1, AROUND * (len(rings) - 1)
     faces.append(np.column_stack([following, k, np.full(AROUND, bottom)]))
     faces.append(np.column_stack([last + k, last + following, np.full(AROUND, top)]))

@@ -72,7 +72,7 @@ class UseOptions:
         """Plan with a spinner that counts attempts, on stderr."""
         from sim.tools import plan_tool
 
-        margin = {} if self.margin is None else {"needed_margin": self.margin}
+        margin: dict[str, Any] = {} if self.margin is None else {"needed_margin": self.margin}
         with heeding_ctrl_c() as check, err.status(f"planning: {hand}, {tool.name}") as status:
 
             def show(attempt: Attempt[GraspPlan]) -> bool:

@@ -87,7 +87,7 @@ class UseController(ObjectImpedance):
         super().__init__(plan)
         if not learns:
             self.law = ImpedanceLaw(replace(self.law.gains, learning_rate=0.0))
-        pressed = [np.mean(found.forces[:, 0]) for found in plan.needed]
+        pressed = [float(found.forces[:, 0].mean()) for found in plan.needed]
         self._firm = max([self.grip, *pressed])
 
     def step(self, observation: Observation) -> FloatArray:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import mujoco
 import numpy as np
@@ -27,11 +27,12 @@ from sim.controllers import Phase
 from sim.scene.build import OBSTACLE_PREFIX, WORLD_BIT
 from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
+from sim.verdict import Reason
 
 WORKPIECE, FIXTURE = "workpiece", "fixture"
 """Names of the block and of the body in which the tool works; its joints begin like it."""
 
-Faulty = tuple[float, str, str]
+Faulty: TypeAlias = tuple[float, Reason, str]
 """Time (s), reason of the verdict, and detail of what a use did wrong."""
 
 
