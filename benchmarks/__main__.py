@@ -24,6 +24,7 @@ NAMES = (
     "clouds",
     "metrics",
     "trials",
+    "tools",
     "refine",
     "audit",
     "forces",

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
         plan_motion,
     )
     from planner.numerics.kernels import compiled_searches
-    from planner.objects import GraspObject, parse_object
+    from planner.objects import GraspObject, NeededWrench, parse_object
     from planner.plan import GraspPlan
     from planner.quality import analyse, force_closure
     from planner.search.from_cloud import CloudPlan, plan_from_cloud
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from planner.search.refine import refine_grasp
     from planner.spatial import SE3
     from planner.task import GraspTask, Obstacle
+    from planner.tools import Tool, load_tool, plan_use, use_task
 
 __all__ = [
     "SE3",
@@ -65,11 +66,13 @@ __all__ = [
     "ManipulationPlan",
     "MotionPlan",
     "MovementPlan",
+    "NeededWrench",
     "NoGraspFoundError",
     "Obstacle",
     "PlannerError",
     "PointCloud",
     "SymbolicHand",
+    "Tool",
     "__version__",
     "analyse",
     "attempts",
@@ -79,6 +82,7 @@ __all__ = [
     "hand_from_model",
     "hand_from_spec",
     "load_hand",
+    "load_tool",
     "manipulation_task",
     "parse_object",
     "plan_from_cloud",
@@ -89,10 +93,12 @@ __all__ = [
     "plan_manipulation",
     "plan_motion",
     "plan_several",
+    "plan_use",
     "plans",
     "read_plan",
     "refine_grasp",
     "refine_grasps",
+    "use_task",
     "write_plan",
 ]
 
@@ -114,17 +120,20 @@ _HOMES = {
     "ManipulationPlan": "planner.motion",
     "MotionPlan": "planner.motion",
     "MovementPlan": "planner.motion",
+    "NeededWrench": "planner.objects",
     "NoGraspFoundError": "planner.errors",
     "Obstacle": "planner.task",
     "PlannerError": "planner.errors",
     "PointCloud": "planner.clouds",
     "SE3": "planner.spatial",
     "SymbolicHand": "planner.kinematics.symbolic",
+    "Tool": "planner.tools",
     "analyse": "planner.quality",
     "attempts": "planner.search.grasp",
     "compiled_searches": "planner.numerics.kernels",
     "distribute_forces": "planner.forces",
     "force_closure": "planner.quality",
+    "load_tool": "planner.tools",
     "manipulation_task": "planner.motion",
     "parse_object": "planner.objects",
     "plan_from_cloud": "planner.search.from_cloud",
@@ -135,10 +144,12 @@ _HOMES = {
     "plan_manipulation": "planner.motion",
     "plan_motion": "planner.motion",
     "plan_several": "planner.batch",
+    "plan_use": "planner.tools",
     "plans": "planner.search.grasp",
     "read_plan": "planner.files",
     "refine_grasp": "planner.search.refine",
     "refine_grasps": "planner.batch",
+    "use_task": "planner.tools",
     "write_plan": "planner.files",
 }
 """Public name -> the module that defines it."""

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DEFAULT_MASS",
     "GraspObject",
+    "NeededWrench",
     "Region",
     "TouchRegion",
     "object_names",
@@ -63,7 +64,7 @@ class Region:
     def __post_init__(self) -> None:
         """Check the corners."""
         for which in ("lower", "upper"):
-            corner = _corner(self.name, which, getattr(self, which))
+            corner = _corner(f"region {self.name!r}", which, getattr(self, which))
             object.__setattr__(self, which, corner)
         if not (np.array(self.lower) < np.array(self.upper)).all():
             raise ObjectError(
@@ -145,17 +146,47 @@ def parse_region(text: str) -> Region:
 _BOUND = re.compile(r"([xyz])\s*([<>])\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)")
 
 
-def _corner(name: str, which: str, values: object) -> tuple[float, float, float]:
+def _corner(what: str, which: str, values: object, unit: str = "m") -> tuple[float, float, float]:
     try:
         corner = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         corner = np.empty(0)
     if corner.shape != (3,) or np.isnan(corner).any():
         raise ObjectError(
-            f"region {name!r}: {which} is {shown(values)}; give three numbers x, y, z in m"
+            f"{what}: {which} is {shown(values)}; give three numbers x, y, z in {unit}"
         )
     x, y, z = (float(v) for v in corner)
     return x, y, z
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeededWrench:
+    """A wrench that the hand must be able to produce on an object, beside holding it.
+
+    Attributes:
+        name: What it is for, in messages.
+        force: (3,), N, object frame.
+        torque: (3,), about the centre of mass, N m, object frame.
+    """
+
+    name: str
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    torque: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for which, unit in (("force", "N"), ("torque", "N m")):
+            values = _corner(f"needed wrench {self.name!r}", which, getattr(self, which), unit)
+            if not np.isfinite(values).all():
+                raise ObjectError(f"needed wrench {self.name!r}: {which} {values} is not finite")
+            object.__setattr__(self, which, values)
+        if not any((*self.force, *self.torque)):
+            raise ObjectError(f"needed wrench {self.name!r} is zero; give a force or a torque")
+
+    @property
+    def wrench(self) -> FloatArray:
+        """Force and torque (6,), N and N m, object frame."""
+        return np.array([*self.force, *self.torque])
 
 
 DEFAULT_MASS = 0.1

@@ -136,6 +136,8 @@ class GraspPlan(Shown):
         verification: Residuals on the true geometry.
         record: Where the plan comes from.
         arm: Way in and lift of the arm that carries the hand; None without one.
+        needed: Forces that produce ``needed_margin`` times each needed wrench of the task beside
+            bearing the weight, in its order.
     """
 
     task: GraspTask
@@ -149,6 +151,7 @@ class GraspPlan(Shown):
     verification: Verification
     record: SolveRecord
     arm: ArmPath | None = None
+    needed: tuple[ForceSolution, ...] = ()
 
     def __post_init__(self) -> None:
         """Keep copies that nobody changes: what is proven of them is proven once."""

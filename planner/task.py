@@ -16,7 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from planner.arrays import checked_number
+from planner.arrays import checked_kind, checked_number
 from planner.contacts import CONTACT_DIM, MOST_FRICTION, ContactModel
 from planner.errors import TaskError, shown
 from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
@@ -24,7 +24,7 @@ from planner.hand_loading import load_hand
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.immutable import fixed_pose, is_pose
-from planner.objects import GraspObject, parse_object
+from planner.objects import GraspObject, NeededWrench, parse_object
 from planner.spatial import SE3, FloatArray, fixed_array
 from planner.tolerances import DEFAULT_MU
 
@@ -43,6 +43,12 @@ MIN_GRIP = 1.5
 ANY = "any"
 """Grasp type of two hands for which a task names none; of one it begins with the default fingers,
 of which some may be spared as where no type is named."""
+
+NEEDED_MARGIN = 1.25
+"""Default margin of needed wrenches (-): planning's friction has a reserve of its own beside it."""
+
+MOST_MARGIN = 100.0
+"""Largest margin of needed wrenches (-): more asks for another wrench."""
 
 MOST_JOINT_ERROR = 0.2
 """Largest ``joint_error``, rad: 11 degrees, with which no finger finds what it is sent to."""
@@ -111,6 +117,9 @@ class GraspTask:
         joint_error: Standard deviation of the constant error of each joint's encoder, rad: the
             search leaves room for it where there is room (``planner.synthesis.room``). A plan file
             keeps the plan alone.
+        needed: Wrenches each of which the hand must be able to produce on the object while it bears
+            the weight as at the grasp.
+        needed_margin: How many times each of them the planned grasp must be able to produce (-).
         T_world_base: Pose of the hand's base if it is fixed; None if it is free. The base of a hand
             on an arm is the arm's root, which is fixed.
         wrist_free: Whether the wrist joints may move; they stay at ``wrist_q`` otherwise.
@@ -132,6 +141,8 @@ class GraspTask:
     grip_force: float
     expected_load: ExpectedLoad = field(default_factory=ExpectedLoad)
     joint_error: float = 0.0
+    needed: tuple[NeededWrench, ...] = ()
+    needed_margin: float = NEEDED_MARGIN
     T_world_base: SE3 | None = None
     wrist_free: bool = False
     wrist_q: FloatArray
@@ -154,6 +165,8 @@ class GraspTask:
         grip_force: float | None = None,
         expected_load: ExpectedLoad | None = None,
         joint_error: float = 0.0,
+        needed: Sequence[NeededWrench] = (),
+        needed_margin: float = NEEDED_MARGIN,
         T_world_base: SE3 | None = None,
         wrist_free: bool = False,
         wrist_q: Sequence[float] | FloatArray | None = None,
@@ -182,6 +195,8 @@ class GraspTask:
                 None. It sizes the grip (``planner.forces.grip_for_load``), so it goes without
                 ``grip_force``.
             joint_error: Standard deviation of each joint's encoder error, rad.
+            needed: Wrenches that the hand must be able to produce.
+            needed_margin: How many times each of them (-).
             T_world_base: Pose of the hand's base if it is fixed. A hand on an arm has its arm stand
                 where its description says, seen from the object, if None; two hands have their
                 middle at the object's.
@@ -240,6 +255,8 @@ class GraspTask:
             grip_force=grip_force,
             expected_load=load,
             joint_error=joint_error,
+            needed=tuple(needed),
+            needed_margin=needed_margin,
             T_world_base=T_world_base,
             wrist_free=wrist_free or bool(hand.pair),
             wrist_q=_numbers(
@@ -303,6 +320,13 @@ class GraspTask:
         checked_number(
             "joint_error", self.joint_error, least=0.0, most=MOST_JOINT_ERROR, error=TaskError
         )
+        _check_number("needed_margin", self.needed_margin)
+        checked_number(
+            "needed_margin", self.needed_margin, least=1.0, most=MOST_MARGIN, error=TaskError
+        )
+        object.__setattr__(self, "needed", tuple(self.needed))
+        for one in self.needed:
+            checked_kind("a needed wrench", one, NeededWrench)
         gravity = _numbers("gravity", self.gravity, "three finite numbers in m/s2")
         if gravity.shape != (3,) or not np.isfinite(gravity).all():
             raise TaskError(f"gravity is {self.gravity}; give three finite numbers in m/s2")

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from sim.scene.physics import PhysicsOptions
     from sim.sensing.errors import ErrorModel
     from sim.simulation import Simulation
+    from sim.tools import UseTimeline, UseTrial, plan_tool, use_tool
     from sim.trial import Trial, TrialOptions, simulate
 
 __all__ = [
@@ -46,11 +47,15 @@ __all__ = [
     "Trial",
     "TrialOptions",
     "TrialReport",
+    "UseTimeline",
+    "UseTrial",
     "contacts_from_mujoco",
     "hand_over",
     "manipulate",
+    "plan_tool",
     "run_protocol",
     "simulate",
+    "use_tool",
 ]
 
 _HOMES = {
@@ -70,11 +75,15 @@ _HOMES = {
     "Trial": "sim.trial",
     "TrialOptions": "sim.trial",
     "TrialReport": "sim.report",
+    "UseTimeline": "sim.tools",
+    "UseTrial": "sim.tools",
     "contacts_from_mujoco": "sim.contacts",
     "hand_over": "sim.handover",
     "manipulate": "sim.manipulation",
+    "plan_tool": "sim.tools",
     "run_protocol": "sim.protocols",
     "simulate": "sim.trial",
+    "use_tool": "sim.tools",
 }
 """Public name -> the module that defines it."""
 

@@ -25,7 +25,7 @@ from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers.base import Event
 from sim.recording import Recording, SampleData, Samples
-from sim.report_file import ComparisonData, ExecutionFile, ReportFile
+from sim.report_file import ComparisonData, ExecutionFile, ReportFile, UseRecord
 from sim.screen import Report, error_lines
 from sim.tables import table
 from sim.verdict import Reason, Thresholds, Verdict, largest
@@ -204,6 +204,8 @@ class TrialReport(ExecutionReport):
         object_deviation_mm: How far convex pieces that stood for a mesh reach out of it at most.
         picture: Picture of the held object, None if there is none.
         tries: Of a ``CloudPlan``, how each try ended; the report is of the last.
+        use: Of a tool: what it is, what was done, and what was measured at the times of the
+            samples, as plain data of ``sim.report_file.UseRecord``; None of other trials.
     """
 
     verdict: Verdict
@@ -223,6 +225,7 @@ class TrialReport(ExecutionReport):
     object_deviation_mm: float = 0.0
     picture: Path | None = None
     tries: tuple[str, ...] = ()
+    use: dict[str, Any] | None = None
 
     @property
     def quality_planned(self) -> QualityReport:
@@ -279,6 +282,8 @@ class TrialReport(ExecutionReport):
         yield Text.from_markup(f"{escape(self.hand)}, {escape(self.object)}: {line}")
         for number, told in enumerate(self.tries if len(self.tries) > 1 else (), 1):
             yield Text(f"try {number}: {told}")
+        if self.use is not None:
+            yield Text(f"use: {self.use['told']}")
         if self.remedies:
             yield Text("each of these keeps the object from creeping:")
         for remedy in self.remedies:
@@ -374,4 +379,5 @@ class TrialReport(ExecutionReport):
             picture=None if self.picture is None else self.picture.name,
             tries=list(self.tries),
             samples=SampleData.model_validate(self.samples.to_dict()),
+            use=None if self.use is None else UseRecord(**finite(self.use)),
         )

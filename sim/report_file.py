@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from planner.files.disk import checked_file, read_json, whole_file
 from planner.pages.page import read_page_data
@@ -24,6 +24,7 @@ __all__ = [
     "EventData",
     "ExecutionFile",
     "ReportFile",
+    "UseRecord",
     "check_lengths",
     "read_report",
     "report_data",
@@ -95,6 +96,21 @@ class ExecutionFile(StrictData):
         return self
 
 
+class UseRecord(StrictData):
+    """What a tool did: its kind of use with its numbers, a sentence, and channels over time.
+
+    ``titles`` say what the channels are; their names end with the unit.
+    """
+
+    tool: str
+    kind: str
+    told: str
+    numbers: dict[str, float]
+    needed_margin: float
+    titles: dict[str, str]
+    channels: dict[str, list[float | None]]
+
+
 class ReportFile(ExecutionFile):
     """A trial report as JSON.
 
@@ -124,6 +140,15 @@ class ReportFile(ExecutionFile):
     picture: str | None
     tries: list[str] = Field(default_factory=list)
     samples: SampleData
+    use: UseRecord | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_absent_use(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """All fields; reports of trials that use no tool stay as they were."""
+        data: dict[str, Any] = handler(self)
+        if self.use is None:
+            del data["use"]
+        return data
 
 
 def check_lengths(samples: StrictData, recording: RecordingData | None) -> None:

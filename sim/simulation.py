@@ -103,6 +103,7 @@ class Simulation:
         estimator: AnyEstimator | None = None,
         truth: Truth | None = None,
         hinges: FloatArray | None = None,
+        change: Callable[[Any], None] | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
 
@@ -123,6 +124,8 @@ class Simulation:
                 has errors, and none else.
             truth: Object and table that there really are, unknown to the plan; as planned if None.
             hinges: Axes (3, 3) of the gantry's hinges in its columns, world; the world's if None.
+            change: Changes the ``mujoco.MjSpec`` of the scene that is built, before an error model
+                does: what else stands in it.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
@@ -160,7 +163,7 @@ class Simulation:
             T_world_base=plan.T_world_base,
             q=plan.q,
             physics=physics,
-            change=None if self.error_model is None else self.error_model.change,
+            change=_one_after_the_other(change, self.error_model),
             truth=truth,
             hinges=hinges,
         )
@@ -477,6 +480,21 @@ def filmed(video: Path | None) -> Iterator[None]:
         _tapes.reset(token)
     for tape in tapes[:1]:
         draw_tape(tape, video=video)
+
+
+def _one_after_the_other(
+    change: Callable[[Any], None] | None, error_model: TrialErrors | None
+) -> Callable[[Any], None] | None:
+    """A caller's change of the scene, then that of an error model; None where there is neither."""
+    steps = [step for step in (change, None if error_model is None else error_model.change) if step]
+    if len(steps) < 2:
+        return steps[0] if steps else None
+
+    def both(spec: Any) -> None:
+        for step in steps:
+            step(spec)
+
+    return both
 
 
 def _read_touch(scene: Scene, data: Any, fingers: Sequence[str]) -> TouchReading:

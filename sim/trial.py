@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, Unpack, cast
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, cast
 
 import numpy as np
 
@@ -44,7 +44,7 @@ from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
 from sim.scene.build import Truth
 from sim.scene.carrier import Timeline
-from sim.scene.physics import AnyPhysics
+from sim.scene.physics import PRESETS, AnyPhysics
 from sim.sensing.errors import AnyErrorModel
 from sim.show.picture import check_video, draw_tape, moments_of
 from sim.simulation import Simulation
@@ -158,6 +158,7 @@ class Trial:
         self.plan = plan = given_plan(plan)
         self.timeline = asked.timeline or Timeline()
         self.thresholds = asked.thresholds or Thresholds()
+        self._physics = PRESETS.given(asked.physics)
         self.simulation = Simulation(
             plan,
             physics=asked.physics,
@@ -166,11 +167,16 @@ class Trial:
             error_model=asked.error_model,
             estimator=asked.estimator,
             truth=asked.truth,
+            change=self._surroundings(),
         )
         self._truth = asked.truth
         self._object = plan.task.object if asked.truth is None else asked.truth.object
         self.recorder = Recorder(self.simulation, asked.record_every)
         self.not_lifted = ""
+
+    def _surroundings(self) -> Callable[[Any], None] | None:
+        """What adds to the ``mujoco.MjSpec`` what else stands in the scene; None for nothing."""
+        return None
 
     def run(
         self,

@@ -48,6 +48,8 @@ Reason: TypeAlias = Literal[
     "torque limit reached",
     "infeasible forces",
     "penetration",
+    "left the fixture",
+    "use not done",
     "interrupted",
     "stopped",
     "diverged",

@@ -201,6 +201,8 @@ def test_reasons_are_those_of_the_documentation() -> None:
         "torque limit reached",
         "infeasible forces",
         "penetration",
+        "left the fixture",
+        "use not done",
         "interrupted",
         "stopped",
         "diverged",

@@ -6,12 +6,19 @@ A ``Certificate`` holds proven bounds of a grasp, counterexamples that were foun
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, TypedDict, Unpack, get_args
 
 import numpy as np
 
-from planner.certify.breaking import Breaking, Disturbance, smallest_breaking
+from planner.arrays import finite
+from planner.certify.breaking import (
+    Breaking,
+    Disturbance,
+    breaking_along,
+    smallest_breaking,
+)
 from planner.certify.tolerance import (
     PoseErrors,
     Tolerance,
@@ -54,6 +61,7 @@ class Certificate:
         epsilon_linf: The same with each normal force in [0, 1].
         breaking: Smallest disturbing force, torque and wrench, for the planned posture and the best
             control; empty where no hand is known.
+        needed: By name, how many times each needed wrench can be produced beside the weight (-).
         tolerances: Errors that closure tolerates.
         rotation: (3, 3), world from object.
         cpu_s: CPU time that the certificate took, s, with its samples.
@@ -68,10 +76,12 @@ class Certificate:
     tolerances: tuple[Tolerance, ...]
     rotation: FloatArray
     cpu_s: float
+    needed: Mapping[str, Interval] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON; None for what is infinite or unknown."""
         broken = {}
+        needed = {name: [found.lower, found.upper] for name, found in self.needed.items()}
         for b in self.breaking:
             seen = b.in_frame(self.rotation)
             known = np.isfinite(seen).all()
@@ -87,6 +97,7 @@ class Certificate:
             "epsilon_l1": [self.epsilon.lower, self.epsilon.upper],
             "epsilon_linf": [self.epsilon_linf.lower, self.epsilon_linf.upper],
             "smallest_breaking": broken,
+            **({"needed_margins": finite(needed)} if needed else {}),
             "tolerances": [t.as_dict() for t in self.tolerances],
             "cpu_s": self.cpu_s,
         }
@@ -118,6 +129,8 @@ class Certificate:
             lines.append(
                 _row(f"breaking {b.kind}", b.bounds.lower, b.bounds.upper, f"{b.unit:4} {where}")
             )
+        for name, found in self.needed.items():
+            lines.append(_row(f"needed, {name}", found.lower, found.upper, "times"))
         if self.breaking:
             lines.append(BEST_CONTROL)
         if self.tolerances:
@@ -178,14 +191,21 @@ def certify(plan: GraspPlan, **options: Unpack[CertifyOptions]) -> Certificate:
     if task.is_of_fingertips:  # contacts of links move along them when the object's pose is off
         radii = np.array([finger.pad.radius for finger in task.fingers])
         poses = PoseErrors.of(task.object.shape, plan.contacts_in_object, radii)
-    return certify_contacts(
+    begin, turn = time.process_time(), task.T_world_object.rotation
+    problem, needed = plan.forces.problem, {}
+    for one in task.needed:
+        load = -np.concatenate([turn @ one.force, turn @ one.torque])
+        needed[one.name] = breaking_along(problem, load)
+    spent = time.process_time() - begin
+    made = certify_contacts(
         plan.contacts,
         length=task.object.shape.bounding_radius,
-        problem=plan.forces.problem,
+        problem=problem,
         poses=poses,
         rotation=np.array(task.T_world_object.rotation),
         **options,
     )
+    return replace(made, needed=needed, cpu_s=made.cpu_s + spent) if needed else made
 
 
 def certify_contacts(

@@ -19,7 +19,7 @@ from planner.contacts import ContactModel
 from planner.errors import FileFormatError, TaskError
 from planner.hands.catalog import hand_names
 from planner.hands.hand import Hand
-from planner.objects import GraspObject, Region, TouchRegion
+from planner.objects import GraspObject, NeededWrench, Region, TouchRegion
 from planner.plan import BestOf, GraspPlan, SolveRecord
 from planner.schema import StrictData
 from planner.shapes import shape_from_dict, shape_to_dict
@@ -140,8 +140,23 @@ class ObstacleData(StrictData):
     T_world_obstacle: PoseData
 
 
+class NeededData(StrictData):
+    """A wrench that the hand must be able to produce, object frame, about the centre of mass."""
+
+    name: str
+    force_N: Vector3
+    torque_N_m: Vector3
+
+
+class NeededSetData(StrictData):
+    """The wrenches that a grasp must be able to produce, and how many times each of them."""
+
+    margin: Finite
+    wrenches: list[NeededData]
+
+
 class TaskData(StrictData):
-    """The task of a plan."""
+    """The task of a plan; ``needed`` where it needs wrenches."""
 
     hand: HandData
     object: ObjectData
@@ -157,6 +172,15 @@ class TaskData(StrictData):
     T_world_base_fixed: PoseData | None
     wrist_free: bool
     wrist_q_rad: list[Finite]
+    needed: NeededSetData | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_absent_needs(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """All fields; files of tasks that need no wrench stay as they were."""
+        data: dict[str, Any] = handler(self)
+        if self.needed is None:
+            del data["needed"]
+        return data
 
 
 class ArmData(StrictData):
@@ -271,10 +295,13 @@ class RecordData(StrictData):
 
 
 class PlanFile(StrictData):
-    """A grasp plan as JSON; version 2 where it is the best of several, which version 1 has not."""
+    """A grasp plan as JSON.
+
+    Version 2 is the best of several plans, which version 1 has not; version 3 needs wrenches.
+    """
 
     format: Literal["opposable-plan"] = "opposable-plan"
-    version: Literal[1, 2] = 1
+    version: Literal[1, 2, 3] = 1
     written_by: str
     task: TaskData
     grasp: GraspData
@@ -328,7 +355,18 @@ def task_data(task: GraspTask) -> TaskData:
         T_world_base_fixed=None if task.T_world_base is None else PoseData.of(task.T_world_base),
         wrist_free=task.wrist_free,
         wrist_q_rad=list(task.wrist_q),
+        needed=_needed_data(task),
     )
+
+
+def _needed_data(task: GraspTask) -> NeededSetData | None:
+    """The wrenches that a task needs; None for none."""
+    if not task.needed:
+        return None
+    wrenches = [
+        NeededData(name=one.name, force_N=one.force, torque_N_m=one.torque) for one in task.needed
+    ]
+    return NeededSetData(margin=task.needed_margin, wrenches=wrenches)
 
 
 def task_from_data(data: TaskData, hand: Hand) -> GraspTask:
@@ -358,4 +396,16 @@ def task_from_data(data: TaskData, hand: Hand) -> GraspTask:
         T_world_base=None if data.T_world_base_fixed is None else data.T_world_base_fixed.pose(),
         wrist_free=data.wrist_free,
         wrist_q=np.array(data.wrist_q_rad),
+        **_needed_of(data.needed),
     )
+
+
+def _needed_of(data: NeededSetData | None) -> dict[str, Any]:
+    """Fields of a task that tell what it needs; none where it needs nothing."""
+    if data is None:
+        return {}
+    wrenches = tuple(
+        NeededWrench(name=one.name, force=one.force_N, torque=one.torque_N_m)
+        for one in data.wrenches
+    )
+    return {"needed": wrenches, "needed_margin": data.margin}

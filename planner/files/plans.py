@@ -208,7 +208,7 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
     """A plan as plain data that follows ``PlanFile``."""
     hand = plan.task.hand
     data = PlanFile(
-        version=1 if plan.record.best is None else 2,
+        version=3 if plan.task.needed else 1 if plan.record.best is None else 2,
         written_by=written_by(),
         task=task_data(plan.task),
         grasp=GraspData(

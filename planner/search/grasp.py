@@ -23,7 +23,7 @@ from planner.search.best import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted, impro
 from planner.search.finishing import UNSOLVED, finished, true_geometry, true_links
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import nearly, optimize_grasp
-from planner.synthesis.options import ProblemForm, SynthesisOptions
+from planner.synthesis.options import ProblemForm, SynthesisOptions, needed_options
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.problem_cache import Problems, problems_for
 from planner.synthesis.room import with_room
@@ -74,6 +74,7 @@ def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool
     Raises:
         TaskError: The object cannot be grasped by this hand, found out before solving.
     """
+    options = needed_options(task.needed, options)
     choices = _possible(task, options.form)
 
     def context(index: int, is_found: bool) -> _GraspContext:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.arrays import check_fields
 from planner.errors import NotFoundError, TaskError, shown
+from planner.objects import NeededWrench
 from planner.spatial import FloatArray
 from planner.synthesis.objectives.registry import EPSILON, OBJECTIVES
 from planner.synthesis.objectives.task_wrenches import checked_wrenches
@@ -198,3 +199,15 @@ def _pairs(text: str, what: str) -> list[tuple[str, float]]:
                 "number > 0, for example torque:0.5"
             ) from error
     return pairs
+
+
+def needed_options(needed: Sequence[NeededWrench], options: SynthesisOptions) -> SynthesisOptions:
+    """The options with the task's needed wrenches as directions of the objective "task".
+
+    As they are where nothing is needed, where the caller has directions of his own, or where there
+    is no objective at all. A grasp produces what it resists in the opposite direction.
+    """
+    if not needed or TASK in options.weights or not options.weights:
+        return options
+    loads = tuple(tuple(float(-v) for v in one.wrench) for one in needed)
+    return replace(options, objective=f"{options.objective},{TASK}", task_wrenches=loads)

@@ -33,6 +33,7 @@ from planner.forces import (
     gravity_wrench,
 )
 from planner.numerics.ik_step import Task, ik_step
+from planner.objects import NeededWrench
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import ClosureResult, force_closure, plainly_closed
 from planner.spatial import SE3, FloatArray, IntArray
@@ -49,6 +50,9 @@ COUPLING_TOL = 1e-7
 
 STEPS = 8
 """Most steps."""
+
+NO_NEEDED = "no_needed_wrench"
+"""Kind of the failure of a grasp that cannot produce a needed wrench."""
 
 FARTHEST = 0.006
 """Largest gap (m) that is still a matter of models; more than that is no solution."""
@@ -141,6 +145,11 @@ def verify_grasp(
         forces = plan_forces(task, contacts, T_world_base, q)
     if not forces.found:
         return no_forces(task, forces)
+    with stage("forces"):
+        needed = needed_forces(task, contacts, T_world_base, q)
+    for one, found in zip(task.needed, needed, strict=True):
+        if not found.found:
+            return no_needed(task, one, found)
     with stage("approach"):
         way = _way_in(world, T_world_base, q, contacts, approach)
     if isinstance(way, Failure):
@@ -157,6 +166,7 @@ def verify_grasp(
         forces=forces,
         verification=verification,
         record=record,
+        needed=needed,
     )
 
 
@@ -191,6 +201,43 @@ def no_forces(task: GraspTask, forces: ForceSolution) -> Failure:
     )
 
 
+def no_needed(task: GraspTask, needed: NeededWrench, forces: ForceSolution) -> Failure:
+    """The failure of a grasp that cannot produce a needed wrench; names what ends it."""
+    return Failure(
+        kind=NO_NEEDED,
+        text=f"needed wrench {needed.name!r}, {task.needed_margin:g} times: {forces.reason}",
+        numbers={"fraction": forces.fraction},
+    )
+
+
+def needed_forces(
+    task: GraspTask, contacts: ContactSet, T_world_base: SE3, q: FloatArray
+) -> tuple[ForceSolution, ...]:
+    """Contact forces (world) that produce each needed wrench with the task's margin.
+
+    They bear the object's weight too, at the pose of the grasp.
+
+    Args:
+        task: Gives needed wrenches, weight, friction and grip.
+        contacts: One contact per finger of the task, world.
+        T_world_base: Base pose.
+        q: Joints (nq,).
+    """
+    weight, margin = gravity_wrench(task.object.mass, task.gravity), task.needed_margin
+    return tuple(
+        plan_forces(
+            task, contacts, T_world_base, q, wrench=weight + margin * needed_load(task, one)
+        )
+        for one in task.needed
+    )
+
+
+def needed_load(task: GraspTask, needed: NeededWrench) -> FloatArray:
+    """The wrench (6,), world, against which the hand produces a needed one."""
+    turn = task.T_world_object.rotation
+    return -np.concatenate([turn @ needed.force, turn @ needed.torque])
+
+
 def plan_forces(
     task: GraspTask, contacts: ContactSet, T_world_base: SE3, q: FloatArray, **options: Any
 ) -> ForceSolution:
@@ -222,7 +269,8 @@ def with_grip(plan: GraspPlan, grip_force: float) -> GraspPlan:
     """
     task = replace(plan.task, grip_force=grip_force)
     forces = plan_forces(task, plan.contacts, plan.T_world_base, plan.q)
-    return replace(plan, task=task, forces=forces, contacts=forces.contacts)
+    needed = needed_forces(task, plan.contacts, plan.T_world_base, plan.q)
+    return replace(plan, task=task, forces=forces, contacts=forces.contacts, needed=needed)
 
 
 def force_arguments(

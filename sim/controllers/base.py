@@ -138,8 +138,11 @@ Phase: TypeAlias = Literal[
     "reach",
     "take",
     "transfer",
+    "engage",
+    "use",
+    "withdraw",
 ]
-"""A phase of a trial, a manipulation or a handover."""
+"""A phase of a trial, a manipulation, a handover or the use of a tool."""
 
 PHASES: tuple[Phase, ...] = ("approach", "close", "squeeze", "settle", "lift", "hold")
 """Phases of a trial in order. A manipulation (``sim.manipulation``) turns the object in the hand,

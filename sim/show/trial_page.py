@@ -31,7 +31,7 @@ from planner.pages.scene import Contacts, Line, Mark, Plot, Scene
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.recording import Recording
-from sim.report_file import ReportFile
+from sim.report_file import ReportFile, UseRecord
 from sim.show.parts import (
     NO_STATES,
     Moving,
@@ -65,6 +65,9 @@ CELL, MARGIN, GAP, TEXT = 10, 4, 14, 16
 
 DARK = np.array([13.0, 59.0, 102.0])
 """Colour of the most loaded taxel; one without load is white."""
+
+USE_UNITS = {"deg": "degrees", "Nm": "N m", "mps": "m/s"}
+"""Ends of the names of a use's channels -> their units, where these are others."""
 
 LEAST_ARROW = 0.02
 """Shear (N) of a taxel from which on an arrow shows it."""
@@ -244,10 +247,24 @@ def _plots(
         _slip_plot("moved", "mm", samples["object_in_palm_moved_mm"], limits["slip_mm"]),
         _slip_plot("turned", "degrees", samples["object_in_palm_turned_deg"], limits["slip_deg"]),
     ]
+    if report.use is not None:
+        plots = [*_use_plots(report.use), *plots]
     commands = None
     if recording is not None:
         commands = command_plot(recording, None if task is None else task.hand)
     return tuple(plots if commands is None else [*plots, commands])
+
+
+def _use_plots(use: UseRecord) -> list[Plot]:
+    """What was measured of the use of a tool."""
+    return [
+        Plot(
+            title=use.titles[name],
+            unit=USE_UNITS.get(name.rpartition("_")[2], name.rpartition("_")[2]),
+            lines=(Line(name=use.tool, values=column(values)),),
+        )
+        for name, values in use.channels.items()
+    ]
 
 
 def _slip_plot(what: str, unit: str, values: Sequence[float | None], limit: float) -> Plot:

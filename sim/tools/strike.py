@@ -1,0 +1,230 @@
+"""``strike``: a hammer drives a nail, which slides against dry friction.
+
+The hand brings the face of the hammer onto the nail's head and swings it about a horizontal axis
+through the middle of the grip: slowly up, and down so that the face moves at the asked speed where
+it meets the head. Before every blow it goes down by as much as the nail has gone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from planner.errors import ObjectError
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray, minimum_jerk
+from sim.controllers import Phase
+from sim.scene.physics import PhysicsOptions
+from sim.simulation import Simulation
+from sim.tools.use import (
+    FIXTURE,
+    Faulty,
+    Motion,
+    Use,
+    about,
+    add_solid,
+    joint_value,
+    load_on_fixture,
+    pass_through_workpiece,
+    shifted,
+    tip_now,
+)
+
+SLIDE = f"{FIXTURE}/drive"
+
+DOWN = np.array([0.0, 0.0, -1.0])
+
+HEAD, SHANK = 0.007, 0.0025
+"""Radius of the nail's head and of its shank, m."""
+
+HEAD_HEIGHT = 0.002
+"""Thickness of the head, m."""
+
+STEEL = 7800.0
+"""Density of the nail, kg/m3."""
+
+RAISE, THROUGH, REST = 0.6, 0.03, 0.4
+"""Times (s) of raising the hammer, of stopping after the blow, and of coming to rest."""
+
+RISE = 0.04
+"""How far (m) the hand goes up after the last blow."""
+
+HOVER = 0.002
+"""Height (m) of the face over the nail's head from which it is raised."""
+
+SLOW = 0.8
+"""Share of the asked speed (-) with which a blow counts as one."""
+
+POSES = 4
+"""Poses of a swing of the way that is checked."""
+
+
+class Strike(Use):
+    """The face of the tool drives a nail."""
+
+    lasting: ClassVar[bool] = False
+    stub: ClassVar[float] = 0.04
+    defaults: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {
+            "blows": 5.0,
+            "speed_m_s": 1.0,
+            "swing_deg": 35.0,
+            "friction_N": 15.0,
+            "depth_m": 0.01,
+            "length_m": 0.06,
+        }
+    )
+    channels: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "driven_mm": "Depth to which the nail is driven",
+            "speed_mps": "Speed of the face along the nail",
+            "force_N": "Force of the tool on the nail, along it",
+            "tip_error_mm": "Distance of the face's middle from the nail's axis",
+        }
+    )
+
+    def check(self) -> None:
+        """Refuse numbers that cannot be."""
+        n, name = self.numbers, self.tool.name
+        for key, least, most in (
+            ("blows", 1, 50),
+            ("speed_m_s", 0.1, 3.0),
+            ("swing_deg", 5.0, 60.0),
+            ("friction_N", 0.1, 1000.0),
+            ("depth_m", 0.001, self.stub - HEAD_HEIGHT),
+            ("length_m", 0.02, 0.1),
+        ):
+            if not least <= n[key] <= most:
+                raise ObjectError(
+                    f"{name}: use.numbers.{key} is {n[key]}; give {least:g} to {most:g}"
+                )
+
+    def add_fixture(self, spec: Any, physics: PhysicsOptions, yaw: float) -> None:
+        """Add the nail."""
+        n = self.numbers
+        body = spec.worldbody.add_body(name=FIXTURE, pos=self.mouth)
+        slide = body.add_joint(name=SLIDE, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=DOWN)
+        slide.frictionloss = self.friction * n["friction_N"]
+        slide.limited, slide.range = True, [0.0, self.stub - HEAD_HEIGHT]
+        for radius, height, top in ((HEAD, HEAD_HEIGHT, 0.0), (SHANK, n["length_m"], HEAD_HEIGHT)):
+            mass = STEEL * np.pi * radius**2 * height
+            at = (0.0, 0.0, -top - height / 2)
+            add_solid(body, physics, "cylinder", (radius, height / 2), at, mass)
+        pass_through_workpiece(spec)
+
+    def _pivot(self, plan: GraspPlan) -> tuple[FloatArray, FloatArray, float]:
+        """Middle of the grip (3,), the axis that raises the tip (3,), and the lever (m)."""
+        middle = plan.contacts.positions.mean(axis=0)
+        tip = plan.task.T_world_object.act(self.tool.tip)
+        lever = tip - middle
+        lever[2] = 0.0
+        size = float(np.linalg.norm(lever))
+        return middle, np.cross(lever / size, [0.0, 0.0, 1.0]), size
+
+    def way(self, plan: GraspPlan) -> list[SE3]:
+        """Down to the nail, a swing there and where it is driven in, and up."""
+        pivot, axis, _ = self._pivot(plan)
+        top = np.deg2rad(self.numbers["swing_deg"])
+        out = []
+        for drop in (0.0, self._gap, self._gap + self.numbers["depth_m"]):
+            base = shifted(plan.T_world_base, drop * DOWN)
+            swings = np.linspace(0.0, top, POSES)
+            out += [about(pivot + drop * DOWN, axis, s) * base for s in swings]
+        return [*out, shifted(plan.T_world_base, [0.0, 0.0, RISE])]
+
+    def begin(self, simulation: Simulation, phase: Phase) -> None:
+        """Note where the hand is."""
+        self._base, self._begun, self._blow = simulation.T_world_base, simulation.time, -1
+        if phase == "engage":
+            self._grip = self._pivot(simulation.plan)
+        if phase == "use":
+            self._fastest: list[float] = []
+
+    def motion(self, simulation: Simulation, phase: Phase, share: float) -> Motion:
+        """Where the hand is wanted."""
+        s = float(minimum_jerk(np.asarray(share)))
+        if phase == "engage":
+            gap = float((tip_now(simulation, self.tool) - self._head(simulation))[2]) - HOVER
+            if share == 0.0:
+                self._way = gap
+            return Motion(T_world_base=shifted(self._base, s * self._way * DOWN))
+        if phase == "use":
+            return self._striking(simulation)
+        up = s * RISE if phase == "withdraw" else 0.0
+        return Motion(T_world_base=shifted(self._base, [0.0, 0.0, up]))
+
+    def _head(self, simulation: Simulation) -> FloatArray:
+        """Top of the nail's head (3,), m, world."""
+        return self.mouth + joint_value(simulation, SLIDE) * DOWN
+
+    def _striking(self, simulation: Simulation) -> Motion:
+        """Raise, strike, stop, rest: so many times."""
+        n, (pivot, axis, lever) = self.numbers, self._grip
+        rate, top = n["speed_m_s"] / lever, np.deg2rad(n["swing_deg"])
+        strike = 2 * top / rate
+        whole = RAISE + strike + THROUGH + REST
+        since = simulation.time - self._begun
+        blow, t = int(since / whole), since % whole
+        if blow != self._blow and blow < n["blows"]:
+            over = tip_now(simulation, self.tool) - self._head(simulation)
+            self._blow, self._drop = blow, float(over[2]) - HOVER
+            self._base = shifted(self._base, self._drop * DOWN) if blow else self._base
+            self._shift = self._base.translation - simulation.plan.T_world_base.translation
+        if t < RAISE:
+            angle = top * float(minimum_jerk(np.asarray(t / RAISE)))
+        elif t < RAISE + strike:
+            angle = top * (1.0 - ((t - RAISE) / strike) ** 2)
+        else:
+            left = min(1.0, (t - RAISE - strike) / THROUGH)
+            angle = -rate * THROUGH * (left - left * left / 2)
+            angle *= 1.0 - float(
+                minimum_jerk(np.asarray(np.clip((t - RAISE - strike - THROUGH) / REST, 0.0, 1.0)))
+            )
+        return Motion(
+            T_world_base=about(pivot + self._shift, axis, angle) * self._base,
+            done=blow >= n["blows"],
+        )
+
+    @property
+    def duration(self) -> float:
+        """Longest time (s) of all blows; a lever is 0.3 m at most."""
+        n = self.numbers
+        strike = 2 * np.deg2rad(n["swing_deg"]) * 0.3 / n["speed_m_s"]
+        return float(n["blows"] * (RAISE + strike + THROUGH + REST))
+
+    def measure(self, simulation: Simulation) -> dict[str, float]:
+        """Depth, speed, load, and where the face is."""
+        head, tip = self._head(simulation), tip_now(simulation, self.tool)
+        twist = simulation.object_twist()
+        lever = tip - simulation.T_world_object.translation
+        return {
+            "driven_mm": 1e3 * joint_value(simulation, SLIDE),
+            "speed_mps": float((twist[:3] + np.cross(twist[3:], lever)) @ DOWN),
+            "force_N": float(-load_on_fixture(simulation, head)[2]),
+            "tip_error_mm": 1e3 * float(np.linalg.norm((tip - head)[:2])),
+        }
+
+    def faults(
+        self, time: FloatArray, phase: Sequence[str], seen: Mapping[str, FloatArray]
+    ) -> list[Faulty]:
+        """The nail is not driven as deep as it should be, or the blows were slow."""
+        using = np.flatnonzero([p == "use" for p in phase])
+        if not len(using):
+            return []
+        slow = float(seen["speed_mps"][using].max()) < SLOW * self.numbers["speed_m_s"]
+        if slow or seen["driven_mm"][using[-1]] < 1e3 * self.numbers["depth_m"]:
+            return [(float(time[using[-1]]), "use not done", self.told(seen))]
+        return []
+
+    def told(self, seen: Mapping[str, FloatArray]) -> str:
+        """How deep the nail is, and how fast the blows were."""
+        n = self.numbers
+        return (
+            f"{n['blows']:.0f} blows at up to {seen['speed_mps'].max():.2f} m/s drove the nail "
+            f"{seen['driven_mm'][-1]:.1f} mm ({1e3 * n['depth_m']:.0f} wanted) against "
+            f"{n['friction_N']:g} N"
+        )

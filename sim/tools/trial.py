@@ -1,0 +1,388 @@
+"""``UseTrial``: grasp a tool, use it, put it back in the air, and judge; ``use_tool`` plans it too.
+
+The same trial as of any grasp up to the squeeze. Then what offers the tool lets go; the hand brings
+its tip to the fixture ("engage"), uses it ("use"), takes it away ("withdraw") and holds it. The
+closed loop of ``ObjectImpedance`` keeps the tool in the palm: it gives what the use loads it with
+by the force programme by which the plan was proven, and grips as the plan does for the needed
+wrenches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import TaskError
+from planner.plan import GraspPlan
+from planner.search.grasp import Attempt
+from planner.spatial import FloatArray, IntArray
+from planner.task import GraspTask
+from planner.tools import Tool, load_tool, plan_use, use_task
+from sim.controllers import PHASES, Observation, Phase
+from sim.controllers.impedance import ImpedanceLaw
+from sim.controllers.object_impedance import ObjectImpedance
+from sim.recorder import Recorder
+from sim.report import FingerComparison, TrialReport
+from sim.scene.carrier import Timeline, carrier_of
+from sim.scene.gantry import Gantry
+from sim.simulation import Simulation
+from sim.tools.use import Use, needs_gantry, use_of
+from sim.trial import Trial, TrialKeywords, TrialOptions, felt_by, run_grasp_phase
+from sim.verdict import (
+    Fault,
+    Thresholds,
+    Verdict,
+    ended_early,
+    fault_at,
+    first_collision,
+    first_fault,
+    no_contact,
+    tipped,
+)
+
+__all__ = ["UseTimeline", "UseTrial", "plan_tool", "use_tool"]
+
+USING: tuple[Phase, ...] = ("engage", "use", "withdraw")
+"""Phases between the squeeze and the hold."""
+
+USE_THRESHOLDS = Thresholds(slip_mm=10.0, slip_deg=10.0)
+"""Where the use of a tool ends to be one: by as much may it move in the hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UseTimeline(Timeline):
+    """How long each phase takes, in s; how long a use may take is its own.
+
+    Attributes:
+        engage: The tip to the fixture.
+        withdraw: Away from it.
+    """
+
+    engage: float = 2.0
+    withdraw: float = 1.0
+    hold: float = 0.5
+
+    @property
+    def duration(self) -> float:
+        """Nominal duration without waiting and without the use, s."""
+        phases = (*PHASES[:4], "engage", "withdraw", "hold")
+        return float(sum(getattr(self, phase) for phase in phases))
+
+
+class UseController(ObjectImpedance):
+    """Keeps the tool where it lies in the palm, whatever loads it: a ``Controller``."""
+
+    def __init__(self, plan: GraspPlan, *, learns: bool = True) -> None:
+        """Note how hard the fingers press in the plan while the needed wrenches are produced.
+
+        Args:
+            plan: What to execute.
+            learns: Whether a lasting load is learned; blows are none.
+        """
+        super().__init__(plan)
+        if not learns:
+            self.law = ImpedanceLaw(replace(self.law.gains, learning_rate=0.0))
+        pressed = [float(found.forces[:, 0].mean()) for found in plan.needed]
+        self._firm = max([self.grip, *pressed])
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) for the hand's actuators."""
+        if observation.phase in USING:
+            self.grip = self._firm
+            observation = observation.altered(phase="hold")
+        return super().step(observation)
+
+
+class UseCarrier:
+    """Moves the gantry: as in a trial up to the squeeze, then as the use wants it."""
+
+    def __init__(self, trial: UseTrial, gantry: Gantry, timeline: Timeline) -> None:
+        """Note what is moved."""
+        self._trial, self._gantry = trial, gantry
+        self._grasping = carrier_of(trial.plan, trial.simulation.scene, timeline)
+        self._target = np.zeros(6)
+        self.done = False
+
+    def drive(self, data: Any, phase: Phase, share: float) -> None:
+        """Set the gantry's commands."""
+        if phase in PHASES[:4]:
+            self._grasping.drive(data, phase, share)
+            return
+        gantry, simulation = self._gantry, self._trial.simulation
+        wanted = self._trial.use.motion(simulation, phase, share)
+        self.done = wanted.done
+        target = gantry.coordinates(wanted.T_world_base)
+        target[3:] += 2 * np.pi * np.round((self._target[3:] - target[3:]) / (2 * np.pi))
+        velocity = (target - self._target) / simulation.timestep
+        self._target, target = target, target.copy()
+        if wanted.push is not None:  # a force in place of a height, damped as the servo is
+            force = np.array([0.0, 0.0, -wanted.push])
+            lever = self._trial.use.mouth - simulation.T_world_base.translation
+            target[2], velocity[2] = data.qpos[gantry.qpos[2]], 0.0
+            load = np.concatenate([force, np.cross(lever, force)])
+            target += load / gantry.gains[0]  # its moment too, or the hand would tilt
+        data.ctrl[gantry.ctrl] = gantry.command(data, target, velocity)
+
+
+class _UseRecorder(Recorder):
+    """Takes what the use measures with every sample."""
+
+    def __init__(self, simulation: Simulation, every: float, use: Use) -> None:
+        super().__init__(simulation, every)
+        self._use = use
+        self.measured: list[dict[str, float]] = []
+
+    def record(self) -> None:
+        """Take a sample of now."""
+        super().record()
+        self.measured.append(self._use.measure(self._simulation))
+
+    def seen(self) -> dict[str, FloatArray]:
+        """What was measured, (m,) each."""
+        return {name: np.array([row[name] for row in self.measured]) for name in self._use.channels}
+
+
+class UseTrial(Trial):
+    """One use of a tool.
+
+    Attributes:
+        use: What is done; ``plan`` is the grasp.
+    """
+
+    def __init__(
+        self,
+        plan: GraspPlan,
+        tool: Tool,
+        options: TrialOptions | None = None,
+        *,
+        yaw: float = 0.0,
+        friction: float = 1.0,
+        **changes: Unpack[TrialKeywords],
+    ) -> None:
+        """Build the scene with the fixture, and put hand and tool at their start.
+
+        Args:
+            plan: A grasp of the tool, from ``plan_tool``.
+            tool: The tool.
+            options: Under which conditions; defaults if None.
+            yaw: Turn of the fixture about the vertical with which it was planned, rad.
+            friction: Factor on the dry friction of the fixture that the plan does not know (-).
+            changes: Fields of ``TrialOptions`` by name that are to be others.
+
+        Raises:
+            TaskError: The hand is on an arm, the plan needs no wrench, or a controller, a truth or
+                a timeline is given that is none of a use.
+            PlannerError: As ``Trial``.
+        """
+        asked = replace(options or TrialOptions(), **changes)
+        needs_gantry(plan)
+        if len(plan.needed) != len(tool.needed):
+            raise TaskError(f"the plan is none for the use of {tool.name}; give one of plan_tool")
+        if asked.truth is not None or asked.controller is not None:
+            raise TaskError("a tool is known, and its use has its own controller; give neither")
+        timeline = asked.timeline or UseTimeline()
+        if not isinstance(timeline, UseTimeline):
+            raise TaskError("a use has other phases than a trial; give a UseTimeline")
+        self.use, self._yaw = use_of(tool), yaw
+        self.use.yaw, self.use.friction = yaw, friction
+        self._fingers = UseController(plan, learns=self.use.lasting)
+        super().__init__(
+            plan,
+            replace(
+                asked,
+                timeline=timeline,
+                controller=self._fingers,
+                thresholds=asked.thresholds or USE_THRESHOLDS,
+            ),
+        )
+        self._line: UseTimeline = timeline
+        gantry = self.simulation.scene.gantry
+        assert gantry is not None
+        self.carrier = UseCarrier(self, gantry, timeline)
+        self.simulation.carrier = self.carrier
+        self.recorder: _UseRecorder = _UseRecorder(self.simulation, asked.record_every, self.use)
+
+    def _surroundings(self) -> Callable[[Any], None]:
+        """Adds the fixture to the scene."""
+
+        def change(spec: Any) -> None:
+            self.use.add_fixture(spec, self._physics, self._yaw)
+
+        return change
+
+    def perform(self) -> None:
+        """Run all phases, or up to the one after which going on makes no sense."""
+        simulation = self.simulation
+        for phase in PHASES[:4]:
+            if not run_grasp_phase(simulation, self.recorder, self.timeline, phase):
+                return
+        if len(felt_by(simulation)) < self.plan.task.fingers_needed:
+            self._not_lifted = True
+            self.recorder.record()
+            return
+        simulation.scene.release(simulation.data)
+        for phase in (*USING, "hold"):
+            if not self._run(phase):
+                return
+
+    def _run(self, phase: Phase) -> bool:
+        """Run a phase of the use; whether going on makes sense."""
+        simulation, use = self.simulation, self.use
+        use.begin(simulation, phase)
+        duration = use.duration if phase == "use" else getattr(self._line, phase)
+        self.carrier.done = False
+        for _ in simulation.run(phase, duration):
+            if simulation.due(self.recorder.every):
+                self.recorder.record()
+            if phase == "use" and self.carrier.done:
+                break
+        return not simulation.ended and simulation.touching() > 0
+
+    def _verdict(self, compared: tuple[FingerComparison, ...], interrupted: bool) -> Verdict:
+        """The verdict on a use: the object held, and the use done."""
+        samples, simulation, task = self.recorder.samples(), self.simulation, self.plan.task
+        early = ended_early(
+            samples,
+            interrupted=interrupted,
+            stopped=simulation.stopped,
+            diverged=simulation.diverged,
+        )
+        if early is not None:
+            return Verdict(early)
+        limits = self.thresholds
+        phase = np.array(samples.phase)
+        using = np.isin(phase, (*USING, "hold"))
+        touching = (samples.contacts > 0).sum(axis=1)
+        loose = _last_run(using & (touching < task.fingers_needed))
+        far = (samples.slip_mm > limits.slip_mm) | (samples.slip_deg > limits.slip_deg)
+        slipped = np.flatnonzero(using & far)
+        faults = [
+            first_collision(
+                samples.time, samples.collision_N, samples.collision, limits.collision_N
+            ),
+            tipped(samples, limits),
+            no_contact(samples, task.finger_names, task.fingers_needed),
+        ]
+        if len(loose):
+            i = int(loose[0])
+            detail = f"{touching[i]} fingers touched the tool, in phase {phase[i]}"
+            faults.append(fault_at(samples, i, "dropped", detail))
+        if len(slipped):
+            i = int(slipped[0])
+            detail = (
+                f"the tool moved {samples.slip_mm[i]:.1f} mm and {samples.slip_deg[i]:.1f} degrees "
+                f"in the hand, in phase {phase[i]}"
+            )
+            faults.append(fault_at(samples, i, "slipped", detail))
+        faults += [
+            Fault(reason=reason, detail=detail, time=time)
+            for time, reason, detail in self.use.faults(
+                samples.time, samples.phase, self.recorder.seen()
+            )
+        ]
+        found = [fault for fault in faults if fault is not None]
+        if found:
+            return Verdict(first_fault(found, samples, limits))
+        if not len(samples.during("hold")):
+            detail = "too few fingers felt the tool for it to be used"
+            return Verdict(fault_at(samples, len(samples) - 1, "no contact", detail))
+        return Verdict()
+
+    def _report(
+        self, verdict: Verdict, begin: float, compared: tuple[FingerComparison, ...] = ()
+    ) -> TrialReport:
+        report = super()._report(verdict, begin, compared)
+        tool, seen = self.use.tool, self.recorder.seen()
+        told = self.use.told(seen) if len(self.recorder.measured) else "it never came to its use"
+        assert tool.use is not None
+        return replace(
+            report,
+            object=tool.name,
+            use={
+                "tool": tool.name,
+                "kind": tool.use.kind,
+                "told": told,
+                "numbers": dict(self.use.numbers),
+                "needed_margin": self.plan.task.needed_margin,
+                "titles": dict(self.use.channels),
+                "channels": {name: values.tolist() for name, values in seen.items()},
+            },
+        )
+
+
+def _last_run(bad: NDArray[np.bool_]) -> IntArray:
+    """Numbers of the samples from which on it stays bad to the end; none where it ends well."""
+    good = np.flatnonzero(~bad)
+    return np.arange(int(good[-1]) + 1 if len(good) else 0, len(bad))
+
+
+def task_of_use(
+    hand: Any, tool: Tool, *, yaw: float = 0.0, **changes: Any
+) -> tuple[GraspTask, Use]:
+    """The task of grasping a tool where its use offers it, and the use.
+
+    Raises:
+        PlannerError: As ``use_of`` and ``planner.tools.use_task``.
+    """
+    use = use_of(tool)
+    use.yaw = yaw
+    task = use_task(hand, tool, use.offered(yaw), obstacles=use.obstacles, **changes)
+    return task, use
+
+
+def plan_tool(
+    hand: Any,
+    tool: Tool | str | Path,
+    *,
+    seed: int = 0,
+    max_attempts: int = 100,
+    yaw: float = 0.0,
+    progress: Callable[[Attempt[GraspPlan]], object] | None = None,
+    **changes: Any,
+) -> GraspPlan:
+    """A grasp of a tool for its use: needed wrenches with margin, way of the use free.
+
+    Args:
+        hand: A hand, its name, or the path of its description.
+        tool: A tool, its name, or the path of its file.
+        seed: Same seed, same plan.
+        max_attempts: Budget in attempts.
+        yaw: Turn of tool and fixture about the vertical, rad.
+        progress: Called after every attempt.
+        changes: Further arguments of ``GraspTask.create``.
+
+    Raises:
+        PlannerError: No such hand, tool or kind of use; a wrench that the hand cannot produce; or
+            no grasp in the budget, with the needed wrench and the limit that ended it.
+    """
+    task, use = task_of_use(hand, load_tool(tool), yaw=yaw, **changes)
+    return plan_use(task, use.way, seed=seed, max_attempts=max_attempts, progress=progress)
+
+
+def use_tool(
+    hand: Any,
+    tool: Tool | str | Path,
+    options: TrialOptions | None = None,
+    *,
+    seed: int = 0,
+    **changes: Unpack[TrialKeywords],
+) -> TrialReport:
+    """Plan the grasp of a tool, use it, and judge; ``UseTrial`` makes pictures and films.
+
+    Args:
+        hand: A hand, its name, or the path of its description.
+        tool: A tool, its name, or the path of its file.
+        options: Under which conditions; defaults if None.
+        seed: Same seed, same plan.
+        changes: Fields of ``TrialOptions`` by name; a timeline is a ``UseTimeline``.
+
+    Raises:
+        PlannerError: See ``plan_tool`` and ``UseTrial``.
+    """
+    tool = load_tool(tool)
+    return UseTrial(plan_tool(hand, tool, seed=seed), tool, options, **changes).run()

@@ -1,0 +1,286 @@
+"""``turn``: a screw, a key, a lid: the tip turns a socket by the wrist, against friction.
+
+The fixture is a socket (four walls and a floor, open above) on a hinge about the tool's axis with
+dry friction. With a lead it advances along that axis by so much per turn, as a screw does; with a
+stop it turns no further. The hand lowers the tip into it, as the pose of the tool in the hand
+wants it, presses, turns about the axis until the socket has turned as far as it should, and goes
+back up. An angle > 0 turns clockwise seen from above, and advances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from planner.errors import ObjectError
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray, minimum_jerk
+from sim.controllers import Phase
+from sim.scene.physics import PhysicsOptions
+from sim.simulation import Simulation
+from sim.tools.use import (
+    FIXTURE,
+    Faulty,
+    Motion,
+    Use,
+    about,
+    add_solid,
+    joint_value,
+    load_on_fixture,
+    pass_through_workpiece,
+    sensed_object,
+    shifted,
+    tip_now,
+)
+
+HINGE, SLIDE = f"{FIXTURE}/turn", f"{FIXTURE}/advance"
+
+DOWN = np.array([0.0, 0.0, -1.0])
+
+WALL, FLOOR = 0.004, 0.004
+"""Thickness of the socket's walls and of its floor, m."""
+
+DENSITY = 7800.0
+"""Of the socket, kg/m3: steel."""
+
+ARMATURE = 1e-4
+"""Inertia (kg m2) added to the hinge. MuJoCo softens the lead's equality by the sum of both joints'
+inverse inertias, whatever its coefficients: with 2e-6 the screw sinks by 0.1 m."""
+
+STIFF = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""Impedance (``solimp``) of the lead: with it 3 N along the axis move the screw by 0.1 mm."""
+
+RATE = np.deg2rad(120.0)
+"""Speed of the wrist, rad/s."""
+
+RAMP = 0.3
+"""Time (s) in which that speed is reached."""
+
+OVERTURN = np.deg2rad(60.0)
+"""How much further (rad) than asked the wrist may turn: fingers yield by 10 to 30 degrees."""
+
+SHORT = 3.0
+"""How far below the asked angle (degrees) the socket may end: the wrist stops where it is read."""
+
+RISE = 0.03
+"""How far (m) above the socket's mouth the tip ends."""
+
+LEAST_DEPTH = 0.2
+"""Share of the depth by which the tip must stay in the socket while it turns (-)."""
+
+ALIGN_GAIN = 8.0
+"""Rate (1/s) at which the hand takes the tool's error of pose away before it enters the socket."""
+
+LOOK, ALIGNED = 0.2, 0.5
+"""Shares of "engage" at which the hand begins to bring the tip into line, and has done so."""
+
+POSES = 12
+"""Poses of a turn of the way that is checked."""
+
+
+class Turn(Use):
+    """The tip of the tool turns a socket."""
+
+    defaults: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {
+            "angle_deg": 90.0,
+            "friction_N_m": 0.03,
+            "lead_m": 0.0,
+            "stop_deg": 0.0,
+            "push_N": 2.0,
+            "socket_x_m": 0.009,
+            "socket_y_m": 0.002,
+            "depth_m": 0.005,
+            "clearance_m": 0.0003,
+        }
+    )
+    channels: ClassVar[Mapping[str, str]] = MappingProxyType(
+        {
+            "angle_deg": "Angle of the socket",
+            "torque_Nm": "Torque of the tool on the socket, about its axis",
+            "push_N": "Force of the tool on the socket, along its axis",
+            "tip_error_mm": "Distance of the tip from the socket's axis",
+            "depth_mm": "Depth of the tip in the socket",
+        }
+    )
+
+    def check(self) -> None:
+        """Refuse numbers that cannot be."""
+        n, name = self.numbers, self.tool.name
+        for key in ("socket_x_m", "socket_y_m", "depth_m"):
+            if not 1e-3 <= n[key] <= 0.1:
+                raise ObjectError(f"{name}: use.numbers.{key} is {n[key]}; give 0.001 to 0.1 m")
+        for key, most in (("friction_N_m", 10.0), ("push_N", 100.0), ("clearance_m", 0.005)):
+            if not 0.0 <= n[key] <= most:
+                raise ObjectError(f"{name}: use.numbers.{key} is {n[key]}; give 0 to {most:g}")
+        if not 1.0 <= abs(n["angle_deg"]) <= 3600.0:
+            raise ObjectError(f"{name}: angle_deg is {n['angle_deg']}; give 1 to 3600 degrees")
+        if n["stop_deg"] and abs(n["stop_deg"]) < abs(n["angle_deg"]) - SHORT:
+            raise ObjectError(f"{name}: the stop at {n['stop_deg']} degrees is before the end")
+        self._goal = np.deg2rad(n["angle_deg"])
+        self._depth = n["depth_m"] * self.tool.scale
+        self._starts_inside = self._gap == 0.0
+        self._at = self.mouth
+
+    def offered(self, yaw: float = 0.0) -> SE3:
+        """Above the socket; in it where the gap is 0."""
+        pose = super().offered(yaw)
+        return shifted(pose, self._depth * DOWN) if self._starts_inside else pose
+
+    def add_fixture(self, spec: Any, physics: PhysicsOptions, yaw: float) -> None:
+        """Add the socket."""
+        n = self.numbers
+        body = spec.worldbody.add_body(name=FIXTURE, pos=self.mouth)
+        body.quat = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
+        axis = DOWN
+        body.add_joint(
+            name=SLIDE, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=1.0, armature=0.01
+        )
+        hinge = body.add_joint(name=HINGE, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+        hinge.frictionloss = self.friction * n["friction_N_m"]
+        hinge.armature = ARMATURE
+        if n["stop_deg"]:
+            unit = 1.0 if spec.compiler.degree else np.deg2rad(1.0)
+            stop = unit * n["stop_deg"]
+            hinge.limited, hinge.range = True, [min(0.0, stop), max(0.0, stop)]
+        lead = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT)
+        lead.objtype = mujoco.mjtObj.mjOBJ_JOINT
+        lead.name1, lead.name2 = SLIDE, HINGE
+        lead.solref, lead.solimp = physics.solref, STIFF
+        lead.data = [0.0, n["lead_m"] / (2 * np.pi), *(0.0,) * 10]
+        size = np.array([n["socket_x_m"], n["socket_y_m"]]) * self.tool.scale / 2
+        x, y = size + n["clearance_m"]
+        d = self._depth / 2
+        parts = [
+            ((WALL / 2, y + WALL, d), (x + WALL / 2, 0.0, -d)),
+            ((WALL / 2, y + WALL, d), (-x - WALL / 2, 0.0, -d)),
+            ((x, WALL / 2, d), (0.0, y + WALL / 2, -d)),
+            ((x, WALL / 2, d), (0.0, -y - WALL / 2, -d)),
+            ((x + WALL, y + WALL, FLOOR / 2), (0.0, 0.0, -2 * d - FLOOR / 2)),
+        ]
+        for half, at in parts:
+            add_solid(body, physics, "box", half, at, DENSITY * 8 * float(np.prod(half)))
+        pass_through_workpiece(spec)
+
+    def way(self, plan: GraspPlan) -> list[SE3]:
+        """Down into the socket, around, and up."""
+        base, advance = plan.T_world_base, self.numbers["lead_m"] * self._goal / (2 * np.pi)
+        drop = 0.0 if self._starts_inside else self._gap + self._depth
+        down = [shifted(base, s * drop * DOWN) for s in (0.0, 0.5, 1.0)]
+        turns = abs(self._goal) + OVERTURN
+        most = min(turns, 2 * np.pi)
+        sign = np.sign(self._goal)
+        around = [
+            shifted(self._turned(down[-1], sign * most * k / POSES), advance * DOWN * k / POSES)
+            for k in range(1, POSES + 1)
+        ]
+        return [*down, *around, shifted(around[-1], [0.0, 0.0, RISE])]
+
+    def _turned(self, base: SE3, angle: float) -> SE3:
+        """A base pose turned about the socket's axis."""
+        return about(self.mouth, DOWN, angle) * base
+
+    def begin(self, simulation: Simulation, phase: Phase) -> None:
+        """Note where hand and tool are."""
+        self._base, self._begun = simulation.T_world_base, simulation.time
+        if phase == "engage":
+            self._first = simulation.T_world_base
+            self._line = self._first
+        if phase == "withdraw":
+            self._rise = RISE + self._depth
+
+    def motion(self, simulation: Simulation, phase: Phase, share: float) -> Motion:
+        """Where the hand is wanted."""
+        if phase == "engage":
+            return self._engaging(simulation, share)
+        if phase == "use":
+            return self._turning(simulation)
+        s = float(minimum_jerk(np.asarray(share))) if phase == "withdraw" else 0.0
+        return Motion(T_world_base=shifted(self._base, [0.0, 0.0, s * self._rise]))
+
+    def _engaging(self, simulation: Simulation, share: float) -> Motion:
+        push = self.numbers["push_N"]
+        if self._starts_inside:
+            return Motion(T_world_base=self._first, push=share * push)
+        if share < LOOK:
+            return Motion(T_world_base=self._first)
+        s = float(minimum_jerk(np.asarray(max(0.0, share - ALIGNED) / (1.0 - ALIGNED))))
+        drop = s * (self._gap + 0.9 * self._depth) * DOWN
+        now = sensed_object(simulation)
+        if self._depth_of(now) < 0.0:  # the tip is free: bring the tool into line, by its pose
+            error = pin.log6(shifted(self.offered(self.yaw), drop) * now.inverse())
+            self._line = pin.exp6(ALIGN_GAIN * simulation.timestep * error) * self._line
+        return Motion(T_world_base=shifted(self._line, drop))
+
+    def _depth_of(self, pose: SE3) -> float:
+        """How far below the mouth the tip is (m), the tool at a pose."""
+        return float((self.mouth - pose.rotation @ self.tool.tip - pose.translation)[2])
+
+    def _turning(self, simulation: Simulation) -> Motion:
+        """Press, then turn about the socket's axis at an even speed."""
+        since = simulation.time - self._begun
+        push = self.numbers["push_N"]
+        turning = max(0.0, since - RAMP)
+        ramp = min(turning, RAMP)
+        angle = RATE * (ramp * ramp / (2 * RAMP) + turning - ramp)
+        turned = joint_value(simulation, HINGE) * np.sign(self._goal)
+        goal = abs(self._goal)
+        return Motion(
+            T_world_base=self._turned(
+                self._base, float(np.sign(self._goal) * min(angle, goal + OVERTURN))
+            ),
+            push=push,
+            done=bool(turned >= goal - np.deg2rad(SHORT) / 3),
+        )
+
+    @property
+    def duration(self) -> float:
+        """Longest time (s) of turning."""
+        return float((abs(self._goal) + OVERTURN) / RATE + 2 * RAMP)
+
+    def measure(self, simulation: Simulation) -> dict[str, float]:
+        """Angle, load, and where the tip is."""
+        advance = joint_value(simulation, SLIDE)
+        mouth = self.mouth + advance * DOWN
+        tip, load = tip_now(simulation, self.tool), load_on_fixture(simulation, self.mouth)
+        return {
+            "angle_deg": float(np.rad2deg(joint_value(simulation, HINGE))),
+            "torque_Nm": float(-load[5]),
+            "push_N": float(-load[2]),
+            "tip_error_mm": 1e3 * float(np.linalg.norm((tip - mouth)[:2])),
+            "depth_mm": 1e3 * float((mouth - tip)[2]),
+        }
+
+    def faults(
+        self, time: FloatArray, phase: Sequence[str], seen: Mapping[str, FloatArray]
+    ) -> list[Faulty]:
+        """The tip left the socket, or the socket did not turn as far as it should."""
+        using = np.array([p == "use" for p in phase])
+        if not using.any():
+            return []
+        least = 1e3 * LEAST_DEPTH * self._depth
+        out = np.flatnonzero(using & (seen["depth_mm"] < least))
+        found: list[Faulty] = []
+        if len(out):
+            detail = f"the tip was {seen['depth_mm'][out[0]]:.1f} mm deep in the socket"
+            found.append(
+                (float(time[out[0]]), "left the fixture", f"{detail} ({least:.1f} wanted)")
+            )
+        turned = float(seen["angle_deg"][using][-1])
+        if turned * np.sign(self._goal) < abs(self.numbers["angle_deg"]) - SHORT:
+            end = float(time[using][-1])
+            found.append((end, "use not done", self.told(seen)))
+        return found
+
+    def told(self, seen: Mapping[str, FloatArray]) -> str:
+        """How far it turned, against what."""
+        return (
+            f"the socket turned {seen['angle_deg'][-1]:.0f} of {self.numbers['angle_deg']:.0f} "
+            f"degrees against {self.numbers['friction_N_m']:g} N m; the tip was at most "
+            f"{np.nanmax(seen['tip_error_mm'][seen['depth_mm'] > 0], initial=0.0):.1f} mm off"
+        )

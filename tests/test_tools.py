@@ -1,0 +1,258 @@
+"""Tools: their files, the wrenches that they need, and their use in MuJoCo."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from planner import GraspObject, GraspPlan, GraspTask, NeededWrench, load_tool, plan_use, use_task
+from planner.certify import certify
+from planner.errors import NoGraspFoundError, PlannerError
+from planner.failure import Failure
+from planner.files import read_plan, write_plan
+from planner.objects import parse_object
+from planner.spatial import SE3
+from planner.synthesis.options import SynthesisOptions, needed_options
+from planner.tools import Tool, needed_margin, read_tool, tool_names, way_blocked
+from planner.verification.grasp import verify_grasp
+from sim import UseTrial, plan_tool
+from sim.cli import main
+from sim.report_file import read_report, write_report_of
+from sim.scene.physics import PhysicsOptions
+from sim.show.trial_page import trial_page
+from sim.tools import USES
+from sim.tools.turn import HINGE, SLIDE
+from sim.tools.use import FIXTURE, use_of
+
+PEG = """
+format = "opposable-tool"
+version = 1
+name = "peg"
+mass_kg = 0.05
+section = [{ z_m = 0.0, size_m = [0.02, 0.02] }, { z_m = 0.09, size_m = [0.02, 0.02] }]
+tip = { position_m = [0, 0, 0], axis = [0, 0, -1] }
+handle = [{ lower_m = [-1, -1, 0.03], upper_m = [1, 1, 1] }]
+needed = [{ name = "turn", force_N = [1, 0, -2], torque_N_m = [0, 0, -0.03] }]
+[use]
+kind = "turn"
+numbers = { angle_deg = 90 }
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "tool.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_tool("allegro_hand", "screwdriver", seed=0)
+
+
+def test_a_tool_is_told_about_its_centre_of_mass(tmp_path: Path) -> None:
+    peg = read_tool(written(tmp_path, PEG))
+    assert np.allclose(peg.tip, [0, 0, -0.045])
+    assert np.allclose(peg.axis, [0, 0, -1])
+    (needed,) = peg.needed
+    # (0, 0, -0.045) x (1, 0, -2) = (0, -0.045, 0)
+    assert np.allclose(needed.wrench, [1, 0, -2, 0, -0.045, -0.03])
+    assert np.isclose(peg.shape.volume, 0.02**2 * 0.09)
+    (handle,) = peg.touch.allowed if peg.touch else ()
+    assert np.isclose(handle.lower[2], -0.015)
+    twice = read_tool(tmp_path / "tool.toml", scale=2.0)
+    assert np.allclose(twice.tip, 2 * peg.tip)
+    assert np.isclose(twice.shape.volume, 8 * peg.shape.volume)
+
+
+@pytest.mark.parametrize("name", tool_names())
+def test_our_tools_are_offered_axis_down_and_fit_their_fixture(name: str) -> None:
+    tool = load_tool(name)
+    use = use_of(tool)
+    pose = use.offered(0.4)
+    assert np.allclose(pose.rotation @ tool.axis, [0, 0, -1])
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_body(name="obstacle/workpiece").add_geom(size=[0.01, 0.01, 0.01])
+    use.add_fixture(spec, PhysicsOptions(), 0.4)
+    assert spec.compile().body(FIXTURE).id > 0
+    assert [obstacle.name for obstacle in use.obstacles] == ["workpiece"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ('format = "opposable-tool"', 'format = "opposable"', "format"),
+        ("version = 1", "version = 2", "version"),
+        ("mass_kg = 0.05", "mass_kg = 50", "mass_kg"),
+        ("tip = { position_m = [0, 0, 0], axis = [0, 0, -1] }", "", "tip"),
+        ("axis = [0, 0, -1]", "axis = [0, 0, 0]", "its axis is zero"),
+        ("size_m = [0.02, 0.02] }, {", "radius_m = -1 }, {", "radius_m"),
+        ("z_m = 0.09, ", "z_m = -0.09, ", "from below upwards"),
+        ("[1, 0, -2], torque_N_m = [0, 0, -0.03]", "[0, 0, 0]", "'turn' is zero"),
+        ("section", 'shape = "box"\nsection', "shape and section"),
+        ("force_N", "force", r"needed\[turn\].force: Extra"),
+        ("mass_kg = 0.05", "mass_kg = 0.05\n[", "is not a TOML file"),
+    ],
+)
+def test_what_is_wrong_with_a_tool_file_is_named(
+    old: str, new: str, complaint: str, tmp_path: Path
+) -> None:
+    assert old in PEG
+    with pytest.raises(PlannerError, match=complaint):
+        read_tool(written(tmp_path, PEG.replace(old, new, 1)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ('kind = "turn"', 'kind = "saw"', "no kind of use is called 'saw'"),
+        ("angle_deg = 90", "angle = 90", "kind 'turn' has angle_deg"),
+        ("angle_deg = 90", "angle_deg = 0", "give 1 to 3600 degrees"),
+        ("angle_deg = 90", "angle_deg = 90, stop_deg = 45", "before the end"),
+        ("numbers =", "workpiece_m = [0, 1, 1]\nnumbers =", "workpiece_m"),
+    ],
+)
+def test_a_use_that_cannot_be_is_refused_before_planning(
+    old: str, new: str, complaint: str, tmp_path: Path
+) -> None:
+    with pytest.raises(PlannerError, match=complaint):
+        plan_tool("allegro_hand", read_tool(written(tmp_path, PEG.replace(old, new, 1))))
+
+
+def test_an_object_without_frames_is_no_tool() -> None:
+    box: Any = parse_object("box")
+    with pytest.raises(PlannerError, match="no tip and no axis"):
+        load_tool(box)
+    with pytest.raises(PlannerError, match=r"no tool is called 'spoon'.*screwdriver"):
+        load_tool("spoon")
+    bare = Tool(name="bare", shape=box.shape)
+    with pytest.raises(PlannerError, match="needs no wrench or has no handle"):
+        use_task("allegro_hand", bare, SE3.Identity())
+
+
+def test_a_wrench_beyond_a_hand_is_refused_with_the_limit_that_ends_it() -> None:
+    tool = load_tool("screwdriver")
+    strong = replace(tool, needed=(NeededWrench(name="twist off", torque=(0, 0, -80.0)),))
+    with pytest.raises(PlannerError, match=r"'twist off'.*torque of 160 N m.*ended by A_"):
+        plan_tool("allegro_hand", strong)
+
+
+def test_a_grasp_that_cannot_produce_a_needed_wrench_fails_by_its_name(plan: GraspPlan) -> None:
+    asked = replace(plan.task, needed_margin=60.0)
+    failure = verify_grasp(asked, plan.T_world_base, plan.q, record=plan.record)
+    assert isinstance(failure, Failure)
+    assert failure.kind == "no_needed_wrench"
+    assert "'turn the screw', 60 times" in failure.text
+    assert "in the way: " in failure.text
+    assert 0 <= failure.numbers["fraction"] < 1
+
+
+def test_the_forces_of_a_plan_produce_its_needed_wrenches(plan: GraspPlan) -> None:
+    (needed,), (found,) = plan.task.needed, plan.needed
+    forces = found.contacts.forces_in_axes()
+    at = plan.contacts.positions - plan.task.T_world_object.translation
+    turn, times = plan.task.T_world_object.rotation, plan.task.needed_margin
+    weight = plan.task.object.mass * 9.81
+    assert np.allclose(forces.sum(axis=0), times * turn @ needed.force + [0, 0, weight], atol=1e-5)
+    assert np.allclose(np.cross(at, forces).sum(axis=0), times * turn @ needed.torque, atol=1e-6)
+
+
+def test_the_certificate_states_the_margin_and_the_file_keeps_the_needs(
+    plan: GraspPlan, tmp_path: Path
+) -> None:
+    proven = certify(plan, max_points=20)
+    bounds = proven.needed["turn the screw"]
+    assert plan.task.needed_margin <= bounds.lower <= bounds.upper
+    assert np.isclose(bounds.lower, needed_margin(plan), rtol=1e-3)
+    assert "needed, turn the screw" in str(proven)
+    assert proven.as_dict()["needed_margins"]["turn the screw"][0] == bounds.lower
+    write_plan(plan, tmp_path / "plan.json")
+    again = read_plan(tmp_path / "plan.json")
+    assert again.task.needed == plan.task.needed
+    assert again.task.needed_margin == plan.task.needed_margin
+    assert len(again.needed) == 1
+
+
+def test_a_search_that_finds_nothing_names_wrench_and_limit(plan: GraspPlan) -> None:
+    much = replace(plan.task, needed_margin=90.0)
+    with pytest.raises(NoGraspFoundError, match=r"needed wrench 'turn the screw', 90 times: .*way"):
+        plan_use(much, max_attempts=6)
+
+
+def test_needed_wrenches_join_the_objectives() -> None:
+    plain = SynthesisOptions()
+    assert needed_options((), plain) is plain
+    joined = needed_options((NeededWrench(name="push", force=(0, 0, 2.0)),), plain)
+    assert set(joined.weights) == {"epsilon", "task"}
+    assert joined.task_wrenches == ((-0.0, -0.0, -2.0, -0.0, -0.0, -0.0),)
+    task = GraspTask.create("allegro_hand", "box")
+    assert task.needed == ()
+    assert isinstance(task.object, GraspObject)
+
+
+def test_the_way_of_a_use_keeps_off_the_workpiece(plan: GraspPlan) -> None:
+    assert way_blocked(plan, use_of(load_tool("screwdriver")).way(plan)) is None
+    low = SE3(plan.T_world_base.rotation, plan.T_world_base.translation - [0, 0, 0.2])
+    blocked = way_blocked(plan, [plan.T_world_base, low])
+    assert blocked is not None
+    assert "at pose 2 of 2" in blocked.text
+    assert "workpiece" in blocked.text
+
+
+def test_a_screw_advances_by_its_lead_and_its_friction_holds() -> None:
+    use = use_of(load_tool("screwdriver"))
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_body(name="obstacle/workpiece").add_geom(size=[0.01, 0.01, 0.01])
+    PhysicsOptions().apply(spec, np.array([0, 0, -9.81]))
+    use.add_fixture(spec, PhysicsOptions(), 0.0)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    dof = model.joint(HINGE).dofadr[0]
+    for torque, turns in ((0.04, False), (0.06, True)):
+        data.qfrc_applied[dof] = torque
+        for _ in range(200):
+            mujoco.mj_step(model, data)
+        angle, depth = (float(data.joint(name).qpos[0]) for name in (HINGE, SLIDE))
+        assert (angle > 1.0) == turns
+    assert np.isclose(depth, 0.0008 * angle / (2 * np.pi), atol=1e-4)
+
+
+def test_kinds_of_use_are_registered() -> None:
+    assert {"turn", "strike"} <= set(USES)
+
+
+@pytest.mark.slow
+def test_a_lid_is_unscrewed_and_the_report_tells_it(tmp_path: Path) -> None:
+    tool = load_tool("lid")
+    report = UseTrial(plan_tool("allegro_hand", tool, seed=0), tool).run()
+    assert report.success, report.verdict
+    assert report.use is not None
+    turned = np.array(report.use["channels"]["angle_deg"])
+    assert turned.min() < -355
+    assert np.abs(report.use["channels"]["torque_Nm"]).max() > 0.08
+    assert len(turned) == len(report.samples)
+    write_report_of(report, tmp_path / "report.json")
+    again = read_report(tmp_path / "report.json")
+    assert again.use is not None
+    assert again.use.kind == "turn"
+    scene = trial_page(again).scene
+    assert scene is not None
+    assert {p.unit for p in scene.plots if p.title == "Angle of the socket"} == {"degrees"}
+
+
+def test_the_command_refuses_bad_input(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for words, complaint in (
+        (["allegro_hand", "spoon"], "no tool is called 'spoon'"),
+        (["allegro_hand", str(tmp_path / "none.toml")], "cannot read the tool file"),
+        (["allegro_hand", str(written(tmp_path, PEG.replace("turn", "saw")))], "no kind of use"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            main(["use", *words, "--out", str(tmp_path / "out")])
+        assert ended.value.code == 3
+        assert complaint in capsys.readouterr().err.replace("\n", " ")
+    assert not (tmp_path / "out").exists()
