@@ -32,7 +32,7 @@ from sim.scene.carrier import Timeline, carrier_of
 from sim.scene.gantry import Gantry
 from sim.simulation import Simulation
 from sim.tools.use import Use, needs_gantry, use_of
-from sim.trial import Trial, TrialKeywords, TrialOptions, felt_by, run_grasp_phase
+from sim.trial import Trial, TrialKeywords, TrialOptions, run_grasp_phase, why_not_lifted
 from sim.verdict import (
     Fault,
     Thresholds,
@@ -221,8 +221,8 @@ class UseTrial(Trial):
         for phase in PHASES[:4]:
             if not run_grasp_phase(simulation, self.recorder, self.timeline, phase):
                 return
-        if len(felt_by(simulation)) < self.plan.task.fingers_needed:
-            self._not_lifted = True
+        self.not_lifted = why_not_lifted(simulation)
+        if self.not_lifted:
             self.recorder.record()
             return
         simulation.scene.release(simulation.data)
