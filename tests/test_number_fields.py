@@ -222,6 +222,7 @@ MADE = frozenset(
         *(
             "Row",
             "Rung",
+            "ObjectPath",
             "Runner",
             "Samples",
             "Scene",
