@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import checked_number
+from planner.arrays import checked_number, finite_array
 from planner.bridge.object_body import object_body
 from planner.errors import NotFoundError, ObjectError, shown
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
@@ -146,15 +146,13 @@ def parse_region(text: str) -> Region:
 _BOUND = re.compile(r"([xyz])\s*([<>])\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)")
 
 
-def _corner(what: str, which: str, values: object, unit: str = "m") -> tuple[float, float, float]:
+def _corner(what: str, which: str, values: object) -> tuple[float, float, float]:
     try:
         corner = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         corner = np.empty(0)
     if corner.shape != (3,) or np.isnan(corner).any():
-        raise ObjectError(
-            f"{what}: {which} is {shown(values)}; give three numbers x, y, z in {unit}"
-        )
+        raise ObjectError(f"{what}: {which} is {shown(values)}; give three numbers x, y, z in m")
     x, y, z = (float(v) for v in corner)
     return x, y, z
 
@@ -175,11 +173,10 @@ class NeededWrench:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        for which, unit in (("force", "N"), ("torque", "N m")):
-            values = _corner(f"needed wrench {self.name!r}", which, getattr(self, which), unit)
-            if not np.isfinite(values).all():
-                raise ObjectError(f"needed wrench {self.name!r}: {which} {values} is not finite")
-            object.__setattr__(self, which, values)
+        for which in ("force", "torque"):
+            what = f"needed wrench {shown(self.name)}: {which}"
+            given = finite_array(what, getattr(self, which), (3,), error=ObjectError)
+            object.__setattr__(self, which, tuple(given.tolist()))
         if not any((*self.force, *self.torque)):
             raise ObjectError(f"needed wrench {self.name!r} is zero; give a force or a torque")
 

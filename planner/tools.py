@@ -38,7 +38,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from planner.arrays import checked_kind
+from planner.arrays import check_fields, checked_kind, finite_array
 from planner.attempt import Attempt, nothing_found, search
 from planner.certify.breaking import breaking_along
 from planner.collision.world import CollisionWorld
@@ -181,10 +181,10 @@ class Tool(GraspObject):
         """
         super().__post_init__()
         for name in ("tip", "axis"):
-            vector = fixed_array(getattr(self, name))
-            if vector.shape != (3,) or not np.isfinite(vector).all():
-                raise ObjectError(f"{self.name}: its {name} is {vector}; give three numbers")
-            object.__setattr__(self, name, vector)
+            what = f"{self.name}: its {name}"
+            vector = finite_array(what, getattr(self, name), (3,), error=ObjectError)
+            object.__setattr__(self, name, fixed_array(vector))
+        check_fields(self, ("grip_force", "scale"), what=f"{self.name}: ", above=0.0)
         size = float(np.linalg.norm(self.axis))
         if size == 0.0:
             raise ObjectError(f"{self.name}: its axis is zero; give the direction of its tip")

@@ -23,11 +23,12 @@ from planner.forces import ExpectedLoad
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.motion.path import ObjectPath, check_place
-from planner.objects import GraspObject
+from planner.objects import GraspObject, NeededWrench
 from planner.quality import analyse, force_closure
 from planner.shapes import SIZED_SHAPES, Box, Mesh
 from planner.spatial import SE3, contact_frames
 from planner.synthesis.options import SynthesisOptions
+from planner.tools import load_tool
 from sim.controllers.impedance import ImpedanceGains
 from sim.controllers.readings import PadReading
 from sim.crosscheck.parts import Tolerances
@@ -50,6 +51,7 @@ from sim.scene.physics import PhysicsOptions
 from sim.sensing.errors import ErrorModel
 from sim.sensing.estimation.filter import ContactNoise
 from sim.sensing.estimation.state import SensorErrors
+from sim.tools.trial import UseTimeline
 from sim.trial import TrialOptions
 from sim.verdict import DropCriteria, Thresholds
 
@@ -109,6 +111,11 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
         },
     ),
     (Push(force=np.zeros(3), after=0.0, duration=0.1), {"force": SIGNED, "": NOT_NEGATIVE}),
+    (NeededWrench(name="a", force=(0.0, 0.0, 1.0)), {"force": SIGNED, "torque": SIGNED}),
+    (
+        load_tool("key"),
+        {"tip": SIGNED, "axis": SIGNED, "grip_force": POSITIVE, "scale": POSITIVE},
+    ),
     (PushOfProtocol(begin=0.0, force=(0.0, 0.0, 1.0)), {"force": SIGNED, "begin": NOT_NEGATIVE}),
     (ManipulationTimeline(), {"": POSITIVE}),
     (SuccessCriteria(), {"": POSITIVE_OR_INFINITE, "fingers": POSITIVE}),
@@ -157,6 +164,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
     (DepthCamera(), {"": POSITIVE}),
     (DepthNoise(), {"bleeding": SHARE, "specks": SHARE, "": NOT_NEGATIVE}),
     (Calibration(), {"": NOT_NEGATIVE}),
+    (UseTimeline(), {"close_wait": NOT_NEGATIVE, "turn": SIGNED, "tilt": SIGNED, "": POSITIVE}),
     (Timeline(), {"close_wait": NOT_NEGATIVE, "turn": SIGNED, "tilt": SIGNED, "": POSITIVE}),
     (Thresholds(), {"": POSITIVE_OR_INFINITE}),
     (DropCriteria(), {"fewest": NOT_NEGATIVE, "": POSITIVE_OR_INFINITE}),
@@ -222,6 +230,9 @@ MADE = frozenset(
         *(
             "Row",
             "Rung",
+            "Gantry",
+            "Motion",
+            "CloudPlan",
             "ObjectPath",
             "Runner",
             "Samples",
