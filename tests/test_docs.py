@@ -15,6 +15,8 @@ from documents import Block, PageError, blocks, is_run, missing, programs, run_o
 
 from sim.cli import app
 
+pytestmark = pytest.mark.documentation
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(p for p in (ROOT / "docs").rglob("*.md") if "generated" not in p.parts)
 DOCUMENTS = [ROOT / "README.md", *PAGES]

@@ -18,6 +18,8 @@ from machinery import results
 from benchmarks.__main__ import app
 from sim import runner
 
+pytestmark = pytest.mark.documentation
+
 ROOT = Path(__file__).resolve().parent.parent
 FILES = sorted(results.DATA.glob("*.json"))
 PAGES = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs" / "results").glob("*.md"))

@@ -19,6 +19,8 @@ from browser import browser
 from machinery.check import check
 from machinery.zoo import SCENES
 
+pytestmark = pytest.mark.documentation
+
 ROOT = Path(__file__).resolve().parent.parent
 
 

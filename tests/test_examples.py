@@ -12,6 +12,8 @@ from pathlib import Path
 import forks
 import pytest
 
+pytestmark = pytest.mark.documentation
+
 ROOT = Path(__file__).resolve().parent.parent
 MODULES = ("udp_hand", "dexgraspnet", "frogger")
 """What stands among the examples to be imported; tests of their own run them."""
