@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from planner.errors import TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics.state import HandState, tip_reach
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.room import LEAST_ROOM, table_room, tip_reach, with_room
+from planner.synthesis.room import LEAST_ROOM, table_room, with_room
 from planner.task import GraspTask
 from planner.tolerances import EDGE_RADIUS
 

@@ -12,8 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics.state import tip_reach
 from planner.shapes import Mesh
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
@@ -57,19 +56,3 @@ def table_room(task: GraspTask) -> float:
     top = task.T_world_object.translation[2] + shape.support(up)
     radius = max(f.pad.radius for f in task.fingers)
     return float(max(LEAST_ROOM, (top - task.table_height - EDGE_RADIUS - radius) / 2))
-
-
-@lru_cache(maxsize=8)
-def tip_reach(hand: Hand) -> float:
-    """How far (m/rad) a pad moves if all joints of its finger are off: the worst finger's.
-
-    If errors of the joints are independent, each of standard deviation s, the place of a pad has
-    the covariance s^2 J J^T; s times the largest singular value of J is its standard deviation in
-    its worst direction. J (3, n) is taken in the middle of the joints' ranges.
-    """
-    state = HandState(hand, (hand.q_lower + hand.q_upper) / 2.0)
-    reach = 0.0
-    for finger in hand.fingers.values():
-        jacobian = state.point_jacobian(finger.pad.joint_id, state.pad_center(finger))[:3]
-        reach = max(reach, float(np.linalg.norm(jacobian[:, finger.q_index], 2)))
-    return reach
