@@ -12,6 +12,8 @@ from conftest import box_mesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from planner.collision.idle_fingers import spread_idle
+from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
@@ -120,6 +122,38 @@ def test_a_plan_is_found_where_there_is_no_room(spec: str) -> None:
     assert between_fingers(plan) < SynthesisOptions().clear_fingers + task.joint_error * 0.1
     best = plan_grasp(task, keep="best", max_attempts=20)
     assert best.quality.epsilon >= plan.quality.epsilon
+
+
+def beside_ring(plan: GraspPlan, q: FloatArray) -> float:
+    """Distance of the idle ring finger's pad from the middle finger's by MuJoCo, m."""
+    model = plan.task.hand.mj_model
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    pads = [model.geom(name).id for name in ("middle_pad", "ring_pad")]
+    return float(mujoco.mj_geomDistance(model, data, *pads, 0.2, np.zeros(6)))
+
+
+def test_an_idle_finger_makes_way_for_opened_ones_that_are_off(allegro: Hand) -> None:
+    fingers = ("thumb", "index", "middle")
+    task = GraspTask.create(allegro, "cylinder:0.03x0.08", fingers=fingers, joint_error=ROUGH)
+    plan = plan_grasp(task, seed=0)
+    taking_part = np.concatenate([f.q_index for f in task.fingers])
+    idle = allegro.fingers["ring"].q_index
+    # the ring finger opened as the middle finger is, and leant towards it
+    near = plan.q_pregrasp.copy()
+    near[idle] = near[allegro.fingers["middle"].q_index]
+    leant = [near + by * np.eye(len(near))[idle[0]] for by in (-0.2, 0.2)]
+    near = min(leant, key=lambda q: beside_ring(plan, q))
+    world = CollisionWorld(task)
+    led = spread_idle(world, plan.T_world_base, near, near=ROUGH * tip_reach(allegro), sweeps=10)
+    assert_same(led[taking_part], near[taking_part])
+    assert (led >= allegro.q_lower).all() and (led <= allegro.q_upper).all()
+    assert beside_ring(plan, led) > beside_ring(plan, near) + 0.005
+    # a plan has it already, and exact joints need none of it
+    assert beside_ring(plan, plan.q_pregrasp) > 2.0 * ROUGH * tip_reach(allegro)
+    exact = plan_grasp(GraspTask.create(allegro, "cylinder:0.03x0.08", fingers=fingers), seed=0)
+    assert_same(exact.q_pregrasp[idle], exact.q[idle])
 
 
 def test_without_an_error_nothing_changes(pairs: list[tuple[GraspPlan, GraspPlan]]) -> None:
