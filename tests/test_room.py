@@ -49,13 +49,13 @@ def test_reach_is_what_random_errors_of_the_joints_do_to_a_pad(name: str) -> Non
 
 @given(error=st.floats(0.0, 0.2))
 @settings(deadline=None)  # the first example finds the reach
-def test_margins_grow_by_one_standard_deviation_of_a_tip(allegro: Hand, error: float) -> None:
+def test_margins_grow_by_standard_deviations_of_a_tip(allegro: Hand, error: float) -> None:
     options = SynthesisOptions(clear_fingers=0.001, clear_table=0.004)
     task = GraspTask.create(allegro, "sphere", joint_error=error)
     roomy = with_room(options, task)
     room = error * tip_reach(allegro)
     assert roomy.clear_fingers == pytest.approx(0.001 + room)
-    assert roomy.clear_table == pytest.approx(0.004 + room)
+    assert roomy.clear_table == pytest.approx(0.004 + 2.0 * room)  # a tip on the table ends a trial
     assert replace(roomy, clear_fingers=0.001, clear_table=0.004) == options
     assert (roomy is options) == (room == 0.0)
 
@@ -109,7 +109,7 @@ def test_plans_have_the_room(pairs: list[tuple[GraspPlan, GraspPlan]], allegro: 
     assert min(between_fingers(exact) for exact, _ in pairs) < asked.clear_fingers + room
     for _, plan in pairs:
         assert between_fingers(plan) > asked.clear_fingers + room - 5e-4
-        assert lowest_pad(plan) > asked.clear_table + room - 5e-4
+        assert lowest_pad(plan) > asked.clear_table + 2.0 * room - 5e-4
 
 
 @pytest.mark.slow
