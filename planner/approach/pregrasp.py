@@ -22,10 +22,12 @@ from planner.approach.arm_path import (
     verify_lift,
 )
 from planner.approach.pregrasp_ik import PregraspIk, undetermined_joints
+from planner.collision.idle_fingers import spread_idle
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.kinematics.arm_ik import palm_pose
+from planner.kinematics.state import tip_reach
 from planner.spatial import SE3, FloatArray
 from planner.tolerances import JOINT_TOL
 
@@ -70,6 +72,11 @@ way: twice ``APPROACH_CLEARANCE``, so that nothing lies in between."""
 CLOSING_SHARES = np.linspace(1.0, 0.0, 12, endpoint=False)[:, None]
 """Shares (-) of the way from grasp to pre-grasp at which closing is checked: pads move about 2 mm
 between two of them."""
+
+
+SPREADING = 10
+"""Sweeps in which idle fingers make way for opened ones whose joints may be off: 20 degrees a joint
+at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,10 +143,13 @@ def find_approach(
     loose = undetermined_joints(world.task.hand)
     if len(loose) > 0:
         solvers.insert(0, PregraspIk(world, T_world_base, q, normals, loose))
+    error = world.task.joint_error * tip_reach(world.task.hand)
     for solver, distance in product(solvers, PREGRASP_DISTANCES):
         opened = solver.solve(distance)
         if opened is None:
             continue
+        if error > 0.0:  # opened fingers that are off come near idle ones
+            opened = spread_idle(world, T_world_base, opened, near=error, sweeps=SPREADING)
         failure = _verify_opened(world, T_world_base, opened)
         failure = failure or _verify_closing(world, T_world_base, q, opened)
         if failure is not None:

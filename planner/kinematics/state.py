@@ -8,6 +8,7 @@ in the hand's base frame; multiply by ``T_world_base`` to see it from the world.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from planner.hands.hand import Hand
 from planner.kinematics.point_motion import point_jacobians
 from planner.spatial import SE3, FloatArray, IntArray, cross, skew
 
-__all__ = ["HandKinematics", "HandState", "MovingHand", "joint_axes"]
+__all__ = ["HandKinematics", "HandState", "MovingHand", "joint_axes", "tip_reach"]
 
 
 class HandKinematics:
@@ -215,3 +216,19 @@ def joint_axes(pin_model: Any) -> FloatArray:
         jac = pin.getJointJacobian(pin_model, data, j, pin.ReferenceFrame.LOCAL)
         out[j] = jac[:, pin_model.joints[j].idx_v]
     return out
+
+
+@lru_cache(maxsize=8)
+def tip_reach(hand: Hand) -> float:
+    """How far (m/rad) a pad moves if all joints of its finger are off: the worst finger's.
+
+    If errors of the joints are independent, each of standard deviation s, the place of a pad has
+    the covariance s^2 J J^T; s times the largest singular value of J is its standard deviation in
+    its worst direction. J (3, n) is taken in the middle of the joints' ranges.
+    """
+    state = HandState(hand, (hand.q_lower + hand.q_upper) / 2.0)
+    reach = 0.0
+    for finger in hand.fingers.values():
+        jacobian = state.point_jacobian(finger.pad.joint_id, state.pad_center(finger))[:3]
+        reach = max(reach, float(np.linalg.norm(jacobian[:, finger.q_index], 2)))
+    return reach
