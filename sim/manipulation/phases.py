@@ -154,7 +154,7 @@ class Phases:
         return reason, numbers
 
     def _lift(self) -> Measured:
-        simulation, height = self._sim.simulation, self._height
+        simulation, height = self._sim.simulation, self.height
         duration = self._timeline.lift * self._stretch
         self._sim.mover.go(_raised(self._plan.T_world_base, height), duration)
         fault = self._sim.run("lift", duration)
@@ -170,20 +170,20 @@ class Phases:
         return fault, numbers
 
     @property
-    def _height(self) -> float:
+    def height(self) -> float:
         """How far the object is lifted, m."""
         return max(self._timeline.height, self._plan.rise)
 
     @property
     def _stretch(self) -> float:
         """How many times as long as without an attitude lift and lowering take."""
-        return self._height / self._timeline.height
+        return self.height / self._timeline.height
 
     def _wrist(self, phase: ManipulationPhase) -> Measured:
         """Turn hand and object as one about the object to the attitude, or back."""
         path = self._plan.path
         shares = path.wrist_shares if phase == "wrist" else path.wrist_shares[::-1]
-        poses = [_raised(self._plan.turned_base(share), self._height) for share in shares]
+        poses = [_raised(self._plan.turned_base(share), self.height) for share in shares]
         duration = float(np.linalg.norm(path.wrist_turn)) / self._timeline.wrist_rate
         before = self._in_hand()
         self._sim.mover.go_along(poses, duration)
@@ -318,7 +318,7 @@ class Phases:
         return fault or self._shortfall(numbers), numbers
 
     def _carry(self, ending: Ending) -> Measured:
-        above = _raised(ending.T_world_target, self._height)
+        above = _raised(ending.T_world_target, self.height)
         self._sim.mover.go(self._sim.base_for(above), self._timeline.carry)
         fault = self._sim.run("carry", self._timeline.carry)
         return fault, off_target(above, self._sim.simulation.T_world_object)

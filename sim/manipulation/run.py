@@ -162,8 +162,9 @@ class ManipulationRun:
         axis, back = plan.path.axis, plan.ending.back
         first, now = simulation.plan.task.T_world_object, self.sim.reading.T_world_object()
         if plan.path.turns_wrist:  # as it will be when the wrist has turned back
+            lowered = now.translation - np.array([0.0, 0.0, self._phases.height])
             center, turn = plan.task.T_world_object.translation, plan.path.attitude.T
-            now = SE3(turn @ now.rotation, center + turn @ (now.translation - center))
+            now = SE3(turn @ now.rotation, center + turn @ (lowered - center))
         turned = signed_twist(now.rotation @ first.rotation.T, axis)
         x, y = now.translation[:2].tolist()
         task = replace(plan.task, T_world_object=first)
