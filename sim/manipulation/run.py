@@ -21,10 +21,10 @@ from planner.files import given_manipulation
 from planner.motion.ending import backwards, find_release, object_at_target, stands
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
+from planner.motion.verify import ASKED_SHARE
 from planner.spatial import SE3, signed_twist
 from sim.manipulation.in_hand import GuidedController, in_hand_controller
 from sim.manipulation.log import (
-    ASKED_SHARE,
     ManipulationLog,
     force_limit,
     measured_modes,
