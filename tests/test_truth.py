@@ -11,6 +11,7 @@ import pytest
 from conftest import PlanOf
 from typer.testing import CliRunner
 
+from planner.contacts import ContactSet
 from planner.errors import TaskError
 from planner.objects import parse_object
 from planner.plan import GraspPlan
@@ -230,3 +231,14 @@ def test_contacts_that_do_not_close_are_refused(seen: tuple[CloudPlan, Truth]) -
     one_side = contacts.normals @ contacts.normals[0] > 0.0
     assert "do not close" in not_closed(one_side, contacts)
     assert not_closed(~every, contacts) == "no finger feels the object"
+
+
+def test_every_felt_contact_keeps_its_friction_law() -> None:
+    """Two soft pads that face each other close, whatever a third is that feels nothing."""
+    across = np.array([[0.0, 0.03, 0.0], [0.03, 0.0, 0.0], [-0.03, 0.0, 0.0]])
+    contacts = ContactSet.from_arrays(
+        across, -across, mu_torsion=0.005, model=["point", "soft", "soft"], fingers=["a", "b", "c"]
+    )
+    assert not_closed(np.array([False, True, True]), contacts) == ""
+    hard = replace(contacts, models=("soft", "point", "point"))
+    assert "do not close" in not_closed(np.array([False, True, True]), hard)
