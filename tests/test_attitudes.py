@@ -99,7 +99,7 @@ def test_the_wrist_of_a_trajectory_turns_in_one_go(plan: ManipulationPlan) -> No
     held = plan.T_world_base.inverse().act(center)
     for phase in ("wrist", "wrist back"):
         rows = np.flatnonzero(np.array(made.phases) == phase)
-        assert len(rows) / 200.0 == pytest.approx(np.pi / WRIST_RATE, abs=0.02)
+        assert len(rows) / 200.0 == pytest.approx(np.pi / WRIST_RATE, rel=0.02)
         bases = [made.T_world_base[k] for k in rows]
         turned = [rotation_angle(b.rotation @ a.rotation.T) for a, b in pairwise(bases)]
         middle = np.array(turned)[len(turned) // 10 : -len(turned) // 10]

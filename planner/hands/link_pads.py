@@ -86,11 +86,12 @@ def link_contacts(
     if (face := _largest(geometries, palm)) is not None:
         turn = model.frames[model.getBodyId(palm)].placement.rotation
         out[palm] = _ended(model, palm, _pad(face, turn @ side.palm_normal), side.carriage.tolist())
-    opposer = None if pinch is None else fingers[opposing(model, fingers, pinch)]
-    for finger in fingers if opposer is not None and pinch is not None else ():
-        links = [out[b] for b in out if b in finger.bodies and finger is not opposer]
-        flanks = [_flank(model, link, opposer, pinch) for link in links]
-        out |= {part.name: part for part in flanks if part is not None}
+    if pinch is not None:
+        opposer = fingers[opposing(model, fingers, pinch)]
+        for finger in fingers:
+            links = [out[b] for b in out if b in finger.bodies and finger is not opposer]
+            flanks = [_flank(model, link, opposer, pinch) for link in links]
+            out |= {part.name: part for part in flanks if part is not None}
     names = {finger.name for finger in fingers}
     return {name: part for name, part in out.items() if name not in names}
 
