@@ -26,7 +26,7 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from sim.contacts import hand_contacts, normal_forces
 from sim.contacts.reading import read_pads
 from sim.controllers import (
@@ -272,6 +272,12 @@ class Simulation:
         mujoco.mj_step(scene.model, data)
         self.steps += 1
         return observation
+
+    def put_object(self, T_world_object: SE3) -> None:
+        """Put the object elsewhere before the first step, where an earlier trial left it."""
+        scene, data = self.scene, self.data
+        data.qpos[scene.object_qpos] = np.concatenate(pose_to_wxyz(T_world_object))
+        mujoco.mj_forward(scene.model, data)
 
     def observe(self, phase: Phase, share: float) -> Observation:
         """The truth of now, in a phase of which a share in [0, 1] has passed."""

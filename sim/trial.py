@@ -26,10 +26,11 @@ from typing import TYPE_CHECKING, Any, TypedDict, Unpack, cast
 
 import numpy as np
 
-from planner.arrays import checked_kind, checked_number
+from planner.arrays import MOST_COUNT, checked_count, checked_kind, checked_number
 from planner.errors import TaskError, shown
 from planner.files import given_plan
 from planner.plan import GraspPlan
+from planner.spatial import SE3
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
 from sim.controllers import PHASES, AnyController, Phase, Refuses
 from sim.controllers.grasp import (
@@ -39,6 +40,7 @@ from sim.controllers.grasp import (
     closing_ended,
     felt_contacts,
 )
+from sim.controllers.named import controller_name, is_controller
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
@@ -265,14 +267,15 @@ class Trial:
         compared = self._comparison()
         return self._report(self._verdict(compared, interrupted), begin, compared)
 
-    def tried_again(self, found: CloudPlan) -> tuple[CloudPlan | None, Truth]:
+    def tried_again(self, found: CloudPlan) -> tuple[CloudPlan | None, Truth | None]:
         """Open, back off, and take the next plan of a cloud after what was felt, where it is now.
 
         Args:
             found: The plan that was executed, with the others.
 
         Returns:
-            The next plan, None if there is none, and what there is now.
+            The next plan, None if there is none, and what there is now, None if the plan knew it:
+            the object, as planned, is where ``simulation`` has it.
         """
         simulation, task = self.simulation, self.plan.task
         seen = simulation.sensed(simulation.observe(simulation.phase, 1.0))
@@ -288,11 +291,9 @@ class Trial:
                 pass
         seen = simulation.sensed(simulation.observe("retreat", 1.0))
         believed = task.T_world_object.inverse()
-        truth = self._truth or Truth(
-            object=task.object, T_world_object=task.T_world_object, table_height=task.table_height
-        )
-        moved = simulation.T_world_object * believed
-        there = replace(truth, T_world_object=moved * truth.T_world_object)
+        moved, there = simulation.T_world_object * believed, self._truth
+        if there is not None:
+            there = replace(there, T_world_object=moved * there.T_world_object)
         return found.after(places, seen.T_world_object * believed), there
 
     def _comparison(self) -> tuple[FingerComparison, ...]:
@@ -441,19 +442,35 @@ def simulate(
         picture: File of a picture.
         video: File of a film.
         arrows: Draw the measured contact forces into both.
-        tries: Most tries of a ``CloudPlan``.
+        tries: Most tries of a ``CloudPlan``, at least 1. For more than one each plan needs a
+            controller of its own: a name, class or function.
         changes: Fields of ``TrialOptions`` by name: ``controller="impedance"``, ``physics``,
             ``timeline``, ``thresholds``, ``record_every``, ``error_model``, ``estimator``,
             ``truth``.
 
     Raises:
-        PlannerError: See ``Trial`` and ``Trial.run``.
+        PlannerError: See ``Trial`` and ``Trial.run``; ``tries`` is no whole number of at least 1;
+            several plans may be tried and there is one controller.
     """
+    checked_count("tries", tries, least=1, most=MOST_COUNT, error=TaskError)
     asked = replace(options or TrialOptions(), **changes)
     told: list[str] = []
-    found = cast("CloudPlan", plan) if hasattr(plan, "others") else None
+    found: CloudPlan | None = None
+    if not isinstance(plan, GraspPlan | Path | str):
+        from planner.search.from_cloud import CloudPlan  # here: most plans are of known objects
+
+        found = plan if isinstance(plan, CloudPlan) else None
+    if found is not None and found.others and tries > 1 and is_controller(asked.controller):
+        raise TaskError(
+            f"controller is a {controller_name(asked.controller)}, made for one plan, and "
+            f"{1 + len(found.others)} may be tried; give a name, or the class or function that "
+            "makes one from each plan, or tries=1"
+        )
+    left_at: SE3 | None = None
     while True:
         trial = Trial(cast("GraspPlan | Path | str", plan) if found is None else found.plan, asked)
+        if left_at is not None:
+            trial.simulation.put_object(left_at)
         report = trial.run(
             progress=progress,
             on_step=on_step,
@@ -472,3 +489,4 @@ def simulate(
         if following is None:
             return replace(report, tries=tuple(told))
         found, asked = following, replace(asked, truth=truth)
+        left_at = None if truth is not None else trial.simulation.T_world_object

@@ -351,6 +351,26 @@ def test_rates_are_the_derivative_of_the_motion(plan: GraspPlan) -> None:
     np.testing.assert_allclose(carrier.motion("hold", 0.5)[0], plan.arm.lift[-1], atol=1e-12)
 
 
+def test_an_approach_that_was_given_up_half_way_is_left_from_there(
+    plan: GraspPlan, plan_of: PlanOf
+) -> None:
+    """Neither arm nor gantry goes on to the grasp while the fingers open."""
+    for one in (plan, plan_of("allegro_hand", "box")):
+        simulation, timeline = Simulation(one), Timeline()
+        carrier: Any = simulation.carrier
+        first = carrier.motion("approach", 0.0)[0]
+        assert np.allclose(carrier.motion("retreat", 1.0)[0], first)  # of one that was made, too
+        carrier.drive(simulation.data, "approach", 0.4)
+        there = carrier.motion("approach", 0.4)[0]
+        for phase, share in (("open", 0.0), ("open", 0.7), ("retreat", 0.0)):
+            at, rate = carrier.motion(phase, share)
+            assert np.allclose(at, there) and not rate.any(), phase
+        assert np.allclose(carrier.motion("retreat", 1.0)[0], first)
+        h, (_, rate) = 1e-6, carrier.motion("retreat", 0.4)
+        ends = [carrier.motion("retreat", 0.4 + s * h)[0] for s in (-1, 1)]
+        assert np.allclose(rate, (ends[1] - ends[0]) / (2 * h) / timeline.approach, atol=1e-6)
+
+
 def test_the_arm_holds_the_object_up(plan: GraspPlan) -> None:
     trial = Trial(plan, timeline=Timeline.quick(hold=0.3))
     report = trial.run()

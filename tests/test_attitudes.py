@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -16,11 +19,15 @@ from planner.failure import Failure
 from planner.files import read_movement, write_movement
 from planner.files.movements import movement_to_dict
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
-from planner.motion.path import ATTITUDES, AnyAttitude, ObjectPath, checked_attitude
-from planner.motion.verify import FALLS, MovementVerifier, Waypoint
-from planner.spatial import SE3
+from planner.motion.path import ATTITUDES, AnyAttitude, ObjectPath, checked_attitude, tilts
+from planner.motion.plan import WRIST_RATE
+from planner.motion.verify import FALLS, PRESSES, MovementVerifier, Waypoint, _falls
+from planner.spatial import SE3, rotation_angle
+from planner.task import Obstacle
 from sim.manipulation import ManipulationReport, manipulate
+from sim.manipulation.phases import Phases
 from sim.manipulation.simulation import _hinges
+from sim.manipulation.timeline import SuccessCriteria
 from sim.scene.gantry import Gantry
 
 G = 9.81
@@ -62,6 +69,48 @@ def test_the_way_of_the_wrist_ends_in_the_attitude() -> None:
         np.testing.assert_allclose(one.wrist(1.0), turn, atol=1e-9)
         assert len(one.wrist_shares) == 1 + round(np.linalg.norm(one.wrist_turn) * 12 / np.pi)
     np.testing.assert_array_equal(path("sideways").cut(0.5).attitude, ATTITUDES["sideways"])
+
+
+def test_the_weight_turns_back_about_what_is_level_in_the_attitude() -> None:
+    """Whether the object stands otherwise afterwards is asked with the palm down."""
+    x, y, z = np.eye(3)
+    for axis, down, sideways, up in ((z, 0, 1, 0), (y, 1, 0, 1), (x, 1, 1, 1)):
+        assert tilts(axis) == bool(down)
+        for name, back in (("down", down), ("sideways", sideways), ("up", up)):
+            assert replace(path(name), axis=axis).weight_turns_back == bool(back), (axis, name)
+
+
+def test_a_hand_above_no_table_is_not_lifted_before_its_wrist_turns(
+    plan: ManipulationPlan,
+) -> None:
+    """There is no floor at 0; an obstacle is one."""
+    free = replace(plan.task, table_height=None)
+    grasp = replace(plan.grasp, task=free)
+    assert plan.rise > 0.0 and replace(plan, grasp=grasp).rise == 0.0
+    box = Obstacle(name="shelf", size=np.full(3, 0.1), T_world_obstacle=SE3.Identity())
+    grasp = replace(plan.grasp, task=replace(free, obstacles=(box,)))
+    assert replace(plan, grasp=grasp).rise == pytest.approx(plan.rise + 0.05)
+
+
+def test_the_wrist_of_a_trajectory_turns_in_one_go(plan: ManipulationPlan) -> None:
+    """At rest at its ends alone, about the object's centre, for as long as before."""
+    made = plan.joint_trajectory(rate_hz=200.0)
+    center = plan.task.T_world_object.translation
+    held = plan.T_world_base.inverse().act(center)
+    for phase in ("wrist", "wrist back"):
+        rows = np.flatnonzero(np.array(made.phases) == phase)
+        assert len(rows) / 200.0 == pytest.approx(np.pi / WRIST_RATE, rel=0.02)
+        bases = [made.T_world_base[k] for k in rows]
+        turned = [rotation_angle(b.rotation @ a.rotation.T) for a, b in pairwise(bases)]
+        middle = np.array(turned)[len(turned) // 10 : -len(turned) // 10]
+        assert middle.min() > 0.1 * middle.max()
+        away = np.array([b.act(held) for b in bases]) - center - [0.0, 0.0, max(plan.rise, 0.08)]
+        assert np.linalg.norm(away, axis=1).max() < 1e-3
+        speeds = np.diff([b.translation for b in bases], axis=0)
+        assert (
+            np.linalg.norm(np.diff(speeds, axis=0), axis=1).max()
+            < 0.05 * np.linalg.norm(speeds, axis=1).max()
+        )
 
 
 def test_what_is_no_attitude_is_refused() -> None:
@@ -140,11 +189,40 @@ def test_a_grasp_that_holds_palm_down_may_fall_in_an_attitude(
     assert fallen.kind == FALLS
     assert "palm down, but in the attitude: forces: a finger has to press" in fallen.text
 
+    forces = plan.knots[0].forces
+    hard = _falls(plan.task, forces, 0.0, (forces, forces))
+    assert hard.kind == PRESSES and "attitude" not in hard.text
+    assert hard.text.startswith("held with the palm down: forces: a finger has to press")
+
     monkeypatch.setattr("planner.motion.single_stroke.FALLEN", 2)
     monkeypatch.setattr("planner.motion.verify.MOST_PRESS", 0.1)
     with pytest.raises(NoGraspFoundError, match="falls in this attitude") as raised:
         plan_manipulation(plan.task, angle=plan.angle, attitude="up")
     assert len(raised.value.attempts) <= 8
+
+
+def test_a_drift_to_the_other_side_of_where_it_was_is_a_drift(plan: ManipulationPlan) -> None:
+    """From 5 mm to one side to 5 mm to the other the object has moved by 10."""
+    side = np.array([0.005])
+
+    def ran(phase: str, duration: float) -> str:
+        side[0] *= -1.0
+        return ""
+
+    sim: Any = SimpleNamespace(
+        recorder=SimpleNamespace(moved=lambda: (0.0, 0.0, np.append(side, [0.0, 0.0]))),
+        mover=SimpleNamespace(go_along=lambda poses, duration: None),
+        touching_fingers=plan.task.finger_names,
+        run=ran,
+    )
+    phases = Phases.__new__(Phases)
+    phases._sim, phases._plan, phases._timeline = sim, plan, QUICK
+    phases._criteria = SuccessCriteria(slip_mm=8.0)
+    fault, numbers = phases._wrist("wrist")
+    assert "moved 10.0 mm in the hand while the wrist turned" in fault
+    assert numbers["drift_mm"] == pytest.approx(10.0)
+    phases._shortfall = lambda numbers: ""  # type: ignore[method-assign]
+    assert phases._hold()[1]["drift_mm"] == pytest.approx(10.0)
 
 
 def test_a_gantry_turns_by_half_a_turn_about_any_axis() -> None:

@@ -21,6 +21,7 @@ from planner.errors import HandError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.two_hands import _check_faces
+from planner.motion.path import ATTITUDES, ObjectPath
 from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.shapes.field.mesh_field import _one_of_each_cube
@@ -136,31 +137,32 @@ def test_presets_of_sensor_errors_are_those_of_the_page(name: str, column: int) 
     assert numbers - told_fields <= {"pose_bias", "turn_bias", "drift_time"}
 
 
-@pytest.mark.parametrize("strokes", [1, 2])
-def test_half_a_turn_that_would_fall_goes_back_by_one_stroke_alone(strokes: int) -> None:
-    """A gait cannot be reversed: fingers stand elsewhere. A stroke is, to where it began."""
+def half_way(strokes: int, path: ObjectPath, pose: SE3, height: float = 0.1) -> Any:
+    """A run whose object is at a pose half-way in a turn, lifted by a height (m)."""
     task = GraspTask.create("allegro_hand", "box:0.05x0.05x0.08")
     first = task.T_world_object
-    tilted = SE3(pin.exp3(0.4 * np.eye(3)[1]), np.array([0.01, 0.02, 0.1]))
     grasp: Any = SimpleNamespace(
         task=task, q_pregrasp=task.hand.neutral, pregrasp_distance=0.0, T_world_base_start=first,
         arm=None,
     )  # fmt: skip
-    plan: Any = SimpleNamespace(
-        path=SimpleNamespace(axis=np.eye(3)[1]),
-        ending=SimpleNamespace(back=""),
-        cycles=strokes,
-        task=task,
-        grasp=grasp,
-    )
-    run: Any = SimpleNamespace(
-        plan=plan,
+    return SimpleNamespace(
+        plan=SimpleNamespace(
+            path=path, ending=SimpleNamespace(back=""), cycles=strokes, task=task, grasp=grasp
+        ),
         sim=SimpleNamespace(
             simulation=SimpleNamespace(plan=grasp),
-            reading=SimpleNamespace(T_world_object=lambda: tilted),
+            reading=SimpleNamespace(T_world_object=lambda: pose),
         ),
+        _phases=SimpleNamespace(height=height),
     )
-    ending = ManipulationRun.put_down(run)
+
+
+@pytest.mark.parametrize("strokes", [1, 2])
+def test_half_a_turn_that_would_fall_goes_back_by_one_stroke_alone(strokes: int) -> None:
+    """A gait cannot be reversed: fingers stand elsewhere. A stroke is, to where it began."""
+    tilted = SE3(pin.exp3(0.4 * np.eye(3)[1]), np.array([0.01, 0.02, 0.1]))
+    path = ObjectPath(axis=np.eye(3)[1], angle=1.0, shift=np.zeros(3))
+    ending = ManipulationRun.put_down(half_way(strokes, path, tilted))
     if strokes > 1:
         assert isinstance(ending, Failure) and ending.kind == "falls"
     else:
@@ -168,8 +170,23 @@ def test_half_a_turn_that_would_fall_goes_back_by_one_stroke_alone(strokes: int)
         assert ending.back == "half-way it does not stand"
         np.testing.assert_allclose(ending.T_world_target.rotation, np.eye(3), atol=1e-12)
         np.testing.assert_allclose(
-            ending.T_world_target.translation, [0.01, 0.02, first.translation[2]], atol=1e-12
+            ending.T_world_target.translation, [0.01, 0.02, 0.04], atol=1e-12
         )
+
+
+@pytest.mark.parametrize("name", ["sideways", "up"])
+def test_what_is_put_down_half_way_in_an_attitude_stands_below_where_it_was_lifted(
+    name: str,
+) -> None:
+    """The wrist has turned it about its centre, lifted; so the lift is no way to the side."""
+    turn, height = ATTITUDES[name], 0.15
+    path = ObjectPath(axis=np.eye(3)[1], angle=1.0, shift=np.zeros(3), attitude=turn)
+    center = np.array([0.0, 0.0, 0.04])
+    moved = np.array([0.01, -0.02, 0.003])  # of the object, before the wrist turned
+    pose = SE3(turn @ pin.exp3(0.4 * np.eye(3)[1]), center + turn @ moved + [0.0, 0.0, height])
+    ending = ManipulationRun.put_down(half_way(1, path, pose, height))
+    assert not isinstance(ending, Failure)
+    np.testing.assert_allclose(ending.T_world_target.translation, [0.01, -0.02, 0.04], atol=1e-9)
 
 
 def test_the_child_that_reads_models_finds_this_package() -> None:

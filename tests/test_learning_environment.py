@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from planner.errors import NotFoundError, TaskError
+from planner.motion.verify import ASKED_SHARE
 from sim.learning import Conditions, Plans, TurnTask
 from sim.learning.teacher import Demonstrator
-from sim.manipulation.log import ASKED_SHARE, force_limit
+from sim.manipulation.log import force_limit
 from sim.sensing.errors import named_errors
 
 gymnasium = pytest.importorskip("gymnasium")

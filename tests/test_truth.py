@@ -11,6 +11,7 @@ import pytest
 from conftest import PlanOf
 from typer.testing import CliRunner
 
+from planner.contacts import ContactSet
 from planner.errors import TaskError
 from planner.objects import parse_object
 from planner.plan import GraspPlan
@@ -159,12 +160,43 @@ def test_a_try_ends_open_and_away_and_the_next_holds_the_object_where_it_is(
     start = found.plan.T_world_base_start.translation
     assert np.linalg.norm(simulation.T_world_base.translation - start) < 0.01
     assert following is not None and not following.others
+    assert there is not None
     moved = simulation.T_world_object * found.plan.task.T_world_object.inverse()
     assert np.allclose(there.T_world_object.homogeneous,
                        (moved * truth.T_world_object).homogeneous)  # fmt: skip
     assert np.linalg.norm((pushed.inverse() * simulation.T_world_object).translation) < 0.01
     assert len(following.belief.places) > len(found.belief.places)
     assert simulate(following, truth=there, timeline=QUICK).success
+
+
+def test_the_next_try_has_the_errors_of_the_first_and_the_object_where_it_was_left(
+    seen: tuple[CloudPlan, Truth], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An error model of sizes and centres, which no truth may tell too."""
+    made: list[tuple[Simulation, SE3]] = []
+
+    def given_up(trial: Trial) -> None:
+        made.append((trial.simulation, trial.simulation.T_world_object))
+        trial.not_lifted = "no finger feels the object"
+
+    monkeypatch.setattr(Trial, "perform", given_up)
+    errors = ErrorModel(object_size=0.05, object_center=0.1, seed=3)
+    short = replace(QUICK, approach=0.05)
+    report = simulate(seen[0], error_model=errors, timeline=short, tries=3)
+    assert len(report.tries) == len(made) == 2
+    (first, _), (_, second) = made
+    assert np.allclose(first.T_world_object.homogeneous, second.homogeneous, atol=1e-9)
+
+
+def test_each_try_has_a_controller_of_its_plan_and_tries_are_counted(
+    seen: tuple[CloudPlan, Truth],
+) -> None:
+    found, truth = seen
+    with pytest.raises(TaskError, match=r"GraspController, made for one plan, and 2 may be tried"):
+        simulate(found, truth=truth, controller=GraspController(found.plan))
+    for wrong in (0, -1, "2", True):
+        with pytest.raises(TaskError, match=r"tries is .*; give a whole number from 1"):
+            simulate(found, tries=wrong)  # type: ignore[arg-type]
 
 
 def test_forces_are_planned_over_the_contacts_that_are_felt(
@@ -199,3 +231,14 @@ def test_contacts_that_do_not_close_are_refused(seen: tuple[CloudPlan, Truth]) -
     one_side = contacts.normals @ contacts.normals[0] > 0.0
     assert "do not close" in not_closed(one_side, contacts)
     assert not_closed(~every, contacts) == "no finger feels the object"
+
+
+def test_every_felt_contact_keeps_its_friction_law() -> None:
+    """Two soft pads that face each other close, whatever a third is that feels nothing."""
+    across = np.array([[0.0, 0.03, 0.0], [0.03, 0.0, 0.0], [-0.03, 0.0, 0.0]])
+    contacts = ContactSet.from_arrays(
+        across, -across, mu_torsion=0.005, model=["point", "soft", "soft"], fingers=["a", "b", "c"]
+    )
+    assert not_closed(np.array([False, True, True]), contacts) == ""
+    hard = replace(contacts, models=("soft", "point", "point"))
+    assert "do not close" in not_closed(np.array([False, True, True]), hard)

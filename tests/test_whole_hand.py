@@ -95,6 +95,18 @@ def test_pads_of_links_lie_on_their_links_and_face_the_palms_side(name: str) -> 
     assert hand.contact_parts[hand.description.palm_body].joints == ()
 
 
+def test_links_of_a_hand_without_a_pinch_posture_are_named_and_have_no_flanks(hand: Hand) -> None:
+    """Where fingers oppose each other is not known; a name that is none tells the fingers."""
+    postures = {k: v for k, v in hand.description.postures.items() if k != "pinch"}
+    one = replace(hand, description=hand.description.model_copy(update={"postures": postures}))
+    chosen = one.choose_fingers(["thumb", "index_proximal"])
+    assert [finger.name for finger in chosen] == ["thumb", "index_proximal"]
+    flanks = {name for name in hand.contact_parts if name.endswith(".side")}
+    assert flanks and set(one.contact_parts) == set(hand.contact_parts) - flanks
+    with pytest.raises(NotFoundError, match=r"(?s)'thum'.*thumb"):
+        one.choose_fingers(["thum"])
+
+
 def test_joints_of_a_link_are_those_that_move_it(hand: Hand) -> None:
     part = hand.contact_parts["index_proximal"]
     assert part.joints == ("index_0", "index_1")

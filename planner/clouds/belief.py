@@ -49,6 +49,10 @@ BAND = 2.0
 CERTAIN = 0.0045
 """Standard deviation (m) of the surface up to which a finger may touch it: half of its pad."""
 
+SHIFT_STEPS, LEAST_SHIFT = 3, 1e-6
+"""Gauss-Newton steps (-) to the shift that touches tell: over some millimetres a surface is nearly
+flat, so that a step leaves little; and least deviation (m) of a shift, for a finite weight."""
+
 TOUCH = 0.002
 """Standard deviation (m) of the place of a touch: of a tip 10 cm from joints that are off by 1
 degree each."""
@@ -186,8 +190,8 @@ class Belief:
         moved = np.zeros(3)
         axes = np.eye(3)[:, : 2 if self.cloud.table is not None else 3]
         variance = self.deviation(points) ** 2 + TOUCH**2
-        gram = np.eye(axes.shape[1]) / max(shift, 1e-6) ** 2
-        for _ in range(3):
+        gram = np.eye(axes.shape[1]) / max(shift, LEAST_SHIFT) ** 2
+        for _ in range(SHIFT_STEPS):
             at = points - moved
             rows = self.gradient(at) @ axes
             left = self.mean(at) + rows @ (axes.T @ moved)

@@ -47,7 +47,7 @@ def link_contacts(
     fingers: Sequence[Finger],
     side: Side,
     neutral: FloatArray,
-    pinch: FloatArray,
+    pinch: FloatArray | None,
 ) -> Mapping[str, Finger]:
     """Inner links, their flanks and palm of one hand as fingers that end early, by the body's name.
 
@@ -60,7 +60,7 @@ def link_contacts(
         fingers: Its fingers.
         side: Its palm, and the joints of the carriage that moves it if it is one of two.
         neutral: Joints (nq,) with straight fingers.
-        pinch: Joints (nq,) with fingertips that oppose each other.
+        pinch: Joints (nq,) with fingertips that oppose each other; no flanks if None.
     """
     data = model.createData()
     pin.framesForwardKinematics(model, data, neutral)
@@ -86,11 +86,12 @@ def link_contacts(
     if (face := _largest(geometries, palm)) is not None:
         turn = model.frames[model.getBodyId(palm)].placement.rotation
         out[palm] = _ended(model, palm, _pad(face, turn @ side.palm_normal), side.carriage.tolist())
-    opposer = fingers[opposing(model, fingers, pinch)]
-    for finger in fingers:
-        links = [out[b] for b in out if b in finger.bodies and finger is not opposer]
-        flanks = [_flank(model, link, opposer, pinch) for link in links]
-        out |= {part.name: part for part in flanks if part is not None}
+    if pinch is not None:
+        opposer = fingers[opposing(model, fingers, pinch)]
+        for finger in fingers:
+            links = [out[b] for b in out if b in finger.bodies and finger is not opposer]
+            flanks = [_flank(model, link, opposer, pinch) for link in links]
+            out |= {part.name: part for part in flanks if part is not None}
     names = {finger.name for finger in fingers}
     return {name: part for name, part in out.items() if name not in names}
 

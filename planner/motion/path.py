@@ -31,7 +31,11 @@ UPRIGHT = 0.99
 
 
 def tilts(axis: FloatArray) -> bool:
-    """Whether a turn about an axis (3,), world, tilts the object."""
+    """Whether a turn about an axis (3,), world, of a hand with the palm down tilts the object.
+
+    Then it stands otherwise once it is put down, palm down again, and pads that came from above
+    pivot. The attitude of the turn changes nothing of that; see ``ObjectPath.weight_turns_back``.
+    """
     return bool(abs(axis[2]) < UPRIGHT * np.linalg.norm(axis))
 
 
@@ -175,6 +179,11 @@ class ObjectPath:
     def turns_wrist(self) -> bool:
         """Whether the path is made in another attitude than the grasp."""
         return rotation_angle(self.attitude) > UNTURNED
+
+    @property
+    def weight_turns_back(self) -> bool:
+        """Whether the weight can turn the object back: the axis is not vertical in the attitude."""
+        return tilts(self.attitude @ self.axis)
 
     def wrist(self, share: float) -> FloatArray:
         """Rotation (3, 3), world, of hand and object at a share of the way to the attitude."""

@@ -386,7 +386,8 @@ class MovementPlan(Shown):
     def rise(self) -> float:
         """How far (m) above the grasp the hand is before its wrist turns, 0 without an attitude.
 
-        Hand and object turn about the object's centre there, ``CLEAR`` of table and obstacles.
+        Hand and object turn about the object's centre there, ``CLEAR`` of table and obstacles; at
+        the grasp if there is neither.
         """
         if not self.path.turns_wrist:
             return 0.0
@@ -403,7 +404,7 @@ class MovementPlan(Shown):
                     corners[-1] += pose.translation - center
         turns = np.array([self.path.wrist(share) for share in self.path.wrist_shares])
         lowest = float((np.vstack(corners) @ turns[:, 2].T).min())
-        tops = [task.table_height or 0.0]
+        tops = [-np.inf if task.table_height is None else task.table_height]
         for o in task.obstacles:
             half = np.abs(o.T_world_obstacle.rotation[2]) @ o.size / 2
             tops.append(float(o.T_world_obstacle.translation[2] + half))
@@ -522,11 +523,11 @@ class MovementPlan(Shown):
         builder.move_base("lift", _moved(base, up), LIFT_S * self._stretch(lift_m))
         turned = [_moved(self.turned_base(share), up) for share in self.path.wrist_shares]
         wrist_s = float(np.linalg.norm(self.path.wrist_turn)) / WRIST_RATE
-        for pose in turned[1:]:
-            builder.move_base("wrist", pose, wrist_s / (len(turned) - 1))
+        if self.path.turns_wrist:
+            builder.move_along("wrist", turned[1:], wrist_s)
         T_world_object, q = self._move(builder)
-        for pose in turned[-2::-1]:
-            builder.move_base("wrist back", pose, wrist_s / (len(turned) - 1))
+        if self.path.turns_wrist:
+            builder.move_along("wrist back", turned[-2::-1], wrist_s)
         to_target = self.ending.T_world_target * T_world_object.inverse() * base
         builder.move_base("carry", _moved(to_target, up), CARRY_S)
         builder.move_base("lower", to_target, LOWER_S * self._stretch(lift_m))

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from planner.errors import TaskError
 from planner.kinematics.arm_ik import palm_path, palm_pose
@@ -121,19 +121,34 @@ class TrajectoryBuilder:
         Raises:
             TaskError: The arm cannot go there.
         """
+        self.move_along(phase, [T_world_base], duration)
+
+    def move_along(self, phase: str, poses: Sequence[SE3], duration: float) -> None:
+        """The base moves through poses evenly and without a stop, as by ``move_base``."""
         share, begin = self._shares(duration), self._bases[-1]
         hand, q = self._grasp.task.hand, self._positions[-1][-1]
+        joints = np.tile(q, (len(share), 1))
         if hand.arm is not None:
-            goal = begin.inverse() * T_world_base * palm_pose(hand, self._grasp.q)
-            path = palm_path(hand, q, goal)
-            if path is None:
-                raise TaskError(f"the arm cannot {phase} within its limits; plan again")
-            joints = np.tile(q, (len(share), 1))
-            joints[:, hand.arm_index] = interpolate_path(path, share)
+            whole = [q[None, hand.arm_index]]
+            for pose in poses:
+                q = q.copy()
+                q[hand.arm_index] = whole[-1][-1]
+                goal = begin.inverse() * pose * palm_pose(hand, self._grasp.q)
+                path = palm_path(hand, q, goal)
+                if path is None:
+                    raise TaskError(f"the arm cannot {phase} within its limits; plan again")
+                whole.append(path[1:])
+            joints[:, hand.arm_index] = interpolate_path(np.concatenate(whole), share)
             self._add(phase, duration, joints, [begin] * len(share))
             return
-        bases = [_between(begin, T_world_base, s) for s in share.tolist()]
-        self._add(phase, duration, np.tile(self._positions[-1][-1], (len(share), 1)), bases)
+        way, last = [begin, *poses], len(poses) - 1
+        at = share * len(poses)
+        before = np.minimum(at.astype(int), last).tolist()
+        bases = [_between(way[k], way[k + 1], s - k) for k, s in zip(before, at, strict=True)]
+        if last:  # straight from pose to pose the velocity would jump at each
+            places = CubicSpline(np.arange(len(way)), [pose.translation for pose in way])(at)
+            bases = [SE3(b.rotation, p) for b, p in zip(bases, places, strict=True)]
+        self._add(phase, duration, joints, bases)
 
     def built(self) -> JointTrajectory:
         """All phases so far as one trajectory."""

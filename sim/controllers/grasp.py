@@ -347,7 +347,7 @@ def not_closed(felt: NDArray[np.bool_], contacts: ContactSet) -> str:
         contacts.normals[felt],
         mu=contacts.mu[felt],
         mu_torsion=contacts.mu_torsion[felt],
-        model=contacts.models[0],
+        model=[contacts.models[i] for i in np.flatnonzero(felt)],
         center=contacts.center,
     )
     found = force_closure(there, CLOSURE_EDGES)

@@ -57,7 +57,7 @@ def controller_for(plan: GraspPlan, controller: AnyController | None) -> Control
         NotFoundError: No controller has that name.
         TaskError: It is none of these.
     """
-    if not isinstance(controller, str | type) and _is_controller(controller):
+    if is_controller(controller):
         return controller  # type: ignore[return-value]
     return controller_maker(controller)(plan)
 
@@ -76,7 +76,7 @@ def controller_maker(controller: AnyController | None) -> MakeController:
         return CONTROLLERS[DEFAULT_CONTROLLER]
     if isinstance(controller, str):
         return named_controller(controller)
-    if not isinstance(controller, type) and _is_controller(controller):
+    if is_controller(controller):
         return _CopyOf(controller)  # type: ignore[arg-type]
     if not callable(controller) or not _takes_a_plan(controller):
         raise _refused(controller)
@@ -110,7 +110,7 @@ class _Checked:
 
     def __call__(self, plan: GraspPlan) -> Controller:
         made = self._make(plan)
-        if not _is_controller(made):
+        if not is_controller(made):
             raise TaskError(
                 f"{controller_name(self._make)} made {shown(made)} of the plan, which has no "
                 "method step(observation); see sim.controllers.Controller"
@@ -118,7 +118,12 @@ class _Checked:
         return made
 
 
-def _is_controller(thing: object) -> bool:
+def is_controller(thing: object) -> bool:
+    """Whether it is a controller itself, not what makes one."""
+    return not isinstance(thing, type) and _steps(thing)
+
+
+def _steps(thing: object) -> bool:
     return callable(getattr(thing, "step", None))
 
 
@@ -131,7 +136,7 @@ def _takes_a_plan(make: Callable[..., object]) -> bool:
 
 
 def _refused(thing: object) -> TaskError:
-    if isinstance(thing, type) and _is_controller(thing):
+    if isinstance(thing, type) and _steps(thing):
         return TaskError(
             f"controller {thing.__name__} is a class that does not take the plan alone; give "
             f"an instance, or a function that makes one from the plan"

@@ -44,6 +44,7 @@ from planner.arrays import check_fields
 from planner.errors import FileFormatError, TaskError
 from planner.files import read_json, write_json
 from planner.files.disk import refuse_other_request, whole_file
+from planner.motion.verify import ASKED_SHARE
 from sim.learning.policy import (
     ACTION_SCALE,
     RATE_HZ,
@@ -57,7 +58,7 @@ from sim.learning.senses import checked_senses, columns
 from sim.learning.teacher import Demonstrator
 from sim.learning.trials import Conditions, Plans, TurnTask
 from sim.manipulation import ManipulationReport
-from sim.manipulation.log import ASKED_SHARE, force_limit
+from sim.manipulation.log import force_limit
 from sim.sensing.estimation import NONE, check_estimator
 
 _DAMAGED = (OSError, ValueError, KeyError, EOFError)

@@ -27,7 +27,6 @@ from planner.kinematics.state import MovingHand
 from planner.motion.gait import Relocation
 from planner.motion.idle_fingers import out_of_the_way
 from planner.motion.manipulation import ManipulationPlan
-from planner.motion.path import tilts
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers import Event, HasOwnAim, Observation, Phase, Recloses
@@ -42,7 +41,7 @@ from sim.simulation import Simulation
 
 BEYOND, TILTED_BEYOND = np.deg2rad(0.5), np.deg2rad(1.0)
 """Turn (rad) beyond the asked one, a margin against elastic return; and about an axis that is not
-vertical, where the weight turns the object back further."""
+vertical in the attitude, where the weight turns the object back further."""
 
 SURE, MOST_SURE = 2.0, np.deg2rad(2.0)
 """Standard deviations of the turn as it is believed by which the goal lies further, so that nearly
@@ -98,8 +97,7 @@ class ManipulationDriver:
             deviation: Believed standard deviation of the turn as it will be read, rad.
         """
         motion = self._motion
-        path = motion.path
-        beyond = TILTED_BEYOND if tilts(path.attitude @ path.axis) else BEYOND
+        beyond = TILTED_BEYOND if motion.path.weight_turns_back else BEYOND
         beyond += min(SURE * deviation, MOST_SURE)
         most = min(abs(left) + beyond, abs(motion.path.angle))
         angle = math.copysign(most, self._plan.angle)

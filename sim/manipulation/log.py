@@ -30,6 +30,7 @@ from scipy.interpolate import interp1d
 
 from planner.motion import MovementPlan
 from planner.motion.manipulation import ManipulationPlan
+from planner.motion.verify import LEAST_FORCE_LIMIT
 from planner.quality import closure_and_epsilon
 from planner.spatial import SE3, FloatArray, IntArray, signed_twist
 from planner.system.process import interrupts_wait
@@ -199,15 +200,10 @@ class ManipulationRecorder(SampleRecorder):
         return ManipulationLog.of(columns, len(self._fingers))
 
 
-LEAST_LIMIT, OVER_PLAN = 18.0, 1.875
-"""Normal force with which a finger may press in any case (N), and over the plan's largest (-): a
-margin for pushes and pose errors, and for what springs and movement add to what is asked. The
-verdict's; no constant of a controller moves it."""
-
-ASKED_SHARE = 2.0 / 3.0
-"""Share of the limit (-) that the controller asks for at most: springs and
-movement add to the measured force, most where the object comes down on the table. The
-controller's; tuning it leaves the verdict as it is."""
+OVER_PLAN = 1.875
+"""Normal force over the plan's largest (-) with which a finger may press: a margin for pushes and
+pose errors, and for what springs and movement add to what is asked. The verdict's, as
+``LEAST_FORCE_LIMIT``; no constant of a controller moves it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,7 +263,7 @@ def force_limit(plan: ManipulationPlan) -> float:
     planned = [forces.contacts.forces[:, 0] for forces in solved]
     for move in plan.relocations:
         planned += [contacts.forces[:, 0] for contacts in (move.before, move.during, move.after)]
-    return max(LEAST_LIMIT, OVER_PLAN * float(np.nanmax(np.concatenate(planned))))
+    return max(LEAST_FORCE_LIMIT, OVER_PLAN * float(np.nanmax(np.concatenate(planned))))
 
 
 Mode: TypeAlias = Literal["off", "break", "slip", "roll", "stick"]

@@ -17,7 +17,7 @@ from planner.errors import TaskError
 from planner.motion.manipulation import Ending, ManipulationPlan
 from planner.motion.single_stroke import MOST_PIVOT
 from planner.quality import QualityReport, analyse
-from planner.spatial import SE3
+from planner.spatial import SE3, FloatArray
 from sim.contacts import hand_contacts, merge_per_finger
 from sim.controllers import Observation
 from sim.controllers.grasp import RECLOSING_TIME, closing_ended
@@ -154,7 +154,7 @@ class Phases:
         return reason, numbers
 
     def _lift(self) -> Measured:
-        simulation, height = self._sim.simulation, self._height
+        simulation, height = self._sim.simulation, self.height
         duration = self._timeline.lift * self._stretch
         self._sim.mover.go(_raised(self._plan.T_world_base, height), duration)
         fault = self._sim.run("lift", duration)
@@ -170,27 +170,26 @@ class Phases:
         return fault, numbers
 
     @property
-    def _height(self) -> float:
+    def height(self) -> float:
         """How far the object is lifted, m."""
         return max(self._timeline.height, self._plan.rise)
 
     @property
     def _stretch(self) -> float:
         """How many times as long as without an attitude lift and lowering take."""
-        return self._height / self._timeline.height
+        return self.height / self._timeline.height
 
     def _wrist(self, phase: ManipulationPhase) -> Measured:
         """Turn hand and object as one about the object to the attitude, or back."""
         path = self._plan.path
         shares = path.wrist_shares if phase == "wrist" else path.wrist_shares[::-1]
-        poses = [_raised(self._plan.turned_base(share), self._height) for share in shares]
+        poses = [_raised(self._plan.turned_base(share), self.height) for share in shares]
         duration = float(np.linalg.norm(path.wrist_turn)) / self._timeline.wrist_rate
-        before = self._in_hand()
+        before = self._shift
         self._sim.mover.go_along(poses, duration)
         fault = self._sim.run(phase, duration)
         numbers = self._in_hand()
-        moved = abs(numbers["shift_mm"] - before["shift_mm"])
-        numbers["drift_mm"] = moved
+        numbers["drift_mm"] = moved = 1e3 * float(np.linalg.norm(self._shift - before))
         if not fault and moved > self._criteria.slip_mm:
             fault = f"the object moved {moved:.1f} mm in the hand while the wrist turned"
         return fault or self._tilted(numbers), numbers
@@ -228,6 +227,11 @@ class Phases:
         short = too_short(-asked, numbers["turn_deg"] - asked, self._criteria)
         fault = fault or self._tilted(numbers)
         return fault or (short and f"{short}: {self._obstacle()}"), numbers
+
+    @property
+    def _shift(self) -> FloatArray:
+        """How far the object has moved in the palm since the turn began (3,), m."""
+        return self._sim.recorder.moved()[2]
 
     def _in_hand(self) -> dict[str, float]:
         """How the object lies in the palm, against how it lay when the turn began."""
@@ -310,15 +314,15 @@ class Phases:
         )
 
     def _hold(self) -> Measured:
-        before = self._in_hand()
+        before, first = self._in_hand(), self._shift
         fault = self._sim.run("hold", self._timeline.hold)
         numbers = self._in_hand()
-        numbers["drift_mm"] = abs(numbers["shift_mm"] - before["shift_mm"])
+        numbers["drift_mm"] = 1e3 * float(np.linalg.norm(self._shift - first))
         numbers["drift_deg"] = abs(numbers["turn_deg"] - before["turn_deg"])
         return fault or self._shortfall(numbers), numbers
 
     def _carry(self, ending: Ending) -> Measured:
-        above = _raised(ending.T_world_target, self._height)
+        above = _raised(ending.T_world_target, self.height)
         self._sim.mover.go(self._sim.base_for(above), self._timeline.carry)
         fault = self._sim.run("carry", self._timeline.carry)
         return fault, off_target(above, self._sim.simulation.T_world_object)

@@ -21,10 +21,10 @@ from planner.files import given_manipulation
 from planner.motion.ending import backwards, find_release, object_at_target, stands
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
+from planner.motion.verify import ASKED_SHARE
 from planner.spatial import SE3, signed_twist
 from sim.manipulation.in_hand import GuidedController, in_hand_controller
 from sim.manipulation.log import (
-    ASKED_SHARE,
     ManipulationLog,
     force_limit,
     measured_modes,
@@ -162,8 +162,9 @@ class ManipulationRun:
         axis, back = plan.path.axis, plan.ending.back
         first, now = simulation.plan.task.T_world_object, self.sim.reading.T_world_object()
         if plan.path.turns_wrist:  # as it will be when the wrist has turned back
+            lowered = now.translation - np.array([0.0, 0.0, self._phases.height])
             center, turn = plan.task.T_world_object.translation, plan.path.attitude.T
-            now = SE3(turn @ now.rotation, center + turn @ (now.translation - center))
+            now = SE3(turn @ now.rotation, center + turn @ (lowered - center))
         turned = signed_twist(now.rotation @ first.rotation.T, axis)
         x, y = now.translation[:2].tolist()
         task = replace(plan.task, T_world_object=first)

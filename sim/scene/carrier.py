@@ -102,7 +102,11 @@ class Timeline:
 
 
 class Carrier(Protocol):
-    """Moves the hand as a whole."""
+    """Moves the hand as a whole.
+
+    In the phase "open" it holds the hand where its approach ended, which may have been given up on
+    the way; "retreat" goes back from there.
+    """
 
     def drive(self, data: Any, phase: Phase, share: float) -> None:
         """Set its commands in ``data.ctrl`` for a share in [0, 1] of a phase."""
@@ -119,9 +123,12 @@ class GantryCarrier:
         turns = (timeline.tilt, 0.0, timeline.turn)
         self._lifted = np.array([0.0, 0.0, timeline.lift_height, *turns])
         self._low, self._still = np.zeros((2, 6))
+        self._approached = 1.0
 
     def drive(self, data: Any, phase: Phase, share: float) -> None:
         """Set the gantry's commands."""
+        if phase == "approach":
+            self._approached = self._timeline.profile(share)[0]
         target, velocity = self.motion(phase, share)
         data.ctrl[self._gantry.ctrl] = self._gantry.command(data, target, velocity)
 
@@ -134,9 +141,10 @@ class GantryCarrier:
         if phase == "approach":
             s, rate = timeline.profile(share)
             return (1.0 - s) * self._start, -rate / timeline.approach * self._start
-        if phase == "retreat":
-            s, rate = timeline.profile(share)
-            return s * self._start, rate / timeline.approach * self._start
+        if phase in ("open", "retreat"):
+            s, rate = timeline.profile(share if phase == "retreat" else 0.0)
+            back = self._approached * self._start
+            return self._start - (1.0 - s) * back, rate / timeline.approach * back
         if phase == "lift":
             s, rate = timeline.profile(share)
             return s * self._lifted, rate / timeline.lift * self._lifted
@@ -169,12 +177,15 @@ class ArmCarrier:
         self._qpos = scene.hand_qpos[self._hand.arm_index]
         self._rows = np.isin(scene.hand_ctrl, scene.arm_ctrl)
         self._q = plan.q_start
+        self._approached = 1.0
         self._stiffness, self._damping = (
             gain[self._hand.arm_index] for gain in motor_servo(self._hand, plan.q)
         )
 
     def drive(self, data: Any, phase: Phase, share: float) -> None:
         """Set the commands of the arm's actuators."""
+        if phase == "approach":
+            self._approached = self._timeline.profile(share)[0]
         target, velocity = self.motion(phase, share)
         index = self._hand.arm_index
         v, torque = np.zeros(self._hand.nq), np.zeros(self._hand.nq)
@@ -190,8 +201,12 @@ class ArmCarrier:
         s, rate = self._timeline.profile(share)
         if phase == "approach":
             return _on(self._path.approach, s, rate / self._timeline.approach)
-        if phase == "retreat":
-            return _on(self._path.approach[::-1], s, rate / self._timeline.approach)
+        if phase in ("open", "retreat"):
+            s, rate = (s, rate) if phase == "retreat" else (0.0, 0.0)
+            left = self._approached
+            return _on(
+                self._path.approach, left * (1.0 - s), -left * rate / self._timeline.approach
+            )
         if phase == "lift":
             top = self._lift_share
             return _on(self._path.lift, top * s, top * rate / self._timeline.lift)
