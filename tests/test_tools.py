@@ -382,7 +382,13 @@ def test_a_made_tool_takes_no_scale_and_is_compared_by_value() -> None:
     assert again is not key
     assert again == key
     assert len({key, again}) == 1
-    for change in ({"tip": key.tip + 1e-3}, {"needed": ()}, {"mass": 0.1}, {"use": None}):
+    changes: list[dict[str, Any]] = [
+        {"tip": key.tip + 1e-3},
+        {"needed": ()},
+        {"mass": 0.1},
+        {"use": None},
+    ]
+    for change in changes:
         assert replace(key, **change) != key
     assert key != GraspObject(name=key.name, shape=key.shape)
 
@@ -395,7 +401,8 @@ def test_needed_wrenches_have_names_of_their_own(plan: GraspPlan) -> None:
 def test_files_say_needs_and_channels_by_their_version(plan: GraspPlan, trial: UseTrial) -> None:
     data = plan_to_dict(plan)
     without = {name: value for name, value in data["task"].items() if name != "needed"}
-    for wrong in ({"version": 1}, {"version": 2}, {"task": without}):
+    wrongs: list[dict[str, Any]] = [{"version": 1}, {"version": 2}, {"task": without}]
+    for wrong in wrongs:
         with pytest.raises(PlannerError, match="in version 3 alone"):
             plan_from_dict(data | wrong, "here")
     trial.recorder.record()
