@@ -68,7 +68,7 @@ def measure(case: Row) -> Row:
     except NoGraspFoundError as error:
         return {**drawn, "done": False, "reason": f"no plan: {str(error)[:200]}"}
     physics = PhysicsOptions(name="drawn", mu=mu)
-    report = UseTrial(plan, tool, yaw=yaw, friction=friction, physics=physics).run()
+    report = UseTrial(plan, tool, friction=friction, physics=physics).run()
     best, use = plan.record.best, report.use
     slip = report.largest_slip
     return {
@@ -76,7 +76,7 @@ def measure(case: Row) -> Row:
         "done": report.success,
         "reason": report.reason or "done",
         "detail": report.verdict.detail,
-        "told": "" if use is None else use["told"],
+        "told": "" if use is None else use["summary"],
         "margin": None if best is None else best.value,
         "attempts": plan.record.attempts,
         "plan_s": plan.record.cpu_s,

@@ -6,14 +6,30 @@ Base of hand descriptions, plan files and trial reports.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from planner.arrays import LARGEST_FLOAT, LARGEST_INT
 from planner.errors import shown
 
-__all__ = ["StrictData", "faults_of"]
+__all__ = [
+    "LARGEST",
+    "Finite",
+    "NotNegative",
+    "StrictData",
+    "Vector3",
+    "Vector4",
+    "faults_of",
+]
+
+LARGEST = 1e6
+"""Largest number, either sign, in SI units: no grasp has a larger one, and its square is finite."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
+NotNegative = Annotated[float, Field(allow_inf_nan=False, ge=0, le=LARGEST)]
+Vector3 = tuple[Finite, Finite, Finite]
+Vector4 = tuple[Finite, Finite, Finite, Finite]
 
 MOST_FAULTS = 5
 """Most faults in one message; the rest usually follow from these."""

@@ -327,6 +327,12 @@ class GraspTask:
         object.__setattr__(self, "needed", tuple(self.needed))
         for one in self.needed:
             checked_kind("a needed wrench", one, NeededWrench)
+        names = [one.name for one in self.needed]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise TaskError(
+                f"needed wrenches {', '.join(map(shown, twice))} are there more than once; give "
+                "each a name of its own"
+            )
         gravity = _numbers("gravity", self.gravity, "three finite numbers in m/s2")
         if gravity.shape != (3,) or not np.isfinite(gravity).all():
             raise TaskError(f"gravity is {self.gravity}; give three finite numbers in m/s2")
@@ -373,6 +379,11 @@ class GraspTask:
             )
         if self.table_height is not None:
             self._check_object_above_table(self.table_height)
+
+    def needed_load(self, needed: NeededWrench) -> FloatArray:
+        """The wrench (6,), N and N m, world, against which the hand produces a needed one."""
+        turn = self.T_world_object.rotation
+        return -np.concatenate([turn @ needed.force, turn @ needed.torque])
 
     @property
     def _is_without_torsion(self) -> bool:

@@ -21,15 +21,17 @@ of sections along z::
     kind = "turn"
     numbers = { angle_deg = 90, friction_N_m = 0.03 }
 
-All of it is in the axes and about the origin of the mesh, the shape or the sections; a ``Tool`` has
-it about its centre of mass.
+Instead of ``section`` there may be ``mesh``, a file beside it, with ``scale`` (m per unit of it),
+or ``shape``, a kind with sizes (``planner.objects``), whose origin is its centre of mass. Positions
+are in the axes and about the origin of the mesh, the shape or the sections; a ``Tool`` has them
+about its centre of mass.
 """
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -46,17 +48,19 @@ from planner.errors import NotFoundError, ObjectError, TaskError, shown
 from planner.failure import Failure
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
+from planner.joints.description import PINCH
 from planner.kinematics.state import HandState
 from planner.objects import GraspObject, NeededWrench, Region, TouchRegion, parse_object
-from planner.plan import BestOf, GraspPlan
-from planner.schema import StrictData, faults_of
+from planner.plan import GraspPlan
+from planner.schema import StrictData, Vector3, faults_of
+from planner.search.best import best_of_made
 from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, attempts
-from planner.shapes import Mesh, Shape
+from planner.shapes import SIZED_SHAPES, Mesh, Shape
 from planner.spatial import SE3, FloatArray, fixed_array
 from planner.synthesis.options import SynthesisOptions
 from planner.system.package import models_dir
 from planner.task import GraspTask, Obstacle
-from planner.verification.grasp import NO_NEEDED, needed_load
+from planner.verification.grasp import NO_NEEDED
 
 __all__ = ["Tool", "load_tool", "plan_use", "read_tool", "tool_names", "use_task"]
 
@@ -87,8 +91,6 @@ turned slowly in a hand whose elastic fingers share the load unevenly."""
 WAY_CLEARANCE = 0.002
 """Least distance (m) of the hand from what stands around on the way of a use."""
 
-Numbers3 = tuple[float, float, float]
-
 
 class SectionData(StrictData):
     """An outline across z: a circle, or a rectangle."""
@@ -101,23 +103,23 @@ class SectionData(StrictData):
 class TipData(StrictData):
     """Where the tool works, and along which axis it points there."""
 
-    position_m: Numbers3
-    axis: Numbers3
+    position_m: Vector3
+    axis: Vector3
 
 
 class BoxData(StrictData):
     """A box in the tool's frame; a corner is without bounds where it is left out."""
 
-    lower_m: Numbers3 = (-LONGEST, -LONGEST, -LONGEST)
-    upper_m: Numbers3 = (LONGEST, LONGEST, LONGEST)
+    lower_m: Vector3 = (-LONGEST, -LONGEST, -LONGEST)
+    upper_m: Vector3 = (LONGEST, LONGEST, LONGEST)
 
 
 class NeededData(StrictData):
     """A wrench that the hand must be able to produce on the tool, at the tip."""
 
     name: str
-    force_N: Numbers3 = (0.0, 0.0, 0.0)
-    torque_N_m: Numbers3 = (0.0, 0.0, 0.0)
+    force_N: Vector3 = (0.0, 0.0, 0.0)
+    torque_N_m: Vector3 = (0.0, 0.0, 0.0)
 
 
 class UseData(StrictData):
@@ -128,7 +130,7 @@ class UseData(StrictData):
     """
 
     kind: str
-    workpiece_m: Numbers3 = (0.06, 0.06, 0.08)
+    workpiece_m: Vector3 = (0.06, 0.06, 0.08)
     gap_m: float = Field(default=0.02, ge=0, le=0.2)
     numbers: dict[str, float] = Field(default_factory=dict)
 
@@ -153,7 +155,7 @@ class ToolFile(StrictData):
     use: UseData
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Tool(GraspObject):
     """An object that something is done with; all of it is in the object's frame.
 
@@ -161,7 +163,7 @@ class Tool(GraspObject):
         tip: (3,), m: where it works.
         axis: (3,), unit: along which it points there, out of the tool.
         needed: What its use needs the hand to produce.
-        use: What is done with it, and how; None where that is nobody's business.
+        use: What is done with it, and how; None: no use is defined.
         grip_force: N per finger with which it is held; the default of a task if None.
         scale: How many times larger than in its file it is (-).
     """
@@ -190,6 +192,22 @@ class Tool(GraspObject):
             raise ObjectError(f"{self.name}: its axis is zero; give the direction of its tip")
         object.__setattr__(self, "axis", fixed_array(self.axis / size))
 
+    def __eq__(self, other: object) -> bool:
+        """Whether all of it is the same; arrays number by number."""
+        return (
+            isinstance(other, Tool)
+            and np.array_equal((self.tip, self.axis), (other.tip, other.axis))
+            and all(
+                getattr(self, f.name) == getattr(other, f.name)
+                for f in fields(self)
+                if f.name not in ("tip", "axis")
+            )
+        )
+
+    def __hash__(self) -> int:
+        """Of what can be hashed: regions and numbers of uses are in mappings."""
+        return hash((self.name, self.shape, self.mass, self.needed, self.scale))
+
     def T_world_object(self, tip: Sequence[float] | FloatArray, yaw: float = 0.0) -> SE3:
         """Where the tool is with its axis down and its tip at a point.
 
@@ -217,9 +235,13 @@ def load_tool(given: Tool | str | Path, *, scale: float = 1.0) -> Tool:
 
     Raises:
         NotFoundError: There is none of that name.
-        ObjectError: As ``read_tool``.
+        ObjectError: As ``read_tool``, or a ``Tool`` with a scale.
     """
     if isinstance(given, Tool):
+        if scale != 1.0:
+            raise ObjectError(
+                f"{given.name} is made, and scale is {scale}; give the path or name of its file"
+            )
         return given
     if isinstance(given, GraspObject):
         raise ObjectError(
@@ -258,6 +280,12 @@ def read_tool(path: Path | str, *, scale: float = 1.0) -> Tool:
     except ValidationError as error:
         raise ObjectError(f"{path}: {faults_of(error, raw)}") from error
     shape, origin = _shape_of(path, data, scale)
+    length = 2 * float(np.max(shape.half_extents))
+    if length > LONGEST:
+        raise ObjectError(
+            f"{path}: the tool is {length:.3g} m long; tools up to {LONGEST:g} m are used with one "
+            "hand: lengths are in m, and scale is how many m the unit of a mesh has"
+        )
     turn_shift = scale * np.array(data.tip.position_m) - origin
     needed = []
     for one in data.needed:
@@ -288,14 +316,25 @@ def _shape_of(path: Path, data: ToolFile, scale: float) -> tuple[Shape, FloatArr
         raise ObjectError(
             f"{path}: it has {' and '.join(given) or 'no shape'}; give one of mesh, shape, section"
         )
+    if data.scale != 1.0 and data.mesh is None:
+        raise ObjectError(
+            f"{path}: scale is {data.scale:g}, but {given[0]} is in metres; leave it out, it "
+            "is for the unit of a mesh"
+        )
     if data.section is not None:
         made = sections_mesh(str(path), data.section, scale)
         return made, made.offset
     if data.mesh is not None:
         loaded = Mesh.load(path.parent / data.mesh, scale=scale * data.scale)
         return loaded, loaded.offset
-    if scale != 1.0 or data.scale != 1.0:
+    if scale != 1.0:
         raise ObjectError(f"{path}: a shape has its sizes and takes no scale; leave it at 1")
+    kind = str(data.shape).partition(":")[0].strip().lower()
+    if kind not in SIZED_SHAPES:
+        raise ObjectError(
+            f"{path}: shape is {shown(data.shape)}; give one of {', '.join(SIZED_SHAPES)} with its "
+            'sizes, or a file by mesh = "NAME.stl", beside the tool file'
+        )
     return parse_object(str(data.shape)).shape, np.zeros(3)
 
 
@@ -362,7 +401,7 @@ def _regions(
     )
 
 
-def _three(values: FloatArray) -> Numbers3:
+def _three(values: FloatArray) -> Vector3:
     x, y, z = values.tolist()
     return x, y, z
 
@@ -394,7 +433,7 @@ def use_task(
     Args:
         hand: A hand, its name, or the path of its description.
         tool: The tool.
-        T_world_object: Where it is offered; what offers it lets go when the fingers press.
+        T_world_object: Where it is offered; the support releases it when the fingers press.
         obstacles: What the hand must not touch.
         changes: Further arguments of ``GraspTask.create``.
 
@@ -435,7 +474,7 @@ def check_strength(task: GraspTask) -> None:
         TaskError: A wrench needs more; names the largest there is and the actuator that ends it.
     """
     hand, item = task.hand, task.object
-    if "pinch" not in hand.description.postures:
+    if PINCH not in hand.description.postures:
         return
     pressed = [_press(hand, finger) for finger in task.fingers]
     total = STRONGER * sum(force for force, _ in pressed) * float(np.hypot(1.0, task.mu))
@@ -450,15 +489,15 @@ def check_strength(task: GraspTask) -> None:
             if wanted > most:
                 raise TaskError(
                     f"needed wrench {one.name!r} of {item.name} takes a {what} of {wanted:.3g} "
-                    f"{unit} (margin {task.needed_margin:g}); {hand.name} has at most "
-                    f"{most:.3g} {unit} with {len(pressed)} contacts, ended by {limit}: take a "
-                    "stronger hand, or ask for less"
+                    f"{unit} (margin {task.needed_margin:g}); {hand.name} is estimated to have "
+                    f"at most {most:.3g} {unit} with {len(pressed)} contacts, ended by {limit}: "
+                    "take a stronger hand, or ask for less"
                 )
 
 
 def _press(hand: Hand, finger: Finger) -> tuple[float, str]:
     """Force (N) with which a finger can press in the pinch posture, and what ends it."""
-    q = hand.posture("pinch")
+    q = hand.posture(PINCH)
     state = HandState(hand, q)
     jacobian = state.point_jacobian(finger.pad.joint_id, state.pad_center(finger))[:3]
     rotation = state.joint_pose(finger.pad.joint_id).rotation
@@ -489,7 +528,8 @@ def plan_use(
     Args:
         task: From ``use_task``.
         way: Of a grasp, the base poses through which the use takes the hand, close together; at
-            each of them the hand must keep ``WAY_CLEARANCE`` from the obstacles. None for none.
+            each of them the hand must keep ``WAY_CLEARANCE`` from the obstacles. None for none. A
+            ``TaskError`` of it fails that grasp.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
         best_of: Grasps to find, of which that with the largest proven margin is taken.
@@ -507,7 +547,10 @@ def plan_use(
         for attempt in attempts(task, seed=seed, options=options):
             blocked = None
             if attempt.plan is not None and way is not None:
-                blocked = way_blocked(attempt.plan, way(attempt.plan))
+                try:
+                    blocked = way_blocked(attempt.plan, way(attempt.plan))
+                except TaskError as error:
+                    blocked = Failure(kind="use_way", text=str(error))
             yield attempt if blocked is None else replace(attempt, plan=None, failure=blocked)
 
     plan, made = search(
@@ -525,23 +568,13 @@ def plan_use(
             f"{''.join(weak[:1])}Try more attempts, a longer handle, a smaller margin, or ask "
             "for less force",
         )
-    found = [a for a in made if a.plan is not None]
-    record = replace(
-        plan.record,
-        attempt=next(a.index for a in found if a.plan is plan),
-        attempts=len(made),
-        cpu_s=sum(a.cpu_s for a in made),
-        best=BestOf(
-            found=len(found), metric="needed_margin", value=needed_margin(plan), improving=False
-        ),
-    )
-    return replace(plan, record=record)
+    return best_of_made(plan, made, metric="needed_margin", value=needed_margin(plan))
 
 
 def needed_margin(plan: GraspPlan) -> float:
     """How many times the grasp can surely produce each of its needed wrenches at least (-)."""
     return min(
-        breaking_along(plan.forces.problem, needed_load(plan.task, one)).lower
+        breaking_along(plan.forces.problem, plan.task.needed_load(one)).lower
         for one in plan.task.needed
     )
 

@@ -283,7 +283,7 @@ class TrialReport(ExecutionReport):
         for number, told in enumerate(self.tries if len(self.tries) > 1 else (), 1):
             yield Text(f"try {number}: {told}")
         if self.use is not None:
-            yield Text(f"use: {self.use['told']}")
+            yield Text(f"use: {self.use['summary']}")
         if self.remedies:
             yield Text("each of these keeps the object from creeping:")
         for remedy in self.remedies:

@@ -6,7 +6,9 @@ A report is a JSON file, or a page (HTML) that holds the same JSON.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
@@ -99,16 +101,27 @@ class ExecutionFile(StrictData):
 class UseRecord(StrictData):
     """What a tool did: its kind of use with its numbers, a sentence, and channels over time.
 
-    ``titles`` say what the channels are; their names end with the unit.
+    ``yaw_rad`` is the turn of tool and fixture about the vertical; ``friction_factor`` is what the
+    fixture's dry friction was multiplied by, unknown to the plan. ``titles`` say what the channels
+    are; their names end with the unit.
     """
 
     tool: str
     kind: str
-    told: str
+    summary: str
+    yaw_rad: float
+    friction_factor: float
     numbers: dict[str, float]
     needed_margin: float
     titles: dict[str, str]
     channels: dict[str, list[float | None]]
+
+    @model_validator(mode="after")
+    def _all_have_titles(self) -> Self:
+        if self.titles.keys() != self.channels.keys():
+            named = ", ".join(sorted(self.titles.keys() ^ self.channels.keys()))
+            raise ValueError(f"titles and channels of the use differ: {named}")
+        return self
 
 
 class ReportFile(ExecutionFile):
@@ -142,6 +155,11 @@ class ReportFile(ExecutionFile):
     samples: SampleData
     use: UseRecord | None = None
 
+    @model_validator(mode="after")
+    def _use_of_one_length(self) -> Self:
+        check_lengths(self.samples, None, {} if self.use is None else self.use.channels)
+        return self
+
     @model_serializer(mode="wrap")
     def _without_absent_use(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """All fields; reports of trials that use no tool stay as they were."""
@@ -151,14 +169,23 @@ class ReportFile(ExecutionFile):
         return data
 
 
-def check_lengths(samples: StrictData, recording: RecordingData | None) -> None:
+def check_lengths(
+    samples: StrictData,
+    recording: RecordingData | None,
+    further: Mapping[str, list[float | None]] = MappingProxyType({}),
+) -> None:
     """Refuse channels of different lengths.
+
+    Args:
+        samples: Their channels.
+        recording: Of the same times, if there is one.
+        further: Channels of the same times.
 
     Raises:
         ValueError: There are such, as pydantic wants to be told.
     """
     channels: dict[str, list[Any]] = samples.model_dump()
-    lengths = {len(values) for values in channels.values()}
+    lengths = {len(values) for values in (*channels.values(), *further.values())}
     if recording is not None:
         lengths.add(len(recording.time_s))
     if len(lengths) > 1:

@@ -15,6 +15,7 @@ from planner.certify import certify
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.failure import Failure
 from planner.files import read_plan, write_plan
+from planner.files.plans import plan_from_dict, plan_to_dict
 from planner.objects import parse_object
 from planner.spatial import SE3
 from planner.synthesis.options import SynthesisOptions, needed_options
@@ -22,12 +23,16 @@ from planner.tools import Tool, needed_margin, read_tool, tool_names, way_blocke
 from planner.verification.grasp import verify_grasp
 from sim import UseTrial, plan_tool
 from sim.cli import main
-from sim.report_file import read_report, write_report_of
+from sim.cli.use import UseOptions
+from sim.report_file import ReportFile, read_report, write_report_of
 from sim.scene.physics import PhysicsOptions
 from sim.show.trial_page import trial_page
+from sim.simulation import Simulation
 from sim.tools import USES
+from sim.tools.strike import Strike, _Blow
+from sim.tools.trial import yaw_of_plan
 from sim.tools.turn import HINGE, SLIDE
-from sim.tools.use import FIXTURE, use_of
+from sim.tools.use import FIXTURE, Motion, use_of
 
 PEG = """
 format = "opposable-tool"
@@ -114,7 +119,10 @@ def test_what_is_wrong_with_a_tool_file_is_named(
         ("angle_deg = 90", "angle = 90", "kind 'turn' has angle_deg"),
         ("angle_deg = 90", "angle_deg = 0", "give 1 to 3600 degrees"),
         ("angle_deg = 90", "angle_deg = 90, stop_deg = 45", "before the end"),
+        ("angle_deg = 90", "angle_deg = 90, stop_deg = -95", "give both one sign"),
+        ("angle_deg = 90", "angle_deg = 90, lead_m = 1.0", "lead_m is 1.0; give -0.02"),
         ("numbers =", "workpiece_m = [0, 1, 1]\nnumbers =", "workpiece_m"),
+        ("numbers =", "workpiece_m = [100, 1, 1]\nnumbers =", "workpiece_m"),
     ],
 )
 def test_a_use_that_cannot_be_is_refused_before_planning(
@@ -256,3 +264,172 @@ def test_the_command_refuses_bad_input(capsys: pytest.CaptureFixture[str], tmp_p
         assert ended.value.code == 3
         assert complaint in capsys.readouterr().err.replace("\n", " ")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture(scope="module")
+def trial(plan: GraspPlan) -> UseTrial:
+    return UseTrial(plan, load_tool("screwdriver"), friction=2.0)
+
+
+def test_a_phase_begins_where_the_hand_is(trial: UseTrial, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation, carrier = trial.simulation, trial.carrier
+    gantry, data = simulation.scene.gantry, simulation.data
+    assert gantry is not None
+    pushes = iter([None, 2.0, None])
+    monkeypatch.setattr(
+        trial.use,
+        "motion",
+        lambda *_: Motion(T_world_base=gantry.pose(data.qpos[gantry.qpos]), push=next(pushes)),
+    )
+
+    def forward() -> Any:
+        still = gantry.command(data, data.qpos[gantry.qpos], np.zeros(6))
+        return gantry.gains[0] * (data.ctrl[gantry.ctrl] - still)
+
+    before = data.qpos.copy()
+    data.qpos[gantry.qpos[2]] += 0.0045
+    carrier.begin(data)
+    carrier.drive(data, "withdraw", 0.0)
+    assert np.allclose(forward(), 0.0)  # N, N m: the hand is where it is wanted
+    carrier.drive(data, "use", 0.0)
+    data.qpos[gantry.qpos[2]] += 1e-6
+    assert np.isclose(forward()[2], -2.0, atol=0.5)
+    carrier.drive(data, "use", 0.0)
+    sped = forward()[2] / gantry.gains[1][2]
+    assert np.isclose(sped, 1e-6 / simulation.timestep, rtol=1e-3)
+    data.qpos[:] = before
+
+
+def test_a_use_ends_when_the_tool_is_gone_and_says_so(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trial = UseTrial(plan, load_tool("screwdriver"))
+    assert not trial._run("engage")  # nothing touches at the start
+    assert trial.simulation.time < 0.1
+    monkeypatch.setattr(Simulation, "diverged", "a speed of 1e9")
+    verdict = trial.judged(0.0).verdict
+    assert verdict.reason == "dropped"
+    assert "in phase engage" in verdict.detail
+
+
+def test_a_report_tells_what_acted_and_at_which_yaw(trial: UseTrial) -> None:
+    trial.recorder.record()
+    report = trial.judged(0.0)
+    assert report.use is not None
+    assert report.use["summary"] == "it never came to its use"
+    assert (report.use["friction_factor"], report.use["yaw_rad"]) == (2.0, 0.0)
+    seen = {name: np.ones(1) for name in trial.use.channels}
+    assert "against 0.1 N m" in trial.use.summary(seen)
+
+
+def test_blows_are_judged_by_every_time_step() -> None:
+    use = Strike(load_tool("hammer"))
+    use.friction, use._blows = 2.0, [_Blow(), _Blow()]
+    for speed, force in ((0.5, 0.0), (0.95, 0.0), (15.0, 40.0)):
+        use._blows[0].note({"speed_mps": speed, "force_N": force})
+    use._blows[1].note({"speed_mps": 7.0, "force_N": 0.0})  # met nothing
+    seen = {name: np.array([12.0]) for name in use.channels}
+    assert use.faults(np.zeros(1), ["use"], seen | {"speed_mps": np.zeros(1)}) == []
+    assert use.summary(seen).startswith("1 of 5 blows, at up to 0.95 m/s and 40 N, drove")
+    assert use.summary(seen).endswith("against 40 N")
+
+
+def test_a_plan_of_another_tool_place_or_number_is_none(plan: GraspPlan) -> None:
+    tool = load_tool("screwdriver")
+    with pytest.raises(PlannerError, match="object is not that of key"):
+        UseTrial(plan, load_tool("key"))
+    with pytest.raises(PlannerError, match="shape is not that of screwdriver"):
+        UseTrial(plan, load_tool("screwdriver", scale=1.1))
+    weaker = replace(tool, needed=(replace(tool.needed[0], torque=(0, 0, -0.01)),))
+    with pytest.raises(PlannerError, match="needed wrenches is not"):
+        UseTrial(plan, weaker)
+    shift = SE3(np.eye(3), np.array([0.0, 0.0, 0.01]))
+    moved = replace(plan.task, T_world_object=shift * plan.task.T_world_object)
+    with pytest.raises(PlannerError, match="where its use offers it"):
+        UseTrial(replace(plan, task=moved), tool)
+    turned = replace(plan.task, T_world_object=use_of(tool).offered(0.4))
+    assert np.isclose(yaw_of_plan(replace(plan, task=turned), use_of(tool)), 0.4)
+    for friction in (-1.0, float("nan")):
+        with pytest.raises(PlannerError, match="friction is"):
+            UseTrial(plan, tool, friction=friction)
+    with pytest.raises(PlannerError, match="yaw is"):
+        plan_tool("allegro_hand", tool, yaw=float("nan"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("section", 'shape = "peg.stl"\nunused', r'give one of .*by mesh = "NAME.stl"'),
+        ("mass_kg = 0.05", "mass_kg = 0.05\nscale = 2.0", "section is in metres"),
+        ("z_m = 0.09", "z_m = 0.9", "the tool is 0.9 m long; tools up to 0.6 m"),
+    ],
+)
+def test_shapes_of_tools_are_sized_or_meshes_beside_the_file(
+    old: str, new: str, complaint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = PEG.replace(old, new, 1)
+    text = "\n".join(line for line in text.splitlines() if not line.startswith("unused"))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PlannerError, match=complaint):
+        read_tool(written(tmp_path, text))
+
+
+def test_a_made_tool_takes_no_scale_and_is_compared_by_value() -> None:
+    key = load_tool("key")
+    with pytest.raises(PlannerError, match="key is made, and scale is 2"):
+        load_tool(key, scale=2.0)
+    again = load_tool("key")
+    assert again is not key
+    assert again == key
+    assert len({key, again}) == 1
+    changes: list[dict[str, Any]] = [
+        {"tip": key.tip + 1e-3},
+        {"needed": ()},
+        {"mass": 0.1},
+        {"use": None},
+    ]
+    for change in changes:
+        assert replace(key, **change) != key
+    assert key != GraspObject(name=key.name, shape=key.shape)
+
+
+def test_needed_wrenches_have_names_of_their_own(plan: GraspPlan) -> None:
+    with pytest.raises(PlannerError, match="'turn the screw' are there more than once"):
+        replace(plan.task, needed=plan.task.needed * 2)
+
+
+def test_files_say_needs_and_channels_by_their_version(plan: GraspPlan, trial: UseTrial) -> None:
+    data = plan_to_dict(plan)
+    without = {name: value for name, value in data["task"].items() if name != "needed"}
+    wrongs: list[dict[str, Any]] = [{"version": 1}, {"version": 2}, {"task": without}]
+    for wrong in wrongs:
+        with pytest.raises(PlannerError, match="in version 3 alone"):
+            plan_from_dict(data | wrong, "here")
+    trial.recorder.record()
+    report = trial.judged(0.0).to_dict()
+    ReportFile.model_validate(report)
+    use = report["use"]
+    first = next(iter(use["channels"]))
+    longer = use["channels"] | {first: [0.0] * 9}
+    with pytest.raises(ValueError, match="have different lengths"):
+        ReportFile.model_validate(report | {"use": use | {"channels": longer}})
+    with pytest.raises(ValueError, match="titles and channels of the use differ: angle_deg"):
+        ReportFile.model_validate(report | {"use": use | {"titles": {}}})
+
+
+def test_a_hammer_is_swung_about_a_lever(plan: GraspPlan) -> None:
+    use = Strike(load_tool("hammer"))
+    tip = plan.contacts.positions.mean(axis=0) + np.array([0.001, 0.0, 0.1])
+    above = replace(plan.task, T_world_object=use.tool.T_world_object(tip))
+    with pytest.raises(PlannerError, match=r"hammer: the lever.* is 0.001.*from 0.03 to 0.3"):
+        use.way(replace(plan, task=above))
+
+
+def test_a_folder_of_an_earlier_use_keeps_nothing_of_it(
+    plan: GraspPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(UseOptions, "plan", lambda *_: plan)
+    (tmp_path / "report.json").write_text("{}")
+    with pytest.raises(SystemExit):
+        main(["use", "allegro_hand", "screwdriver", "--resist", "1000", "--out", str(tmp_path)])
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]

@@ -24,12 +24,12 @@ from pydantic import Field, ValidationError
 
 from planner.errors import FileFormatError
 from planner.files import TaskData, read_json, task_data, task_from_data
-from planner.files.data import Finite, PoseData
+from planner.files.data import PoseData
 from planner.files.disk import refuse_other_request
 from planner.forces.grip import ExpectedLoad
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.schema import StrictData, faults_of
+from planner.schema import Finite, StrictData, faults_of
 from planner.spatial import SE3
 from planner.system.threads import made_once
 from planner.task import GraspTask

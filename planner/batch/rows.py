@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 
 from planner.errors import FileFormatError, TaskError, shown
-from planner.files.data import LARGEST
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.quality import epsilon_l1, min_weight
+from planner.schema import LARGEST
 from planner.search.grasp import Attempt
 from planner.spatial import pose_to_wxyz
 from planner.task import GraspTask

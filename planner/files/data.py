@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from typing import Annotated, Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from planner.approach.arm_path import ArmPath
 from planner.contacts import ContactModel
@@ -21,7 +21,7 @@ from planner.hands.catalog import hand_names
 from planner.hands.hand import Hand
 from planner.objects import GraspObject, NeededWrench, Region, TouchRegion
 from planner.plan import BestOf, GraspPlan, SolveRecord
-from planner.schema import StrictData
+from planner.schema import Finite, StrictData, Vector3, Vector4
 from planner.shapes import shape_from_dict, shape_to_dict
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask, Obstacle
@@ -31,14 +31,6 @@ PLAN_VERSION = 1
 
 QUATERNION_TOL = 1e-3
 """How far (-) the length of a quaternion in a file may be from 1: figures typed with few digits."""
-
-LARGEST = 1e6
-"""Largest number, either sign, in SI units: no grasp has a larger one, and its square is finite."""
-
-Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
-NotNegative = Annotated[float, Field(allow_inf_nan=False, ge=0, le=LARGEST)]
-Vector3 = tuple[Finite, Finite, Finite]
-Vector4 = tuple[Finite, Finite, Finite, Finite]
 
 
 class PoseData(StrictData):
@@ -152,7 +144,7 @@ class NeededSetData(StrictData):
     """The wrenches that a grasp must be able to produce, and how many times each of them."""
 
     margin: Finite
-    wrenches: list[NeededData]
+    wrenches: list[NeededData] = Field(min_length=1)
 
 
 class TaskData(StrictData):
@@ -311,6 +303,13 @@ class PlanFile(StrictData):
     pad_gaps_m: list[Finite]
     smallest_clearances_m: dict[str, Finite]
     record: RecordData
+
+    @model_validator(mode="after")
+    def _needs_of_version(self) -> Self:
+        if (self.task.needed is not None) != (self.version == 3):
+            has = "no needed wrenches" if self.task.needed is None else "needed wrenches"
+            raise ValueError(f"version {self.version} with {has}; those are in version 3 alone")
+        return self
 
 
 def task_data(task: GraspTask) -> TaskData:

@@ -24,15 +24,7 @@ from pydantic import Field
 from planner.approach.pregrasp import Approach
 from planner.errors import FileFormatError, TaskError, shown
 from planner.failure import Failure
-from planner.files.data import (
-    ArmData,
-    ContactData,
-    Finite,
-    NotNegative,
-    PlanFile,
-    PoseData,
-    Vector3,
-)
+from planner.files.data import ArmData, ContactData, PlanFile, PoseData
 from planner.files.disk import MOVEMENT_FORMATS, checked_file, read_json, write_json
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
@@ -49,7 +41,7 @@ from planner.motion.plan import (
 )
 from planner.motion.verify import MovementVerifier, Waypoint
 from planner.plan import GraspPlan
-from planner.schema import StrictData
+from planner.schema import Finite, NotNegative, StrictData, Vector3
 from planner.spatial import FloatArray
 from planner.version import written_by
 

@@ -31,16 +31,13 @@ from planner.contacts import Contact, ContactModel, ContactSet
 from planner.errors import FileFormatError, TaskError, shown
 from planner.failure import Failure
 from planner.files.data import (
-    LARGEST,
     ArmData,
     ContactData,
     GraspData,
     HandData,
-    NotNegative,
     PlanFile,
     PoseData,
     RecordData,
-    Vector3,
     task_data,
     task_from_data,
 )
@@ -49,7 +46,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.quality import primitive_wrenches
-from planner.schema import StrictData, faults_of
+from planner.schema import LARGEST, NotNegative, StrictData, Vector3, faults_of
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp

@@ -328,12 +328,33 @@ class Wanted:
         """A plan with the record of the attempts that it is the best of; the first as it is."""
         if self.measure is None:
             return plan
-        best = BestOf(
-            found=sum(attempt.plan is not None for attempt in made),
+        return best_of_made(
+            plan,
+            made,
             metric=self.measure.text,
             value=self.measure(plan),
             improving=self.improving,
         )
-        spent = sum(attempt.cpu_s for attempt in made)
-        record = replace(plan.record, attempts=len(made), cpu_s=spent, best=best)
-        return replace(plan, record=record)
+
+
+def best_of_made(
+    plan: GraspPlan,
+    made: Sequence[Attempt[GraspPlan]],
+    *,
+    metric: str,
+    value: float,
+    improving: bool = False,
+) -> GraspPlan:
+    """A plan with the record of the attempts that it is the best of.
+
+    Args:
+        plan: The best.
+        made: All attempts.
+        metric: By what.
+        value: What it is worth by that.
+        improving: Whether attempts built on each other.
+    """
+    found = sum(attempt.plan is not None for attempt in made)
+    best = BestOf(found=found, metric=metric, value=value, improving=improving)
+    spent = sum(attempt.cpu_s for attempt in made)
+    return replace(plan, record=replace(plan.record, attempts=len(made), cpu_s=spent, best=best))

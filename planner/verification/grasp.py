@@ -225,17 +225,9 @@ def needed_forces(
     """
     weight, margin = gravity_wrench(task.object.mass, task.gravity), task.needed_margin
     return tuple(
-        plan_forces(
-            task, contacts, T_world_base, q, wrench=weight + margin * needed_load(task, one)
-        )
+        plan_forces(task, contacts, T_world_base, q, wrench=weight + margin * task.needed_load(one))
         for one in task.needed
     )
-
-
-def needed_load(task: GraspTask, needed: NeededWrench) -> FloatArray:
-    """The wrench (6,), world, against which the hand produces a needed one."""
-    turn = task.T_world_object.rotation
-    return -np.concatenate([turn @ needed.force, turn @ needed.torque])
 
 
 def plan_forces(

@@ -67,7 +67,6 @@ class GraspStiffness:
         shifts: (2n, N), what the forces do per metre by which a contact is along a tangent of where
             it should be.
         forces: Of the contacts (n, 4), N and N m, in contact frames.
-        curvatures: Of the object (n, 2, 2), 1/m, along the contacts' tangents.
         slips: (2n, N), what the forces do per metre by which the object slides along a tangent.
         tilts: (2n, N), how much of a normal force comes to lie along a tangent.
         tilted: (2n, 2n), the same per metre of sliding, N/m.
@@ -78,7 +77,6 @@ class GraspStiffness:
     rows: FloatArray
     shifts: FloatArray
     forces: FloatArray
-    curvatures: FloatArray
     slips: FloatArray
     tilts: FloatArray
     tilted: FloatArray
@@ -144,7 +142,6 @@ class GraspStiffness:
             rows=rows,
             shifts=shifts.reshape(2 * n, -1),
             forces=np.array(forces.forces),
-            curvatures=curved,
             slips=slips.reshape(2 * n, -1),
             tilts=tilts.reshape(2 * n, -1),
             tilted=block_diag(*tilted),
@@ -165,7 +162,7 @@ class GraspStiffness:
     def under(
         self, factor: float, wrenches: FloatArray, misplaced: float
     ) -> tuple[FloatArray, FloatArray]:
-        """How contact forces change and the object turns, held at ``factor`` times the forces.
+        """How contact forces change and all moves, held at ``factor`` times the forces.
 
         Args:
             factor: Below ``buckling``.
@@ -174,16 +171,9 @@ class GraspStiffness:
                 along a tangent.
 
         Returns:
-            Changes (m + 3n, n, 4), N and N m in contact frames, and rotations (m + 3n, 3), rad:
-            under every wrench, with every tip out of place, with every contact along both tangents.
+            Changes (m + 3n, n, 4), N and N m in contact frames, and movements x (m + 3n, N): under
+            every wrench, with every tip out of place, with every contact along both tangents.
         """
-        moved, changes = self._elastic(factor, wrenches, misplaced)
-        return changes.reshape(len(moved), -1, 4), moved[:, 3:6]
-
-    def _elastic(
-        self, factor: float, wrenches: FloatArray, misplaced: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Movements (m + 3n, N) and changes of contact forces (m + 3n, 4n); see ``under``."""
         n, _, size = self.rows.shape
         m, k = len(wrenches), np.tile([CONTACT] * 3 + [SPIN], n)
         flat = self.rows.reshape(4 * n, size)
@@ -199,7 +189,7 @@ class GraspStiffness:
         moved = np.linalg.solve(self.springs + factor * self.bending, pushed.T).T
         gaps = moved @ flat.T
         gaps[m : m + n] -= gone
-        return moved, -gaps * k
+        return (-gaps * k).reshape(len(moved), n, 4), moved
 
     def crept(
         self, factor: float, wrenches: FloatArray, misplaced: float, slides: FloatArray
@@ -218,9 +208,9 @@ class GraspStiffness:
             rotations (1 + m + 3n, 3).
         """
         n, _, size = self.rows.shape
-        moved, changes = self._elastic(factor, wrenches, misplaced)
+        changes, moved = self.under(factor, wrenches, misplaced)
         moved = np.vstack([np.zeros((1, size)), moved])
-        changes = np.vstack([np.zeros((1, 4 * n)), changes])
+        changes = np.vstack([np.zeros((1, 4 * n)), changes.reshape(-1, 4 * n)])
         along = (4 * np.arange(n)[:, None] + [1, 2, 3]).reshape(-1)
         plane = np.arange(3 * n).reshape(n, 3)[:, :2].reshape(-1)  # without spin
         k, flat = np.tile([CONTACT] * 2 + [SPIN], n), self.rows.reshape(4 * n, size)

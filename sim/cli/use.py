@@ -127,6 +127,8 @@ def use(
     name = f"{plain_name(plan.task.hand.name)}-{plain_name(loaded.name)}-{request.seed}"
     folder = out_dir or Path("runs") / name
     make_folder(folder)
+    for old in ("report.json", "report.html", "used.png", "used-end.png"):  # of an earlier plan
+        (folder / old).unlink(missing_ok=True)
     write_plan(plan, folder / "plan.json")
     if request.verbose and not as_json:
         tell(str(plan))

@@ -8,20 +8,24 @@ it meets the head. Before every blow it goes down by as much as the nail has gon
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
-from planner.errors import ObjectError
+from planner.arrays import checked_number
+from planner.errors import ObjectError, TaskError
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers import Phase
 from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
 from sim.tools.use import (
+    DOWN,
     FIXTURE,
+    STEEL,
     Faulty,
     Motion,
     Use,
@@ -36,16 +40,11 @@ from sim.tools.use import (
 
 SLIDE = f"{FIXTURE}/drive"
 
-DOWN = np.array([0.0, 0.0, -1.0])
-
 HEAD, SHANK = 0.007, 0.0025
 """Radius of the nail's head and of its shank, m."""
 
 HEAD_HEIGHT = 0.002
 """Thickness of the head, m."""
-
-STEEL = 7800.0
-"""Density of the nail, kg/m3."""
 
 RAISE, THROUGH, REST = 0.6, 0.03, 0.4
 """Times (s) of raising the hammer, of stopping after the blow, and of coming to rest."""
@@ -56,11 +55,36 @@ RISE = 0.04
 HOVER = 0.002
 """Height (m) of the face over the nail's head from which it is raised."""
 
+LEVER = (0.03, 0.3)
+"""Shortest and longest lever, m: below it 1 m/s is 30 rad/s of the wrist; half the longest tool."""
+
 SLOW = 0.8
 """Share of the asked speed (-) with which a blow counts as one."""
 
 POSES = 4
 """Poses of a swing of the way that is checked."""
+
+
+@dataclass
+class _Blow:
+    """What a blow was, from every time step of it: it lasts less than the time between samples.
+
+    Attributes:
+        speed: Of the face along the nail at most, until it met the nail, m/s.
+        force: Of the tool on the nail at most, along it, N.
+        met: Whether it met the nail.
+    """
+
+    speed: float = 0.0
+    force: float = 0.0
+    met: bool = False
+
+    def note(self, measured: Mapping[str, float]) -> None:
+        """Take what is measured at a time step."""
+        self.met = self.met or measured["force_N"] > 0.0
+        self.force = max(self.force, measured["force_N"])
+        if not self.met:
+            self.speed = max(self.speed, measured["speed_mps"])
 
 
 class Strike(Use):
@@ -117,12 +141,19 @@ class Strike(Use):
         pass_through_workpiece(spec)
 
     def _pivot(self, plan: GraspPlan) -> tuple[FloatArray, FloatArray, float]:
-        """Middle of the grip (3,), the axis that raises the tip (3,), and the lever (m)."""
+        """Middle of the grip (3,), the axis that raises the tip (3,), and the lever (m).
+
+        Raises:
+            TaskError: The lever is out of range.
+        """
         middle = plan.contacts.positions.mean(axis=0)
         tip = plan.task.T_world_object.act(self.tool.tip)
         lever = tip - middle
         lever[2] = 0.0
-        size = float(np.linalg.norm(lever))
+        size = checked_number(
+            f"{self.tool.name}: the lever, across from the middle of the grip to the tip,",
+            float(np.linalg.norm(lever)), least=LEVER[0], most=LEVER[1], unit="m", error=TaskError,
+        )  # fmt: skip
         return middle, np.cross(lever / size, [0.0, 0.0, 1.0]), size
 
     def way(self, plan: GraspPlan) -> list[SE3]:
@@ -142,7 +173,8 @@ class Strike(Use):
         if phase == "engage":
             self._grip = self._pivot(simulation.plan)
         if phase == "use":
-            self._fastest: list[float] = []
+            self._blows: list[_Blow] = []
+            self._shift = self._base.translation - simulation.plan.T_world_base.translation
 
     def motion(self, simulation: Simulation, phase: Phase, share: float) -> Motion:
         """Where the hand is wanted."""
@@ -168,14 +200,19 @@ class Strike(Use):
         strike = 2 * top / rate
         whole = RAISE + strike + THROUGH + REST
         since = simulation.time - self._begun
-        blow, t = int(since / whole), since % whole
-        if blow != self._blow and blow < n["blows"]:
+        blow = min(int(since / whole), int(n["blows"]) - 1)
+        t = since - blow * whole
+        if blow != self._blow:
             over = tip_now(simulation, self.tool) - self._head(simulation)
-            self._blow, self._drop = blow, float(over[2]) - HOVER
-            self._base = shifted(self._base, self._drop * DOWN) if blow else self._base
-            self._shift = self._base.translation - simulation.plan.T_world_base.translation
+            self._base, self._shift = self._lowered(1.0) if blow else (self._base, self._shift)
+            self._blow, self._drop = blow, float(over[2]) - HOVER if blow else 0.0
+            self._blows.append(_Blow())
+        if t >= RAISE and simulation.touching():
+            self._blows[-1].note(self.measure(simulation))
+        raised = float(minimum_jerk(np.asarray(min(1.0, t / RAISE))))
+        base, shift = self._lowered(raised)
         if t < RAISE:
-            angle = top * float(minimum_jerk(np.asarray(t / RAISE)))
+            angle = top * raised
         elif t < RAISE + strike:
             angle = top * (1.0 - ((t - RAISE) / strike) ** 2)
         else:
@@ -185,15 +222,20 @@ class Strike(Use):
                 minimum_jerk(np.asarray(np.clip((t - RAISE - strike - THROUGH) / REST, 0.0, 1.0)))
             )
         return Motion(
-            T_world_base=about(pivot + self._shift, axis, angle) * self._base,
-            done=blow >= n["blows"],
+            T_world_base=about(pivot + shift, axis, angle) * base,
+            done=since >= n["blows"] * whole,
         )
+
+    def _lowered(self, share: float) -> tuple[SE3, FloatArray]:
+        """Base pose, and its shift (3,) from the plan's, at a share of going down for a blow."""
+        down = share * self._drop * DOWN
+        return shifted(self._base, down), self._shift + down
 
     @property
     def duration(self) -> float:
-        """Longest time (s) of all blows; a lever is 0.3 m at most."""
+        """Longest time (s) of all blows; the longest lever takes longest."""
         n = self.numbers
-        strike = 2 * np.deg2rad(n["swing_deg"]) * 0.3 / n["speed_m_s"]
+        strike = 2 * np.deg2rad(n["swing_deg"]) * LEVER[1] / n["speed_m_s"]
         return float(n["blows"] * (RAISE + strike + THROUGH + REST))
 
     def measure(self, simulation: Simulation) -> dict[str, float]:
@@ -215,16 +257,22 @@ class Strike(Use):
         using = np.flatnonzero([p == "use" for p in phase])
         if not len(using):
             return []
-        slow = float(seen["speed_mps"][using].max()) < SLOW * self.numbers["speed_m_s"]
+        slow = self._hardest()[1] < SLOW * self.numbers["speed_m_s"]
         if slow or seen["driven_mm"][using[-1]] < 1e3 * self.numbers["depth_m"]:
-            return [(float(time[using[-1]]), "use not done", self.told(seen))]
+            return [(float(time[using[-1]]), "use not done", self.summary(seen))]
         return []
 
-    def told(self, seen: Mapping[str, FloatArray]) -> str:
+    def _hardest(self) -> tuple[int, float, float]:
+        """How many blows met the nail, the highest speed (m/s) of one and its largest force (N)."""
+        met = [blow for blow in self._blows if blow.met]
+        speed, force = (max([0.0, *(getattr(b, k) for b in met)]) for k in ("speed", "force"))
+        return len(met), speed, force
+
+    def summary(self, seen: Mapping[str, FloatArray]) -> str:
         """How deep the nail is, and how fast the blows were."""
-        n = self.numbers
+        n, (blows, speed, force) = self.numbers, self._hardest()
         return (
-            f"{n['blows']:.0f} blows at up to {seen['speed_mps'].max():.2f} m/s drove the nail "
-            f"{seen['driven_mm'][-1]:.1f} mm ({1e3 * n['depth_m']:.0f} wanted) against "
-            f"{n['friction_N']:g} N"
+            f"{blows} of {n['blows']:.0f} blows, at up to {speed:.2f} m/s and {force:.0f} N, drove "
+            f"the nail {seen['driven_mm'][-1]:.1f} mm ({1e3 * n['depth_m']:.0f} wanted) against "
+            f"{self.friction * n['friction_N']:g} N"
         )

@@ -1,9 +1,9 @@
 """``UseTrial``: grasp a tool, use it, put it back in the air, and judge; ``use_tool`` plans it too.
 
-The same trial as of any grasp up to the squeeze. Then what offers the tool lets go; the hand brings
-its tip to the fixture ("engage"), uses it ("use"), takes it away ("withdraw") and holds it. The
-closed loop of ``ObjectImpedance`` keeps the tool in the palm: it gives what the use loads it with
-by the force programme by which the plan was proven, and grips as the plan does for the needed
+The same trial as of any grasp up to the squeeze. Then the support releases the tool; the hand
+brings its tip to the fixture ("engage"), uses it ("use"), takes it away ("withdraw") and holds it.
+The closed loop of ``ObjectImpedance`` keeps the tool in the palm: it gives what the use loads it
+with by the force programme by which the plan was proven, and grips as the plan does for the needed
 wrenches.
 """
 
@@ -17,9 +17,11 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import checked_number
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.search.grasp import Attempt
+from planner.shapes.registry import shape_key
 from planner.spatial import FloatArray, IntArray
 from planner.task import GraspTask
 from planner.tools import Tool, load_tool, plan_use, use_task
@@ -47,8 +49,18 @@ from sim.verdict import (
 
 __all__ = ["UseTimeline", "UseTrial", "plan_tool", "use_tool"]
 
+MOST_RESIST = 100.0
+"""Largest factor on a fixture's friction (-): more is a fixture that never moves."""
+
+SAME_POSE = 1e-6
+"""How far entries of two poses (-, m) may differ that are one: a plan file rounds."""
+
 USING: tuple[Phase, ...] = ("engage", "use", "withdraw")
 """Phases between the squeeze and the hold."""
+
+GONE = 0.05
+"""Time (s) without any contact after which the tool is out of the hand: a blow shakes fingers
+off it for single time steps."""
 
 USE_THRESHOLDS = Thresholds(slip_mm=10.0, slip_deg=10.0)
 """Where the use of a tool ends to be one: by as much may it move in the hand."""
@@ -108,6 +120,10 @@ class UseCarrier:
         self._target = np.zeros(6)
         self.done = False
 
+    def begin(self, data: Any) -> None:
+        """A phase begins where the hand is: there its targets begin too."""
+        self._target, self.done = data.qpos[self._gantry.qpos].copy(), False
+
     def drive(self, data: Any, phase: Phase, share: float) -> None:
         """Set the gantry's commands."""
         if phase in PHASES[:4]:
@@ -124,6 +140,7 @@ class UseCarrier:
             force = np.array([0.0, 0.0, -wanted.push])
             lever = self._trial.use.mouth - simulation.T_world_base.translation
             target[2], velocity[2] = data.qpos[gantry.qpos[2]], 0.0
+            self._target[2] = target[2]  # the height that the next command begins at
             load = np.concatenate([force, np.cross(lever, force)])
             target += load / gantry.gains[0]  # its moment too, or the hand would tilt
         data.ctrl[gantry.ctrl] = gantry.command(data, target, velocity)
@@ -160,7 +177,6 @@ class UseTrial(Trial):
         tool: Tool,
         options: TrialOptions | None = None,
         *,
-        yaw: float = 0.0,
         friction: float = 1.0,
         **changes: Unpack[TrialKeywords],
     ) -> None:
@@ -170,26 +186,27 @@ class UseTrial(Trial):
             plan: A grasp of the tool, from ``plan_tool``.
             tool: The tool.
             options: Under which conditions; defaults if None.
-            yaw: Turn of the fixture about the vertical with which it was planned, rad.
             friction: Factor on the dry friction of the fixture that the plan does not know (-).
             changes: Fields of ``TrialOptions`` by name that are to be others.
 
         Raises:
-            TaskError: The hand is on an arm, the plan needs no wrench, or a controller, a truth or
-                a timeline is given that is none of a use.
+            TaskError: The hand is on an arm, the plan is none of this tool where its use offers it,
+                the factor is out of range, or a controller, a truth or a timeline is given that is
+                none of a use.
             PlannerError: As ``Trial``.
         """
         asked = replace(options or TrialOptions(), **changes)
         needs_gantry(plan)
-        if len(plan.needed) != len(tool.needed):
-            raise TaskError(f"the plan is none for the use of {tool.name}; give one of plan_tool")
+        self.use = use_of(tool)
+        self.use.yaw = yaw_of_plan(plan, self.use)
+        self.use.friction = checked_number(
+            "friction", friction, least=0.0, most=MOST_RESIST, error=TaskError
+        )
         if asked.truth is not None or asked.controller is not None:
             raise TaskError("a tool is known, and its use has its own controller; give neither")
         timeline = asked.timeline or UseTimeline()
         if not isinstance(timeline, UseTimeline):
             raise TaskError("a use has other phases than a trial; give a UseTimeline")
-        self.use, self._yaw = use_of(tool), yaw
-        self.use.yaw, self.use.friction = yaw, friction
         self._fingers = UseController(plan, learns=self.use.lasting)
         super().__init__(
             plan,
@@ -200,7 +217,6 @@ class UseTrial(Trial):
                 thresholds=asked.thresholds or USE_THRESHOLDS,
             ),
         )
-        self._line: UseTimeline = timeline
         gantry = self.simulation.scene.gantry
         assert gantry is not None
         self.carrier = UseCarrier(self, gantry, timeline)
@@ -211,7 +227,7 @@ class UseTrial(Trial):
         """Adds the fixture to the scene."""
 
         def change(spec: Any) -> None:
-            self.use.add_fixture(spec, self._physics, self._yaw)
+            self.use.add_fixture(spec, self._physics, self.use.yaw)
 
         return change
 
@@ -234,11 +250,16 @@ class UseTrial(Trial):
         """Run a phase of the use; whether going on makes sense."""
         simulation, use = self.simulation, self.use
         use.begin(simulation, phase)
-        duration = use.duration if phase == "use" else getattr(self._line, phase)
-        self.carrier.done = False
+        duration = use.duration if phase == "use" else getattr(self.timeline, phase)
+        self.carrier.begin(simulation.data)
+        gone = 0.0
         for _ in simulation.run(phase, duration):
             if simulation.due(self.recorder.every):
                 self.recorder.record()
+            gone = 0.0 if simulation.touching() else gone + simulation.timestep
+            if gone >= GONE:
+                self.recorder.record()
+                return False
             if phase == "use" and self.carrier.done:
                 break
         return not simulation.ended and simulation.touching() > 0
@@ -252,8 +273,6 @@ class UseTrial(Trial):
             stopped=simulation.stopped,
             diverged=simulation.diverged,
         )
-        if early is not None:
-            return Verdict(early)
         limits = self.thresholds
         phase = np.array(samples.phase)
         using = np.isin(phase, (*USING, "hold"))
@@ -261,13 +280,7 @@ class UseTrial(Trial):
         loose = _last_run(using & (touching < task.fingers_needed))
         far = (samples.slip_mm > limits.slip_mm) | (samples.slip_deg > limits.slip_deg)
         slipped = np.flatnonzero(using & far)
-        faults = [
-            first_collision(
-                samples.time, samples.collision_N, samples.collision, limits.collision_N
-            ),
-            tipped(samples, limits),
-            no_contact(samples, task.finger_names, task.fingers_needed),
-        ]
+        faults: list[Fault | None] = []
         if len(loose):
             i = int(loose[0])
             detail = f"{touching[i]} fingers touched the tool, in phase {phase[i]}"
@@ -279,6 +292,15 @@ class UseTrial(Trial):
                 f"in the hand, in phase {phase[i]}"
             )
             faults.append(fault_at(samples, i, "slipped", detail))
+        if early is not None and not (faults and early.reason == "diverged"):
+            return Verdict(early)  # a simulation that diverges after the tool is lost: it was lost
+        faults += [
+            first_collision(
+                samples.time, samples.collision_N, samples.collision, limits.collision_N
+            ),
+            tipped(samples, limits),
+            no_contact(samples, task.finger_names, task.fingers_needed),
+        ]
         faults += [
             Fault(reason=reason, detail=detail, time=time)
             for time, reason, detail in self.use.faults(
@@ -289,7 +311,7 @@ class UseTrial(Trial):
         if found:
             return Verdict(first_fault(found, samples, limits))
         if not len(samples.during("hold")):
-            detail = "too few fingers felt the tool for it to be used"
+            detail = self.not_lifted or "it never came to its use"
             return Verdict(fault_at(samples, len(samples) - 1, "no contact", detail))
         return Verdict()
 
@@ -298,7 +320,8 @@ class UseTrial(Trial):
     ) -> TrialReport:
         report = super()._report(verdict, begin, compared)
         tool, seen = self.use.tool, self.recorder.seen()
-        told = self.use.told(seen) if len(self.recorder.measured) else "it never came to its use"
+        used = "use" in report.samples.phase
+        summary = self.use.summary(seen) if used else "it never came to its use"
         assert tool.use is not None
         return replace(
             report,
@@ -306,7 +329,9 @@ class UseTrial(Trial):
             use={
                 "tool": tool.name,
                 "kind": tool.use.kind,
-                "told": told,
+                "summary": summary,
+                "yaw_rad": self.use.yaw,
+                "friction_factor": self.use.friction,
                 "numbers": dict(self.use.numbers),
                 "needed_margin": self.plan.task.needed_margin,
                 "titles": dict(self.use.channels),
@@ -321,6 +346,35 @@ def _last_run(bad: NDArray[np.bool_]) -> IntArray:
     return np.arange(int(good[-1]) + 1 if len(good) else 0, len(bad))
 
 
+def yaw_of_plan(plan: GraspPlan, use: Use) -> float:
+    """Turn (rad) about the vertical with which a grasp was planned for a use.
+
+    Raises:
+        TaskError: It was planned for another tool, or for one that is offered elsewhere.
+    """
+    tool, task = use.tool, plan.task
+    for what, planned, given in (
+        ("object", task.object.name, tool.name),
+        ("shape", shape_key(task.object.shape), shape_key(tool.shape)),
+        ("needed wrenches", task.needed, tool.needed),
+    ):
+        if planned != given:
+            raise TaskError(
+                f"the plan is of {task.object.name}, whose {what} is not that of {tool.name}; give "
+                "a plan of plan_tool for this tool"
+            )
+    turn = task.T_world_object.rotation @ use.offered().rotation.T
+    yaw = float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+    off = task.T_world_object.inverse() * use.offered(yaw)
+    far = np.abs(off.homogeneous - np.eye(4)).max()
+    if far > SAME_POSE:
+        raise TaskError(
+            f"the plan grasps {tool.name} at {task.T_world_object.translation}, not upright at "
+            f"{use.offered(yaw).translation} m, where its use offers it; give a plan of plan_tool"
+        )
+    return yaw
+
+
 def task_of_use(
     hand: Any, tool: Tool, *, yaw: float = 0.0, **changes: Any
 ) -> tuple[GraspTask, Use]:
@@ -330,7 +384,7 @@ def task_of_use(
         PlannerError: As ``use_of`` and ``planner.tools.use_task``.
     """
     use = use_of(tool)
-    use.yaw = yaw
+    use.yaw = yaw = checked_number("yaw", yaw, unit="rad", error=TaskError)
     task = use_task(hand, tool, use.offered(yaw), obstacles=use.obstacles, **changes)
     return task, use
 

@@ -24,7 +24,9 @@ from sim.controllers import Phase
 from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
 from sim.tools.use import (
+    DOWN,
     FIXTURE,
+    STEEL,
     Faulty,
     Motion,
     Use,
@@ -40,17 +42,19 @@ from sim.tools.use import (
 
 HINGE, SLIDE = f"{FIXTURE}/turn", f"{FIXTURE}/advance"
 
-DOWN = np.array([0.0, 0.0, -1.0])
-
 WALL, FLOOR = 0.004, 0.004
 """Thickness of the socket's walls and of its floor, m."""
-
-DENSITY = 7800.0
-"""Of the socket, kg/m3: steel."""
 
 ARMATURE = 1e-4
 """Inertia (kg m2) added to the hinge. MuJoCo softens the lead's equality by the sum of both joints'
 inverse inertias, whatever its coefficients: with 2e-6 the screw sinks by 0.1 m."""
+
+MOST_LEAD = 0.02
+"""Largest advance per turn, m: a steeper thread is turned by what pushes on it."""
+
+SLIDE_DAMPING, SLIDE_ARMATURE = 1.0, 0.01
+"""Damping (N s/m) and added inertia (kg) of the socket along its axis: a socket of grams on a stiff
+lead would ring at the rate of the time steps."""
 
 STIFF = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance (``solimp``) of the lead: with it 3 N along the axis move the screw by 0.1 mm."""
@@ -66,6 +70,10 @@ OVERTURN = np.deg2rad(60.0)
 
 SHORT = 3.0
 """How far below the asked angle (degrees) the socket may end: the wrist stops where it is read."""
+
+INSERTED = 0.9
+"""Share of the socket's depth to which the hand lowers the tip (-): the push does the rest, and the
+floor is not met at speed."""
 
 RISE = 0.03
 """How far (m) above the socket's mouth the tip ends."""
@@ -122,10 +130,18 @@ class Turn(Use):
             raise ObjectError(f"{name}: angle_deg is {n['angle_deg']}; give 1 to 3600 degrees")
         if n["stop_deg"] and abs(n["stop_deg"]) < abs(n["angle_deg"]) - SHORT:
             raise ObjectError(f"{name}: the stop at {n['stop_deg']} degrees is before the end")
+        if n["stop_deg"] * n["angle_deg"] < 0.0:
+            raise ObjectError(
+                f"{name}: stop_deg is {n['stop_deg']} and angle_deg {n['angle_deg']}; give both "
+                "one sign, or no stop"
+            )
+        if not abs(n["lead_m"]) <= MOST_LEAD:
+            raise ObjectError(
+                f"{name}: lead_m is {n['lead_m']}; give -{MOST_LEAD:g} to {MOST_LEAD:g} m per turn"
+            )
         self._goal = np.deg2rad(n["angle_deg"])
         self._depth = n["depth_m"] * self.tool.scale
         self._starts_inside = self._gap == 0.0
-        self._at = self.mouth
 
     def offered(self, yaw: float = 0.0) -> SE3:
         """Above the socket; in it where the gap is 0."""
@@ -137,11 +153,10 @@ class Turn(Use):
         n = self.numbers
         body = spec.worldbody.add_body(name=FIXTURE, pos=self.mouth)
         body.quat = [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
-        axis = DOWN
-        body.add_joint(
-            name=SLIDE, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=1.0, armature=0.01
-        )
-        hinge = body.add_joint(name=HINGE, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+        slide = mujoco.mjtJoint.mjJNT_SLIDE
+        given = {"damping": SLIDE_DAMPING, "armature": SLIDE_ARMATURE}
+        body.add_joint(name=SLIDE, type=slide, axis=DOWN, **given)
+        hinge = body.add_joint(name=HINGE, type=mujoco.mjtJoint.mjJNT_HINGE, axis=DOWN)
         hinge.frictionloss = self.friction * n["friction_N_m"]
         hinge.armature = ARMATURE
         if n["stop_deg"]:
@@ -164,7 +179,7 @@ class Turn(Use):
             ((x + WALL, y + WALL, FLOOR / 2), (0.0, 0.0, -2 * d - FLOOR / 2)),
         ]
         for half, at in parts:
-            add_solid(body, physics, "box", half, at, DENSITY * 8 * float(np.prod(half)))
+            add_solid(body, physics, "box", half, at, STEEL * 8 * float(np.prod(half)))
         pass_through_workpiece(spec)
 
     def way(self, plan: GraspPlan) -> list[SE3]:
@@ -189,8 +204,7 @@ class Turn(Use):
         """Note where hand and tool are."""
         self._base, self._begun = simulation.T_world_base, simulation.time
         if phase == "engage":
-            self._first = simulation.T_world_base
-            self._line = self._first
+            self._aligned = self._base
         if phase == "withdraw":
             self._rise = RISE + self._depth
 
@@ -206,16 +220,17 @@ class Turn(Use):
     def _engaging(self, simulation: Simulation, share: float) -> Motion:
         push = self.numbers["push_N"]
         if self._starts_inside:
-            return Motion(T_world_base=self._first, push=share * push)
+            return Motion(T_world_base=self._base, push=share * push)
         if share < LOOK:
-            return Motion(T_world_base=self._first)
+            return Motion(T_world_base=self._base)
         s = float(minimum_jerk(np.asarray(max(0.0, share - ALIGNED) / (1.0 - ALIGNED))))
-        drop = s * (self._gap + 0.9 * self._depth) * DOWN
+        drop = s * (self._gap + INSERTED * self._depth) * DOWN
         now = sensed_object(simulation)
         if self._depth_of(now) < 0.0:  # the tip is free: bring the tool into line, by its pose
             error = pin.log6(shifted(self.offered(self.yaw), drop) * now.inverse())
-            self._line = pin.exp6(ALIGN_GAIN * simulation.timestep * error) * self._line
-        return Motion(T_world_base=shifted(self._line, drop))
+            step = pin.exp6(ALIGN_GAIN * simulation.timestep * error)
+            self._aligned = step * self._aligned
+        return Motion(T_world_base=shifted(self._aligned, drop))
 
     def _depth_of(self, pose: SE3) -> float:
         """How far below the mouth the tip is (m), the tool at a pose."""
@@ -274,13 +289,13 @@ class Turn(Use):
         turned = float(seen["angle_deg"][using][-1])
         if turned * np.sign(self._goal) < abs(self.numbers["angle_deg"]) - SHORT:
             end = float(time[using][-1])
-            found.append((end, "use not done", self.told(seen)))
+            found.append((end, "use not done", self.summary(seen)))
         return found
 
-    def told(self, seen: Mapping[str, FloatArray]) -> str:
+    def summary(self, seen: Mapping[str, FloatArray]) -> str:
         """How far it turned, against what."""
         return (
             f"the socket turned {seen['angle_deg'][-1]:.0f} of {self.numbers['angle_deg']:.0f} "
-            f"degrees against {self.numbers['friction_N_m']:g} N m; the tip was at most "
-            f"{np.nanmax(seen['tip_error_mm'][seen['depth_mm'] > 0], initial=0.0):.1f} mm off"
+            f"degrees against {self.friction * self.numbers['friction_N_m']:g} N m; the tip was at "
+            f"most {np.nanmax(seen['tip_error_mm'][seen['depth_mm'] > 0], initial=0.0):.1f} mm off"
         )

@@ -2,7 +2,7 @@
 
 Every use has a workpiece, a block that stands on the ground at the world's origin, and on it a
 fixture: bodies with joints and friction, which the tool meets by contacts alone. The tool is
-offered with its axis down and its tip ``gap_m`` above the fixture's mouth; what offers it lets go
+offered with its axis down and its tip ``gap_m`` above the fixture's mouth; the support releases it
 when the fingers press.
 """
 
@@ -31,6 +31,15 @@ from sim.verdict import Reason
 
 WORKPIECE, FIXTURE = "workpiece", "fixture"
 """Names of the block and of the body in which the tool works; its joints begin like it."""
+
+LARGEST_PIECE = 1.0
+"""Largest extent (m) of a workpiece: what is larger was given in other units."""
+
+DOWN = np.array([0.0, 0.0, -1.0])
+"""Into the fixture, along the tool's axis (3,), world."""
+
+STEEL = 7800.0
+"""Density of fixtures, kg/m3."""
 
 Faulty: TypeAlias = tuple[float, Reason, str]
 """Time (s), reason of the verdict, and detail of what a use did wrong."""
@@ -86,8 +95,11 @@ class Use(ABC):
         self.tool, self.numbers = tool, use_numbers(tool, self.defaults)
         assert tool.use is not None
         self._size, self._gap = np.array(tool.use.workpiece_m), tool.use.gap_m
-        if (self._size <= 0).any():
-            raise ObjectError(f"{tool.name}: workpiece_m {self._size} needs three lengths > 0")
+        if not ((self._size > 0) & (self._size <= LARGEST_PIECE)).all():
+            raise ObjectError(
+                f"{tool.name}: workpiece_m is {self._size}; give three lengths > 0 and <= "
+                f"{LARGEST_PIECE:g} m"
+            )
         self.check()
 
     @abstractmethod
@@ -123,7 +135,11 @@ class Use(ABC):
 
     @abstractmethod
     def way(self, plan: GraspPlan) -> list[SE3]:
-        """Base poses of a grasp through which the use takes the hand, close together."""
+        """Base poses of a grasp through which the use takes the hand, close together.
+
+        Raises:
+            TaskError: The tool cannot be used in this grasp; another may do.
+        """
 
     @abstractmethod
     def begin(self, simulation: Simulation, phase: Phase) -> None:
@@ -155,8 +171,8 @@ class Use(ABC):
         """
 
     @abstractmethod
-    def told(self, seen: Mapping[str, FloatArray]) -> str:
-        """What was done, a sentence with numbers."""
+    def summary(self, seen: Mapping[str, FloatArray]) -> str:
+        """What was done, a sentence with numbers; the phase "use" was begun."""
 
 
 USES: Registry[type[Use]] = Registry("kind of use", group="uses")
