@@ -76,7 +76,7 @@ def measure(case: Row) -> Row:
         "done": report.success,
         "reason": report.reason or "done",
         "detail": report.verdict.detail,
-        "told": "" if use is None else use["summary"],
+        "summary": "" if use is None else use["summary"],
         "margin": None if best is None else best.value,
         "attempts": plan.record.attempts,
         "plan_s": plan.record.cpu_s,

@@ -418,7 +418,7 @@ def test_a_report_file_has_a_head_and_all_channels(
     page = recognise(target).shown(target, ViewOptions())
     assert isinstance(page, Page) and page.data is not None
     assert page.data["format"] == "opposable-manipulation-report"
-    assert (file.format, file.version) == ("opposable-manipulation-report", 3)
+    assert (file.format, file.version) == ("opposable-manipulation-report", 4)
     assert (file.hand, file.object, file.seed) == ("allegro_hand", "cylinder:0.03x0.08", 0)
     assert file.mass_kg == 0.1 and file.controller == "ObjectImpedance"
     assert file.written_by.startswith("opposable")
