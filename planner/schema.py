@@ -27,9 +27,16 @@ LARGEST = 1e6
 """Largest number, either sign, in SI units: no grasp has a larger one, and its square is finite."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
+"""A number of a file, up to ``LARGEST``."""
+
 NotNegative = Annotated[float, Field(allow_inf_nan=False, ge=0, le=LARGEST)]
+"""A number of a file, 0 to ``LARGEST``."""
+
 Vector3 = tuple[Finite, Finite, Finite]
+"""Three numbers of a file."""
+
 Vector4 = tuple[Finite, Finite, Finite, Finite]
+"""Four numbers of a file."""
 
 MOST_FAULTS = 5
 """Most faults in one message; the rest usually follow from these."""

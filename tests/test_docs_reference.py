@@ -182,6 +182,7 @@ COMPOSED = {
     "planner.describe",  # what `check_hand` was told by others
     "planner.forces",  # "<reason>. <remedy>" of what `explain_infeasibility` finds
     "sim.cli",  # "<error>. <advice>" of a search that found nothing, as `advice_for_size` has it
+    "planner.tools",  # "<path>: <what is wrong in a tool file>"
     "sim.presets",  # "<path>: <error>"
     "sim.protocols",  # the reason of what was asked of it
 }

@@ -424,7 +424,7 @@ def changed(policy: Policy, tmp_path: Path, **header: Any) -> Path:
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ({"version": 4}, "version 4; this version reads"),
+        ({"version": 5}, "version 5; this version reads"),
         ({"format": "opposable-plan"}, "of format 'opposable-plan'"),
         ({"senses": ["sight"]}, "damaged: no sense"),
         ({"actuators": ["one"]}, "damaged: layers"),

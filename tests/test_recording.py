@@ -267,14 +267,14 @@ def test_a_file_of_version_1_is_read_without_states(
 ) -> None:
     write_report(version_1(seen[0]), tmp_path / "old.json")
     read = read_report(tmp_path / "old.json")
-    assert (read.version, read.plan, read.recording, read.command) == (3, None, None, "")
+    assert (read.version, read.plan, read.recording, read.command) == (4, None, None, "")
     assert read.samples == seen[0].to_file().samples
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"version": 4}, "has report version 4"),
+        ({"version": 5}, "has report version 5"),
         ({"format": "opposable-plan"}, "is not a report file: its format is 'opposable-plan'"),
         ({"seed": None}, "is damaged: seed"),
         ({"recording": {"time_s": []}}, "is damaged: recording"),

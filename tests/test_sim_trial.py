@@ -145,7 +145,7 @@ def test_report_is_plain_json_that_follows_its_schema(report: TrialReport) -> No
     data = report.to_dict()
     text = json.dumps(data, allow_nan=False)
     read = ReportFile.model_validate(json.loads(text))
-    assert (read.format, read.version) == ("opposable-report", 3)
+    assert (read.format, read.version) == ("opposable-report", 4)
     assert read.success
     assert read.physics["mu"] == 0.6
     assert read.timeline["hold"] == 2.0

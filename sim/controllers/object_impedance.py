@@ -76,11 +76,12 @@ FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
 """After a slip at less friction than was believed, friction is believed to be this share of what
 was felt, and never less than this (-)."""
 
-UNTURNED = 1.0 + 2.0 * math.cos(math.radians(1.0))
-"""Trace (-) of a rotation by a degree: a base that turns less, as one that sways, stands still."""
+UNTURNED = 1.0 + 2.0 * math.cos(math.radians(3.0))
+"""Trace (-) of a rotation by 3 degrees: a base that turns less stands still. A gantry that is
+pushed with 7 N sways by more than one degree."""
 
 TURNING_TIME = 0.1
-"""Time (s) after a turn by a degree for which the base counts as turning."""
+"""Time (s) after such a turn for which the base counts as turning."""
 
 CONFIRMED = 0.95
 """A slip at this share of the believed friction or more confirms it (-)."""
