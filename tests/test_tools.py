@@ -255,6 +255,7 @@ def test_a_key_is_turned_and_the_report_tells_it(tmp_path: Path) -> None:
 
 def test_the_command_refuses_bad_input(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for words, complaint in (
+        (["key", "shadow_hand"], "the hand comes first: shadow_hand key"),
         (["allegro_hand", "spoon"], "no tool is called 'spoon'"),
         (["allegro_hand", str(tmp_path / "none.toml")], "cannot read the tool file"),
         (["allegro_hand", str(written(tmp_path, PEG.replace("turn", "saw")))], "no kind of use"),

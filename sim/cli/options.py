@@ -199,7 +199,8 @@ def with_options(command: Command) -> Command:
 
     @wraps(command)
     def called(**given: Any) -> None:
-        hand, item = given.get("hand"), given.get("object") or given.get("objects")
+        hand = given.get("hand")
+        item = given.get("object") or given.get("objects") or given.get("tool")
         if hand and item:
             _refuse_swapped(hand, item if isinstance(item, str) else item[0])
         for name, group in groups.items():
@@ -214,7 +215,7 @@ def with_options(command: Command) -> Command:
 
 
 def _refuse_swapped(hand: str, object: str) -> None:
-    """Say so where the object stands before the hand.
+    """Say so where the object, or the tool, stands before the hand.
 
     Raises:
         TaskError: It does.
@@ -223,10 +224,15 @@ def _refuse_swapped(hand: str, object: str) -> None:
     from planner.hands.catalog import foreign_hand_names, hand_names
     from planner.objects import object_names
 
-    if hand.split(":")[0] in object_names() and object in (*hand_names(), *foreign_hand_names()):
-        raise TaskError(
-            f"{hand!r} is an object and {object!r} a hand; the hand comes first: {object} {hand}"
-        )
+    if object not in (*hand_names(), *foreign_hand_names()):
+        return
+    from planner.tools import tool_names
+
+    for kind, names in (("an object", object_names()), ("a tool", tool_names())):
+        if hand.split(":")[0] in names:
+            raise TaskError(
+                f"{hand!r} is {kind} and {object!r} a hand; the hand comes first: {object} {hand}"
+            )
 
 
 def command(function: Command) -> Command:
