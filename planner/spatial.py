@@ -34,6 +34,7 @@ __all__ = [
     "pose_from_wxyz",
     "pose_to_wxyz",
     "rotation_angle",
+    "shifted",
     "signed_twist",
     "skew",
 ]
@@ -152,6 +153,11 @@ def pose_to_wxyz(pose: SE3) -> tuple[FloatArray, FloatArray]:
 def rotation_angle(rotation: FloatArray) -> float:
     """Angle in rad, in [0, pi], by which a rotation matrix (3, 3) turns."""
     return float(np.linalg.norm(_pinocchio().log3(np.asarray(rotation, dtype=np.float64))))
+
+
+def shifted(pose: SE3, by: ArrayLike) -> SE3:
+    """A pose moved by (3,), m, in the axes that it is seen in."""
+    return _pinocchio().SE3(pose.rotation, pose.translation + np.asarray(by))
 
 
 def pose_change(before: SE3, after: SE3) -> tuple[float, float]:

@@ -56,6 +56,7 @@ from planner.schema import StrictData, Vector3, faults_of
 from planner.search.best import best_of_made
 from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, attempts
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
+from planner.shapes.made import fans, stacked
 from planner.spatial import SE3, FloatArray, fixed_array
 from planner.synthesis.options import SynthesisOptions
 from planner.system.package import models_dir
@@ -110,8 +111,8 @@ class TipData(StrictData):
 class BoxData(StrictData):
     """A box in the tool's frame; a corner is without bounds where it is left out."""
 
-    lower_m: Vector3 = (-LONGEST, -LONGEST, -LONGEST)
-    upper_m: Vector3 = (LONGEST, LONGEST, LONGEST)
+    lower_m: Vector3 | None = None
+    upper_m: Vector3 | None = None
 
 
 class NeededData(StrictData):
@@ -357,15 +358,7 @@ def sections_mesh(what: str, sections: Sequence[SectionData], scale: float = 1.0
         count = max(1, int(np.ceil((b[0, 2] - a[0, 2]) / ROW - 1e-9)))
         rings += [a + (b - a) * k / count for k in range(1, count + 1)]
     points = scale * np.vstack([*rings, rings[0].mean(axis=0), rings[-1].mean(axis=0)])
-    k = np.arange(AROUND)
-    following, faces = (k + 1) % AROUND, []
-    for i in range(len(rings) - 1):
-        below, above = AROUND * i, AROUND * (i + 1)
-        faces.append(np.column_stack([below + k, below + following, above + following]))
-        faces.append(np.column_stack([below + k, above + following, above + k]))
-    bottom, top, last = len(points) - 2, len(points) - 1, AROUND * (len(rings) - 1)
-    faces.append(np.column_stack([following, k, np.full(AROUND, bottom)]))
-    faces.append(np.column_stack([last + k, last + following, np.full(AROUND, top)]))
+    faces = [stacked(np.array(rings)), fans(len(rings), AROUND)]
     return Mesh.from_triangles(points, np.vstack(faces), name=what)
 
 
@@ -394,11 +387,16 @@ def _regions(
     return tuple(
         Region(
             name=f"{name} {k + 1}",
-            lower=_three(scale * np.array(box.lower_m) - origin),
-            upper=_three(scale * np.array(box.upper_m) - origin),
+            lower=_corner(box.lower_m, -np.inf, scale, origin),
+            upper=_corner(box.upper_m, np.inf, scale, origin),
         )
         for k, box in enumerate(boxes)
     )
+
+
+def _corner(given: Vector3 | None, without: float, scale: float, origin: FloatArray) -> Vector3:
+    """A corner about the centre of mass; ``without`` along every axis where none is given."""
+    return _three(np.full(3, without) if given is None else scale * np.array(given) - origin)
 
 
 def _three(values: FloatArray) -> Vector3:
@@ -467,8 +465,8 @@ def check_strength(task: GraspTask) -> None:
     """Refuse needed wrenches far beyond a hand's strength, before anything is searched.
 
     The bound is generous: every finger presses ``STRONGER`` times what it can in the pinch posture,
-    along friction that all helps, at the farthest place that may be touched. Which grasp produces
-    what is for the search to find out.
+    along friction that all helps, at the farthest place that may be touched. The search finds
+    out which grasp produces them.
 
     Raises:
         TaskError: A wrench needs more; names the largest there is and the actuator that ends it.
@@ -601,6 +599,17 @@ def way_blocked(plan: GraspPlan, way: Sequence[SE3]) -> Failure | None:
     return None
 
 
+def use_data(tool: Tool) -> UseData:
+    """What is done with a tool.
+
+    Raises:
+        ObjectError: Its file does not say.
+    """
+    if tool.use is None:
+        raise ObjectError(f"{tool.name} says no use; add a table [use] with a kind to its file")
+    return tool.use
+
+
 def use_numbers(tool: Tool, known: Mapping[str, float]) -> Mapping[str, float]:
     """Numbers of a tool's use, with defaults for those that its file leaves out.
 
@@ -611,11 +620,10 @@ def use_numbers(tool: Tool, known: Mapping[str, float]) -> Mapping[str, float]:
     Raises:
         ObjectError: The tool has no use, or a number that its kind has not.
     """
-    if tool.use is None:
-        raise ObjectError(f"{tool.name} says no use; add a table [use] with a kind to its file")
-    if unknown := sorted(set(tool.use.numbers) - set(known)):
+    use = use_data(tool)
+    if unknown := sorted(set(use.numbers) - set(known)):
         raise ObjectError(
             f"{tool.name}: use.numbers has {', '.join(map(shown, unknown))}; kind "
-            f"{tool.use.kind!r} has {', '.join(known)}"
+            f"{use.kind!r} has {', '.join(known)}"
         )
-    return MappingProxyType({**known, **tool.use.numbers})
+    return MappingProxyType({**known, **use.numbers})

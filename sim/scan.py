@@ -249,7 +249,7 @@ def scan(
         ObjectError: The object is not seen.
     """
     if not isinstance(item, GraspObject):
-        raise TaskError(f"what is scanned is {shown(item)}; give parse_object('sphere:0.03')")
+        raise TaskError(f"the object to scan is {shown(item)}; give parse_object('sphere:0.03')")
     rng = np.random.default_rng(np.random.SeedSequence([seed, 31]))
     camera = camera or DepthCamera()
     errors = noise if isinstance(noise, DepthNoise) else DepthNoise.of(noise)

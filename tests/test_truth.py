@@ -123,7 +123,7 @@ def test_what_is_no_truth_and_no_object_is_told() -> None:
     for wrong in (scan(parse_object("sphere")).cloud(), "cloud.ply"):
         with pytest.raises(TaskError, match="give what there really is"):
             TrialOptions(truth=wrong)  # type: ignore[arg-type]
-    with pytest.raises(TaskError, match="what is scanned is 'sphere'"):
+    with pytest.raises(TaskError, match="the object to scan is 'sphere'"):
         scan("sphere")  # type: ignore[arg-type]
 
 

@@ -33,7 +33,7 @@ from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
 from planner.plan import GraspPlan, JointTrajectory, Verification
 from planner.quality import ClosureResult
 from planner.showing import Shown, in_notebook
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, shifted
 from planner.synthesis.objectives.joint import driving
 from planner.task import GraspTask, Obstacle
 
@@ -520,8 +520,8 @@ class MovementPlan(Shown):
             self._move(builder)
             return builder.built()
         base, up = self.T_world_base, np.array([0.0, 0.0, max(lift_m, self.rise)])
-        builder.move_base("lift", _moved(base, up), LIFT_S * self._stretch(lift_m))
-        turned = [_moved(self.turned_base(share), up) for share in self.path.wrist_shares]
+        builder.move_base("lift", shifted(base, up), LIFT_S * self._stretch(lift_m))
+        turned = [shifted(self.turned_base(share), up) for share in self.path.wrist_shares]
         wrist_s = float(np.linalg.norm(self.path.wrist_turn)) / WRIST_RATE
         if self.path.turns_wrist:
             builder.move_along("wrist", turned[1:], wrist_s)
@@ -529,7 +529,7 @@ class MovementPlan(Shown):
         if self.path.turns_wrist:
             builder.move_along("wrist back", turned[-2::-1], wrist_s)
         to_target = self.ending.T_world_target * T_world_object.inverse() * base
-        builder.move_base("carry", _moved(to_target, up), CARRY_S)
+        builder.move_base("carry", shifted(to_target, up), CARRY_S)
         builder.move_base("lower", to_target, LOWER_S * self._stretch(lift_m))
         builder.turn("open", np.array([q, self.ending.release.q]), np.array([0.0, 1.0]), OPEN_S)
         builder.move_base("retreat", self.way_out(to_target), RETREAT_S)
@@ -578,7 +578,7 @@ class MovementPlan(Shown):
             raise TaskError("the plan has no ending; give one, or plan it by manipulation_of")
         planned = self.T_world_base
         way = way_back(self.task.hand, planned, chosen.release)
-        return _moved(T_world_base, T_world_base.rotation @ planned.rotation.T @ way)
+        return shifted(T_world_base, T_world_base.rotation @ planned.rotation.T @ way)
 
     def __repr__(self) -> str:
         """One line."""
@@ -700,7 +700,3 @@ def standing_under(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:
         return ()
     by = np.array([*gone[:2], 0.0])
     return tuple(replace(o.moved(by), name=f"{o.name} at the target") for o in task.carrying)
-
-
-def _moved(pose: SE3, by: FloatArray) -> SE3:
-    return SE3(pose.rotation, pose.translation + by)

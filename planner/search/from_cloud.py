@@ -38,7 +38,7 @@ from planner.plan import GraspPlan
 from planner.quality import force_closure, plainly_closed
 from planner.search.grasp import attempts
 from planner.shapes.mesh import surface_triangles
-from planner.spatial import SE3, FloatArray, contact_frames
+from planner.spatial import SE3, FloatArray, contact_frames, signed_twist
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
@@ -284,9 +284,8 @@ def _add_best(
 
 def along_table(moved: SE3, about: FloatArray) -> SE3:
     """What a motion is along the table, of a place (3,), m, and about the vertical through it."""
-    R = moved.rotation
-    yaw = np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
-    turn = exp3(np.array([0.0, 0.0, yaw]))
+    up = np.array([0.0, 0.0, 1.0])
+    turn = exp3(signed_twist(moved.rotation, up) * up)
     way = moved.act(about) - about
     return SE3(turn, about - turn @ about + np.array([way[0], way[1], 0.0]))
 

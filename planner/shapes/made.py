@@ -86,6 +86,21 @@ def stacked(rings: FloatArray, *, closed: bool = False) -> IntArray:
     return np.concatenate(halves)
 
 
+def fans(k: int, n: int) -> IntArray:
+    """Triangles (2 n, 3) that close k rings of n points below and above (``stacked``).
+
+    The poles in the middle of the first and of the last ring have the numbers k n and k n + 1.
+    """
+    first, count = np.arange(n), k * n
+    last = first + count - n
+    return np.vstack(
+        [
+            np.column_stack([np.roll(first, -1), first, np.full(n, count)]),
+            np.column_stack([last, np.roll(last, -1), np.full(n, count + 1)]),
+        ]
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class LBracket(Made):
     """Two plates at a right angle: one lies along x, the other stands along z; extruded along y.

@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes.made import Made, circle, stacked
+from planner.shapes.made import Made, circle, fans, stacked
 from planner.shapes.stable import StablePose
 from planner.spatial import FloatArray, IntArray
 
@@ -88,14 +88,8 @@ def revolved(outline: FloatArray, *, closed: bool = False) -> tuple[FloatArray, 
     vertices, faces = rings.reshape(-1, 3), stacked(rings, closed=closed)
     if closed:
         return vertices, faces
-    first, count = np.arange(AROUND), len(vertices)
-    last = first + count - AROUND
-    fans = [
-        np.column_stack([np.roll(first, -1), first, np.full(AROUND, count)]),
-        np.column_stack([last, np.roll(last, -1), np.full(AROUND, count + 1)]),
-    ]
     poles = [[0.0, 0.0, outline[0, 1]], [0.0, 0.0, outline[-1, 1]]]
-    return np.vstack([vertices, poles]), np.vstack([faces, *fans])
+    return np.vstack([vertices, poles]), np.vstack([faces, fans(len(points), AROUND)])
 
 
 class Walled(Made):

@@ -222,7 +222,7 @@ class BestOptions(PlanOptions):
         return plan
 
     def of_cloud(self, hand: str, file: str) -> CloudPlan:
-        """Plans on what cameras saw; what is believed of the rest is told on stderr.
+        """Plans on what cameras saw; how the rest is completed is printed on stderr.
 
         Raises:
             TaskError: Options that mean nothing for a cloud.

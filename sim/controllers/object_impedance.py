@@ -76,7 +76,7 @@ FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
 """After a slip at less friction than was believed, friction is believed to be this share of what
 was felt, and never less than this (-)."""
 
-UNTURNED = 1.0 + 2.0 * math.cos(math.radians(3.0))
+SWAYED = 1.0 + 2.0 * math.cos(math.radians(3.0))
 """Trace (-) of a rotation by 3 degrees: a base that turns less stands still. A gantry that is
 pushed with 7 N sways by more than one degree."""
 
@@ -317,7 +317,7 @@ class ObjectImpedance:
             turn: Rotation (3, 3) of the world in the base.
         """
         change = turn @ self._loaded.T
-        if np.trace(change) < UNTURNED:
+        if np.trace(change) < SWAYED:
             self.law.load = (self.law.load.reshape(2, 3) @ change.T).ravel()
             self._loaded = turn.copy()
             self._turning_until = self._time + TURNING_TIME

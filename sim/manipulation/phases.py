@@ -17,7 +17,7 @@ from planner.errors import TaskError
 from planner.motion.manipulation import Ending, ManipulationPlan
 from planner.motion.single_stroke import MOST_PIVOT
 from planner.quality import QualityReport, analyse
-from planner.spatial import SE3, FloatArray
+from planner.spatial import FloatArray, shifted
 from sim.contacts import hand_contacts, merge_per_finger
 from sim.controllers import Observation
 from sim.controllers.grasp import RECLOSING_TIME, closing_ended
@@ -156,7 +156,7 @@ class Phases:
     def _lift(self) -> Measured:
         simulation, height = self._sim.simulation, self.height
         duration = self._timeline.lift * self._stretch
-        self._sim.mover.go(_raised(self._plan.T_world_base, height), duration)
+        self._sim.mover.go(shifted(self._plan.T_world_base, [0.0, 0.0, height]), duration)
         fault = self._sim.run("lift", duration)
         numbers = self._in_hand()
         first = float(simulation.plan.task.T_world_object.translation[2])
@@ -183,7 +183,8 @@ class Phases:
         """Turn hand and object as one about the object to the attitude, or back."""
         path = self._plan.path
         shares = path.wrist_shares if phase == "wrist" else path.wrist_shares[::-1]
-        poses = [_raised(self._plan.turned_base(share), self.height) for share in shares]
+        up = np.array([0.0, 0.0, self.height])
+        poses = [shifted(self._plan.turned_base(share), up) for share in shares]
         duration = float(np.linalg.norm(path.wrist_turn)) / self._timeline.wrist_rate
         before = self._shift
         self._sim.mover.go_along(poses, duration)
@@ -322,7 +323,7 @@ class Phases:
         return fault or self._shortfall(numbers), numbers
 
     def _carry(self, ending: Ending) -> Measured:
-        above = _raised(ending.T_world_target, self.height)
+        above = shifted(ending.T_world_target, [0.0, 0.0, self.height])
         self._sim.mover.go(self._sim.base_for(above), self._timeline.carry)
         fault = self._sim.run("carry", self._timeline.carry)
         return fault, off_target(above, self._sim.simulation.T_world_object)
@@ -356,7 +357,3 @@ class Phases:
             target = where_it_stands(target, now)
         reason, numbers = placed(target, now, self._criteria)
         return fault or reason, numbers
-
-
-def _raised(pose: SE3, height: float) -> SE3:
-    return SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, height]))

@@ -272,7 +272,7 @@ def placed(target: SE3, now: SE3, criteria: SuccessCriteria) -> Measured:
 def where_it_stands(target: SE3, now: SE3) -> SE3:
     """A target where an object is and as it is turned about the vertical, upright and as high.
 
-    For what is put down half-way: it goes on from there, wherever that is.
+    An object that is put down half-way is turned further from there.
     """
     heading = signed_twist(now.rotation @ target.rotation.T, UP)
     place = np.array([*now.translation[:2], target.translation[2]])

@@ -18,7 +18,7 @@ import numpy as np
 from planner.arrays import checked_number
 from planner.errors import ObjectError, TaskError
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, minimum_jerk
+from planner.spatial import SE3, FloatArray, minimum_jerk, shifted
 from sim.controllers import Phase
 from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
@@ -34,7 +34,6 @@ from sim.tools.use import (
     joint_value,
     load_on_fixture,
     pass_through_workpiece,
-    shifted,
     tip_now,
 )
 
@@ -80,7 +79,7 @@ class _Blow:
     met: bool = False
 
     def note(self, measured: Mapping[str, float]) -> None:
-        """Take what is measured at a time step."""
+        """Add the measurement of a time step."""
         self.met = self.met or measured["force_N"] > 0.0
         self.force = max(self.force, measured["force_N"])
         if not self.met:

@@ -22,9 +22,9 @@ from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.search.grasp import Attempt
 from planner.shapes.registry import shape_key
-from planner.spatial import FloatArray, IntArray
+from planner.spatial import FloatArray, IntArray, signed_twist
 from planner.task import GraspTask
-from planner.tools import Tool, load_tool, plan_use, use_task
+from planner.tools import Tool, load_tool, plan_use, use_data, use_task
 from sim.controllers import PHASES, Observation, Phase
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.object_impedance import ObjectImpedance
@@ -33,7 +33,7 @@ from sim.report import FingerComparison, TrialReport
 from sim.scene.carrier import Timeline, carrier_of
 from sim.scene.gantry import Gantry
 from sim.simulation import Simulation
-from sim.tools.use import Use, needs_gantry, use_of
+from sim.tools.use import DOWN, Use, needs_gantry, use_of
 from sim.trial import Trial, TrialKeywords, TrialOptions, run_grasp_phase, why_not_lifted
 from sim.verdict import (
     Fault,
@@ -207,13 +207,12 @@ class UseTrial(Trial):
         timeline = asked.timeline or UseTimeline()
         if not isinstance(timeline, UseTimeline):
             raise TaskError("a use has other phases than a trial; give a UseTimeline")
-        self._fingers = UseController(plan, learns=self.use.lasting)
         super().__init__(
             plan,
             replace(
                 asked,
                 timeline=timeline,
-                controller=self._fingers,
+                controller=UseController(plan, learns=self.use.lasting),
                 thresholds=asked.thresholds or USE_THRESHOLDS,
             ),
         )
@@ -322,13 +321,12 @@ class UseTrial(Trial):
         tool, seen = self.use.tool, self.recorder.seen()
         used = "use" in report.samples.phase
         summary = self.use.summary(seen) if used else "it never came to its use"
-        assert tool.use is not None
         return replace(
             report,
             object=tool.name,
             use={
                 "tool": tool.name,
-                "kind": tool.use.kind,
+                "kind": use_data(tool).kind,
                 "summary": summary,
                 "yaw_rad": self.use.yaw,
                 "friction_factor": self.use.friction,
@@ -364,7 +362,7 @@ def yaw_of_plan(plan: GraspPlan, use: Use) -> float:
                 "a plan of plan_tool for this tool"
             )
     turn = task.T_world_object.rotation @ use.offered().rotation.T
-    yaw = float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+    yaw = signed_twist(turn, -DOWN)
     off = task.T_world_object.inverse() * use.offered(yaw)
     far = np.abs(off.homogeneous - np.eye(4)).max()
     if far > SAME_POSE:

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from planner.errors import ObjectError
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, minimum_jerk
+from planner.spatial import SE3, FloatArray, minimum_jerk, shifted
 from sim.controllers import Phase
 from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
@@ -36,7 +36,6 @@ from sim.tools.use import (
     load_on_fixture,
     pass_through_workpiece,
     sensed_object,
-    shifted,
     tip_now,
 )
 

@@ -20,9 +20,9 @@ import pinocchio as pin
 from planner.errors import ObjectError, TaskError
 from planner.plan import GraspPlan
 from planner.registry import Registry
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, shifted
 from planner.task import Obstacle
-from planner.tools import Tool, use_numbers
+from planner.tools import Tool, use_data, use_numbers
 from sim.controllers import Phase
 from sim.scene.build import OBSTACLE_PREFIX, WORLD_BIT
 from sim.scene.physics import PhysicsOptions
@@ -92,9 +92,8 @@ class Use(ABC):
         Raises:
             ObjectError: The tool has none of the kind, or one that its kind has not.
         """
-        self.tool, self.numbers = tool, use_numbers(tool, self.defaults)
-        assert tool.use is not None
-        self._size, self._gap = np.array(tool.use.workpiece_m), tool.use.gap_m
+        self.tool, self.numbers, use = tool, use_numbers(tool, self.defaults), use_data(tool)
+        self._size, self._gap = np.array(use.workpiece_m), use.gap_m
         if not ((self._size > 0) & (self._size <= LARGEST_PIECE)).all():
             raise ObjectError(
                 f"{tool.name}: workpiece_m is {self._size}; give three lengths > 0 and <= "
@@ -197,9 +196,7 @@ def use_of(tool: Tool) -> Use:
         NotFoundError: There is no such kind.
         ObjectError: The tool says no use, or numbers that its kind has not.
     """
-    use_numbers(tool, {} if tool.use is None else tool.use.numbers)
-    assert tool.use is not None
-    return USES.named(tool.use.kind)(tool)
+    return USES.named(use_data(tool).kind)(tool)
 
 
 def add_solid(
@@ -267,11 +264,6 @@ def about(point: FloatArray, axis: FloatArray, angle: float) -> SE3:
     """The motion (SE3) that turns by an angle (rad) about an axis through a point, world."""
     turn = pin.exp3(angle * axis)
     return SE3(turn, point - turn @ point)
-
-
-def shifted(pose: SE3, by: FloatArray | Sequence[float]) -> SE3:
-    """A pose moved by (3,), m, world."""
-    return SE3(pose.rotation, pose.translation + np.asarray(by))
 
 
 def sensed_object(simulation: Simulation) -> SE3:

@@ -105,7 +105,8 @@ linear."""
 
 STABLE = 0.9
 """Share of the force at which a grasp buckles that a squeeze may use (-). What loads and errors do
-grows without bound there, which ``_use`` counts; the tenth is for what is not known of the tips."""
+grows without bound there, which ``_use`` counts; the last tenth is a reserve for tips whose shape
+is not known exactly."""
 
 FACTORS = 1.1 ** np.arange(-7.0, 22.0)
 """Multiples of the planned forces that are tried (-), 0.5 to 7.4: in steps of a tenth."""
