@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -32,7 +33,7 @@ from sim.simulation import Simulation
 from sim.tools import USES
 from sim.tools.strike import Strike, _Blow
 from sim.tools.trial import yaw_of_plan
-from sim.tools.turn import HINGE, SLIDE
+from sim.tools.turn import HINGE, MADE, RAMP, RATE, SLIDE, Turn
 from sim.tools.use import FIXTURE, Motion, use_of
 
 PEG = """
@@ -252,6 +253,37 @@ def test_a_key_is_turned_and_the_report_tells_it(tmp_path: Path) -> None:
     scene = trial_page(again).scene
     assert scene is not None
     assert {p.unit for p in scene.plots if p.title == "Angle of the socket"} == {"degrees"}
+
+
+@pytest.mark.slow
+def test_a_lid_hardly_turns_in_the_fingertips() -> None:
+    # where nothing is learned while the wrist turns it turns by 11 degrees in them
+    lid = load_tool("lid")
+    report = UseTrial(plan_tool("allegro_hand", lid, seed=1), lid).run()
+    assert report.success, str(report)
+    assert report.largest_slip[1] < 6.0
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_wrist_slows_down_before_the_socket_has_turned(
+    sign: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use = use_of(load_tool("key"))
+    assert isinstance(use, Turn)
+    use._goal = sign * np.pi
+    simulation: Any = SimpleNamespace(time=0.0, timestep=0.002, T_world_base=SE3.Identity())
+    use.begin(simulation, "use")
+    monkeypatch.setattr("sim.tools.turn.joint_value", lambda *_: sign * use._angle)
+    rates, done = [], False
+    while not done:
+        before, simulation.time = use._angle, simulation.time + simulation.timestep
+        done = use.motion(simulation, "use", 0.0).done
+        rates.append((use._angle - before) / simulation.timestep)
+    assert max(rates) == pytest.approx(RATE)
+    assert rates[-1] < 0.15 * RATE
+    assert np.max(-np.diff(rates)) < 1.5 * RATE / RAMP * simulation.timestep
+    assert use._angle == pytest.approx(np.pi, abs=2 * MADE)
+    assert simulation.time < use.duration
 
 
 def test_the_command_refuses_bad_input(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

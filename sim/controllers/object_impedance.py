@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -80,9 +81,6 @@ SWAYED = 1.0 + 2.0 * math.cos(math.radians(3.0))
 """Trace (-) of a rotation by 3 degrees: a base that turns less stands still. A gantry that is
 pushed with 7 N sways by more than one degree."""
 
-TURNING_TIME = 0.1
-"""Time (s) after such a turn for which the base counts as turning."""
-
 CONFIRMED = 0.95
 """A slip at this share of the believed friction or more confirms it (-)."""
 
@@ -103,6 +101,8 @@ class ObjectImpedance:
         schedule: Which fingers hold, from the squeeze on.
         T_palm_wanted: Where the object is to be kept, in the palm; None before the squeeze. May be
             set.
+        turning_time: Time (s) for which the base counts as turning after a turn by ``SWAYED``:
+            nothing is learned meanwhile.
         reference: Targets of object and fingers in ``REFERENCE_PHASES``; None keeps them.
         grip: Least normal force (N) of a finger that holds, at the end of the squeeze and before
             any slip; the task's at first. May be set.
@@ -111,6 +111,7 @@ class ObjectImpedance:
     """
 
     needs: tuple[Sense, ...] = ("touch", "object_pose", "pads")
+    turning_time: ClassVar[float] = 0.1
 
     def __init__(
         self,
@@ -297,7 +298,7 @@ class ObjectImpedance:
         )
         if carries:
             self._judge(elapsed, wrench, missed)
-        if carries and not self.gave_up and self._time > self._turning_until:
+        if carries and not self.gave_up and self._time >= self._turning_until:
             self.law.learn(elapsed, missed)
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
@@ -320,7 +321,7 @@ class ObjectImpedance:
         if np.trace(change) < SWAYED:
             self.law.load = (self.law.load.reshape(2, 3) @ change.T).ravel()
             self._loaded = turn.copy()
-            self._turning_until = self._time + TURNING_TIME
+            self._turning_until = self._time + self.turning_time
 
     def _carried(
         self,

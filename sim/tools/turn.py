@@ -62,7 +62,14 @@ RATE = np.deg2rad(120.0)
 """Speed of the wrist, rad/s."""
 
 RAMP = 0.3
-"""Time (s) in which that speed is reached."""
+"""Time (s) in which that speed is reached, and given up again before the end: a wrist that stops
+within a time step shakes the fingers off the tool."""
+
+CREEP = np.deg2rad(10.0)
+"""Least speed (rad/s) of the wrist while it turns: what is left of a turn is made with it."""
+
+MADE = np.deg2rad(0.3)
+"""How near (rad) to the asked angle the socket has turned as far as it should."""
 
 OVERTURN = np.deg2rad(60.0)
 """How much further (rad) than asked the wrist may turn: fingers yield by 10 to 30 degrees."""
@@ -204,6 +211,8 @@ class Turn(Use):
         self._base, self._begun = simulation.T_world_base, simulation.time
         if phase == "engage":
             self._aligned = self._base
+        if phase == "use":
+            self._angle = 0.0
         if phase == "withdraw":
             self._rise = RISE + self._depth
 
@@ -236,26 +245,24 @@ class Turn(Use):
         return float((self.mouth - pose.rotation @ self.tool.tip - pose.translation)[2])
 
     def _turning(self, simulation: Simulation) -> Motion:
-        """Press, then turn about the socket's axis at an even speed."""
-        since = simulation.time - self._begun
-        push = self.numbers["push_N"]
-        turning = max(0.0, since - RAMP)
-        ramp = min(turning, RAMP)
-        angle = RATE * (ramp * ramp / (2 * RAMP) + turning - ramp)
-        turned = joint_value(simulation, HINGE) * np.sign(self._goal)
-        goal = abs(self._goal)
+        """Press, then turn about the socket's axis at an even speed, and slow down at the end."""
+        goal, change = abs(self._goal), RATE / RAMP
+        since = simulation.time - self._begun - RAMP
+        left = goal - joint_value(simulation, HINGE) * np.sign(self._goal)
+        if since > 0.0:
+            rate = min(RATE, change * since, float(np.sqrt(2.0 * change * max(left, 0.0))))
+            self._angle += max(rate, CREEP) * simulation.timestep
+        angle = float(np.sign(self._goal) * min(self._angle, goal + OVERTURN))
         return Motion(
-            T_world_base=self._turned(
-                self._base, float(np.sign(self._goal) * min(angle, goal + OVERTURN))
-            ),
-            push=push,
-            done=bool(turned >= goal - np.deg2rad(SHORT) / 3),
+            T_world_base=self._turned(self._base, angle),
+            push=self.numbers["push_N"],
+            done=bool(left <= MADE),
         )
 
     @property
     def duration(self) -> float:
         """Longest time (s) of turning."""
-        return float((abs(self._goal) + OVERTURN) / RATE + 2 * RAMP)
+        return float((abs(self._goal) + OVERTURN) / RATE + 5 * RAMP)
 
     def measure(self, simulation: Simulation) -> dict[str, float]:
         """Angle, load, and where the tip is."""
