@@ -91,7 +91,7 @@ class UseController(ObjectImpedance):
 
     It learns while the wrist turns, too: what a socket resists with is about the axis of the turn.
     Learned only before and after it, the load of a lid turned it by 17 degrees in the fingertips.
-    What was learned of the fixture is forgotten when the tool is taken out of it: it would throw it.
+    What was learned is forgotten when the tool is taken out of its fixture: it would throw it.
     """
 
     turning_time: ClassVar[float] = 0.0
