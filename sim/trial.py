@@ -197,7 +197,8 @@ class Trial:
             on_step: Called with the simulation after every time step; may stop it.
             view: Show it in MuJoCo's viewer, in real time.
             picture: Write a picture of the end here (PNG). Of a trial that failed it shows the
-                moment where it went wrong, and a second one (``...-end.png``) the end.
+                moment where it went wrong, of a use of a tool the end of the use, and a second one
+                (``...-end.png``) the end.
             video: Write a film here: ``.mp4``, ``.webp`` or ``.gif``.
             arrows: Draw the measured contact forces into both.
 
@@ -234,11 +235,9 @@ class Trial:
         report = self.judged(begin, interrupted=interrupted)
         if tape is None:
             return report
-        failed = report.verdict.fault
-        failed_at = None if failed is None else failed.time
         drawn = draw_tape(
             tape,
-            pictures=moments_of(picture, failed_at),
+            pictures=moments_of(picture, self._moment(report)),
             video=None if video is None else Path(video),
             arrows=arrows,
         )
@@ -249,6 +248,11 @@ class Trial:
             picture_reason="" if made else drawn.reason or report.picture_reason,
             drawn=str(drawn),
         )
+
+    def _moment(self, report: TrialReport) -> float | None:
+        """When (s) there was most to be seen; None: at the end."""
+        fault = report.verdict.fault
+        return None if fault is None else fault.time
 
     def perform(self) -> None:
         """Run all phases, or up to the one after which going on makes no sense."""

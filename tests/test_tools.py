@@ -123,6 +123,8 @@ def test_what_is_wrong_with_a_tool_file_is_named(
         ("angle_deg = 90", "angle_deg = 90, stop_deg = 45", "before the end"),
         ("angle_deg = 90", "angle_deg = 90, stop_deg = -95", "give both one sign"),
         ("angle_deg = 90", "angle_deg = 90, lead_m = 1.0", "lead_m is 1.0; give -0.02"),
+        ("angle_deg = 90", "angle_deg = 90, friction_N_m = 0.04", "0.03 N m at most"),
+        ("angle_deg = 90", "angle_deg = -90", "with 0 N m at most; raise torque_N_m"),
         ("numbers =", "workpiece_m = [0, 1, 1]\nnumbers =", "workpiece_m"),
         ("numbers =", "workpiece_m = [100, 1, 1]\nnumbers =", "workpiece_m"),
     ],
@@ -239,9 +241,13 @@ def test_kinds_of_use_are_registered() -> None:
 @pytest.mark.slow
 def test_a_key_is_turned_and_the_report_tells_it(tmp_path: Path) -> None:
     tool = load_tool("key")
-    report = UseTrial(plan_tool("shadow_hand", tool, seed=0), tool).run()
+    trial = UseTrial(plan_tool("shadow_hand", tool, seed=0), tool)
+    report = trial.run()
     assert report.success, report.verdict
     assert report.use is not None
+    seen = trial._moment(report)
+    assert seen is not None
+    assert report.samples.phase[report.samples.time.tolist().index(seen)] == "use"
     turned = np.array(report.use["channels"]["angle_deg"])
     assert turned.max() > 87.0
     assert np.abs(report.use["channels"]["torque_Nm"]).max() > 0.03  # against 0.04 N m
@@ -374,9 +380,9 @@ def test_a_plan_of_another_tool_place_or_number_is_none(plan: GraspPlan) -> None
         UseTrial(plan, load_tool("key"))
     with pytest.raises(PlannerError, match="shape is not that of screwdriver"):
         UseTrial(plan, load_tool("screwdriver", scale=1.1))
-    weaker = replace(tool, needed=(replace(tool.needed[0], torque=(0, 0, -0.01)),))
+    stronger = replace(tool, needed=(replace(tool.needed[0], torque=(0, 0, -0.09)),))
     with pytest.raises(PlannerError, match="needed wrenches is not"):
-        UseTrial(plan, weaker)
+        UseTrial(plan, stronger)
     shift = SE3(np.eye(3), np.array([0.0, 0.0, 0.01]))
     moved = replace(plan.task, T_world_object=shift * plan.task.T_world_object)
     with pytest.raises(PlannerError, match="where its use offers it"):

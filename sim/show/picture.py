@@ -280,19 +280,19 @@ def draw_tape(
     return replace(film, files=(*stills.files, *film.files), moments=stills.moments)
 
 
-def moments_of(picture: Path | str | None, failed_at: float | None) -> dict[Path, float | None]:
-    """The pictures of a trial: its end; of one that failed, where it went wrong, and its end.
+def moments_of(picture: Path | str | None, moment: float | None) -> dict[Path, float | None]:
+    """The pictures of a trial: its end; before it, a moment of which there is more to be seen.
 
     Args:
         picture: The first of them; none if None.
-        failed_at: When it failed, s; None if it did not.
+        moment: When that was, s, as where it went wrong; None if there is no such moment.
     """
     if picture is None:
         return {}
     path = Path(picture)
-    if failed_at is None:
+    if moment is None:
         return {path: None}
-    return {path: failed_at, path.with_name(f"{path.stem}-end{path.suffix}"): None}
+    return {path: moment, path.with_name(f"{path.stem}-end{path.suffix}"): None}
 
 
 def _draw_stills(tape: Tape, wanted: Mapping[Path, float | None], arrows: bool) -> Drawn:

@@ -257,6 +257,13 @@ class UseTrial(Trial):
             if not self._run(phase):
                 return
 
+    def _moment(self, report: TrialReport) -> float | None:
+        """Where it went wrong, or the end of the use: afterwards the tool is in the air."""
+        samples, wrong = report.samples, super()._moment(report)
+        if wrong is not None or "use" not in samples.phase:
+            return wrong
+        return float(samples.time[samples.during("use")][-1])
+
     def _run(self, phase: Phase) -> bool:
         """Run a phase of the use; whether going on makes sense."""
         simulation, use = self.simulation, self.use

@@ -145,6 +145,17 @@ class Turn(Use):
             raise ObjectError(
                 f"{name}: lead_m is {n['lead_m']}; give -{MOST_LEAD:g} to {MOST_LEAD:g} m per turn"
             )
+        axis, sign = self.tool.axis, np.sign(n["angle_deg"])
+        given = [
+            sign * axis @ (w.torque - np.cross(self.tool.tip, w.force)) for w in self.tool.needed
+        ]
+        most = max([0.0, *given])
+        if n["friction_N_m"] > most * (1 + 1e-6):  # rounded where torques are moved to the tip
+            raise ObjectError(
+                f"{name}: use.numbers.friction_N_m is {n['friction_N_m']:g}, but its needed "
+                f"wrenches turn the fixture with {most:.3g} N m at most; raise torque_N_m about "
+                "the axis in needed, in the direction of angle_deg"
+            )
         self._goal = np.deg2rad(n["angle_deg"])
         self._depth = n["depth_m"] * self.tool.scale
         self._starts_inside = self._gap == 0.0
