@@ -469,6 +469,28 @@ def test_a_hammer_is_swung_about_a_lever(plan: GraspPlan) -> None:
     assert float(told[1]) == pytest.approx(0.001)
 
 
+def test_the_face_swings_about_an_elbow(plan: GraspPlan) -> None:
+    use = Strike(load_tool("hammer"))
+    tip = plan.contacts.positions.mean(axis=0) + np.array([0.06, 0.0, 0.0])
+    task = replace(plan.task, T_world_object=use.tool.T_world_object(tip))
+    way = use.way(replace(plan, task=task))
+    top = np.deg2rad(use.numbers["swing_deg"])
+    moved = (way[3] * way[0].inverse()).act(tip) - tip  # the hand carries the face
+    assert np.linalg.norm(moved) == pytest.approx(2 * 0.3 * np.sin(top / 2))
+    assert moved[2] == pytest.approx(0.3 * np.sin(top))  # upwards, and the hand hardly turns
+
+
+@pytest.mark.slow
+def test_a_hammer_drives_its_nail_and_stays_in_the_hand() -> None:
+    hammer = load_tool("hammer")
+    report = UseTrial(plan_tool("shadow_hand", hammer, seed=1), hammer).run()
+    assert report.success, str(report)
+    assert report.use is not None
+    assert max(report.use["channels"]["speed_mps"]) > 0.8
+    nail = Strike(hammer)._most
+    assert 0.01 < max(report.use["channels"]["driven_mm"]) / 1e3 < nail
+
+
 def test_a_folder_of_an_earlier_use_keeps_nothing_of_it(
     plan: GraspPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
