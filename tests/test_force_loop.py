@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
+from planner.contacts.checks import check_frames
 from planner.errors import ContactError
 from planner.forces import (
     ForceLoop,
@@ -28,7 +29,7 @@ from planner.forces import (
 from planner.hand_loading import load_hand
 from planner.joints.actuation import Actuation
 from planner.numerics.dense_qp import DenseQp
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, contact_frames
 
 W = 0.981
 WEIGHT = gravity_wrench(0.1, [0, 0, -9.81])
@@ -575,6 +576,16 @@ def test_round_cones_do_not_mind_how_tangents_lie() -> None:
 
 
 # Frames and arguments
+
+
+def test_frames_of_a_pad_that_chatters_stay_rotations() -> None:
+    first = np.array([[1.0, 0.0, 0.0]])
+    other = np.array([[np.cos(2.3), np.sin(2.3), 0.0]])  # cosine -0.67, as a blow has thrown it
+    frames = contact_frames(first)
+    for k in range(200):
+        frames = turned_frames(frames, (other, first)[k % 2])
+    check_frames(frames)
+    assert frames[:, :, 0] == pytest.approx(first, abs=1e-12)
 
 
 def test_turned_frames_turn_as_little_as_normals() -> None:

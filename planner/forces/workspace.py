@@ -9,8 +9,9 @@ from planner.contacts import ContactSet
 from planner.errors import ContactError
 from planner.spatial import FloatArray, contact_frames, skew
 
-OPPOSED = -0.9
-"""Cosine between an old and a new normal below which tangents are chosen anew (-)."""
+OPPOSED = 0.0
+"""Cosine between an old and a new normal below which tangents are chosen anew (-): a turn by more
+than 90 degrees multiplies rounding errors, and a pad that chatters has one at every step."""
 
 
 class ContactWorkspace:
