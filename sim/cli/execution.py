@@ -252,7 +252,7 @@ class TrialOptions(ExecutionOptions):
         if handover and self.controller == ExecutionOptions.controller:
             parts["controller"] = None  # its own
         if self.view:
-            from sim.show.window import check_display
+            from sim.show.painter import check_display
 
             check_display()
         check_films(self.video)

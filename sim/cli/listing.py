@@ -74,7 +74,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     ),
     "Hands": (
         _listed("hands", "shadow_hand"),
-        _listed("crosscheck", "my_hand.xml"),
+        _listed("crosscheck", "my_hand.xml", "hands"),
         _listed("drive", "plan.json --rate 100 --log run.npz"),
     ),
 }

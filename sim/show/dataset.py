@@ -117,10 +117,6 @@ def _numbers(text: str) -> list[int]:
     return [int(part) for part in parts if part.isascii() and part.isdigit() and len(part) < 13]
 
 
-def _recognises(target: Target) -> bool:
-    return target.holds(MANIFEST)
-
-
 def _shown(target: Target, options: ViewOptions) -> DatasetSite:
     assert target.path is not None
     tables = DatasetTables(target.path)
@@ -132,7 +128,11 @@ def _shown(target: Target, options: ViewOptions) -> DatasetSite:
     return DatasetSite(tables)
 
 
-DATASET = Kind(name="the folder of a batch (opposable batch)", recognises=_recognises, shown=_shown)
+DATASET = Kind(
+    name="the folder of a batch (opposable batch)",
+    recognises=lambda target: target.holds(MANIFEST),
+    shown=_shown,
+)
 """See ``sim.show.targets``."""
 
 

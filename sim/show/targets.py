@@ -1,6 +1,6 @@
 """``kinds``: the kinds of things that can be viewed, each recognised by its content.
 
-Adding one is one ``Kind`` in a module of this package, and its place in ``OURS``; from elsewhere it
+Adding one is one ``Kind``, and its place in ``sim.show.kinds.OURS``; from elsewhere it
 is a call of ``register_kind``.
 
 ``Target``: what a person named on the command line, and what its content says it is.
@@ -14,7 +14,6 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -62,18 +61,6 @@ class Kind:
     takes: frozenset[str] = frozenset()
 
 
-OURS = (
-    "things:HAND",
-    "things:MESH",
-    "reports:PLAN",
-    "reports:MOTION",
-    "reports:HANDOVER",
-    "reports:REPORT",
-    "dataset:DATASET",
-    "reports:PAGE",
-)
-"""Modules of this package with the names of their kinds, in the order in which they are listed."""
-
 _REGISTERED: list[Kind] = []
 
 
@@ -84,9 +71,9 @@ def register_kind(kind: Kind) -> None:
 
 def kinds() -> tuple[Kind, ...]:
     """All kinds; imports what recognises them."""
-    places = (place.split(":") for place in OURS)
-    ours = (getattr(import_module(f"{__package__}.{module}"), name) for module, name in places)
-    return (*ours, *_REGISTERED)
+    from sim.show.kinds import OURS  # which need this module
+
+    return (*OURS, *_REGISTERED)
 
 
 def recognise(target: Target) -> Kind:
