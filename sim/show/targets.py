@@ -14,6 +14,7 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -71,9 +72,8 @@ def register_kind(kind: Kind) -> None:
 
 def kinds() -> tuple[Kind, ...]:
     """All kinds; imports what recognises them."""
-    from sim.show.kinds import OURS  # which need this module
-
-    return (*OURS, *_REGISTERED)
+    ours: tuple[Kind, ...] = import_module("sim.show.kinds").OURS  # by its name: it needs this one
+    return (*ours, *_REGISTERED)
 
 
 def recognise(target: Target) -> Kind:
