@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import dexgraspbench_checkout as checkout
-from benchmarks.dexgraspbench_checkout import Installed, install
+from benchmarks import dexgraspbench as checkout
+from benchmarks.dexgraspbench import Installed, install
 from planner.batch import plan_grasps
 from planner.errors import TaskError
 from sim.cli import main
