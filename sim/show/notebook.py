@@ -12,8 +12,6 @@ import numpy as np
 from planner.pages.notebook import grasp_picture, notebook_html
 from planner.spatial import pose_from_wxyz
 
-__all__ = ["manipulation_html", "trial_html"]
-
 
 def trial_html(report: Any) -> str:
     """A ``sim.report.TrialReport``: verdict, planned and measured contacts; the end of the hold."""

@@ -39,7 +39,6 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -55,21 +54,19 @@ from planner.version import written_by
 FORMAT, VERSION = "opposable-states", 1
 """Name and version of the file that ``StateSet.write`` makes."""
 
-KEYS: Mapping[str, str] = MappingProxyType(
-    {
-        "q": "joint_position",
-        "commands": "command",
-        "targets": "joint_target",
-        "position": "object_position_m",
-        "quaternion": "object_quaternion_wxyz",
-        "gravity": "gravity_m_s2",
-        "mass": "mass_kg",
-        "friction": "friction",
-        "kind": "source_kind",
-        "plan": "source_plan",
-        "pose": "source_pose",
-    }
-)
+KEYS: Mapping[str, str] = {
+    "q": "joint_position",
+    "commands": "command",
+    "targets": "joint_target",
+    "position": "object_position_m",
+    "quaternion": "object_quaternion_wxyz",
+    "gravity": "gravity_m_s2",
+    "mass": "mass_kg",
+    "friction": "friction",
+    "kind": "source_kind",
+    "plan": "source_plan",
+    "pose": "source_pose",
+}
 """Attribute -> key in the file, of the columns."""
 
 _TEXTS = ("hand", "object", "scene")
