@@ -15,6 +15,7 @@ from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NOT_FOUND,
     err,
+    goes_on,
     heeding_ctrl_c,
     print_json,
     say,
@@ -114,14 +115,10 @@ def states(
         ),
         physics=physics_of(physics),
     )
-    with StatesBar(err) as bar:
-        try:
-            summary = make_states(
-                asked, folder, workers=workers, formats=formats or ("all",), progress=bar.told
-            )
-        except KeyboardInterrupt as error:
-            say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))
-            raise typer.Exit(EXIT_INTERRUPTED) from error
+    with StatesBar(err) as bar, goes_on(bar.kept):
+        summary = make_states(
+            asked, folder, workers=workers, formats=formats or ("all",), progress=bar.told
+        )
     if as_json:
         print_json(summary)
     else:
