@@ -168,7 +168,7 @@ def test_a_file_without_preset_changes_ours_and_may_have_a_name(tmp_path: Path) 
             "noslip_iterations = 1.5",
             "noslip_iterations is 1.5; give a whole number from 0 to",
         ),
-        ("iterations = 0", "iterations is 0; give iterations >= 1, a whole number"),
+        ("iterations = 0", "iterations is 0; give a whole number from 1 to"),
         ("condim = 1", "condim is 1; give one of 3, 4, 6"),
         ('cone = "round"', "cone is 'round'; give one of elliptic, pyramidal"),
         ("cone = []", r"cone is \[\]; give one of"),

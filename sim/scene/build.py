@@ -26,7 +26,6 @@ from pinocchio import SE3
 
 from planner.arrays import check_fields
 from planner.bridge import compile_spec
-from planner.bridge.mesh_files import HIDDEN_GROUP
 from planner.collision.world import TABLE_SIZE
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
@@ -39,7 +38,24 @@ from planner.task import GraspTask
 from sim.scene.gantry import GANTRY, Gantry, add_gantry, tuned_gantry
 from sim.scene.physics import CONTACT_SOLREF, PRESETS, AnyPhysics, PhysicsOptions
 from sim.show.camera import OBJECT_MATERIAL, Subject, add_object_material, add_scenery
-from sim.show.dress import dress_hand
+from sim.show.dress import HIDDEN_GROUP, dress_hand
+
+__all__ = [
+    "HAND_PREFIX",
+    "OBJECT",
+    "TABLE",
+    "PhysicsOptions",
+    "Scene",
+    "Truth",
+    "add_looks",
+    "add_solid_object",
+    "build_scene",
+    "dress_hand",
+    "drop_options",
+    "hand_spec",
+    "index_scene",
+    "scene_spec",
+]
 
 HAND_PREFIX = "hand/"
 """Prefix of every name of the hand's model in the scene."""

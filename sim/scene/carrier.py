@@ -29,6 +29,9 @@ from sim.controllers.hand_dynamics import motor_servo
 from sim.scene.build import Scene
 from sim.scene.gantry import Gantry
 
+__all__ = ["ArmCarrier", "Carrier", "GantryCarrier", "Timeline", "carrier_of"]
+
+
 MOST_TURN = np.pi
 """Largest turn or tilt while lifting (rad)."""
 

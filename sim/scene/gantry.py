@@ -22,6 +22,17 @@ import pinocchio as pin
 from planner.bridge.numbers import LEAST_INERTIA, LEAST_MASS
 from planner.spatial import SE3, FloatArray, IntArray
 
+__all__ = [
+    "GANTRY",
+    "GANTRY_AXES",
+    "GANTRY_FREQUENCY",
+    "GANTRY_INERTIA",
+    "GANTRY_MASS",
+    "Gantry",
+    "add_gantry",
+    "tuned_gantry",
+]
+
 GANTRY = "gantry"
 """Name of the gantry's body; its joints and servos are ``gantry_x`` and so on."""
 

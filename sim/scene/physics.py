@@ -27,6 +27,14 @@ from planner.errors import TaskError, shown
 from planner.spatial import FloatArray
 from sim.presets import Presets
 
+__all__ = [
+    "PRESETS",
+    "AnyPhysics",
+    "PhysicsOptions",
+    "named_physics",
+    "register_physics",
+]
+
 OURS = "ours"
 """Name of the defaults."""
 

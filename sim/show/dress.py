@@ -18,6 +18,8 @@ import numpy as np
 from planner.bridge.mesh_files import HIDDEN_GROUP
 from planner.spatial import FloatArray
 
+__all__ = ["HIDDEN_GROUP", "dress_hand"]
+
 _TYPE = mujoco.mjtGeom
 BOX, CYLINDER = int(_TYPE.mjGEOM_BOX), int(_TYPE.mjGEOM_CYLINDER)
 CAPSULE = int(_TYPE.mjGEOM_CAPSULE)
