@@ -287,7 +287,7 @@ class ControlLoop:
         self._efforts = False
         self._reason = self._detail = self._did = ""
 
-    def run(self, phases: Callable[[ControlLoop], None]) -> LoopReport:
+    def run(self, phases: Callable[[ControlLoop], object]) -> LoopReport:
         """Run some phases to their end, or to what ends them before.
 
         Args:

@@ -89,7 +89,7 @@ def recognise(target: Target) -> Kind:
             return kind
     if target.path is None:
         names = (*hand_names(), *object_names())
-        if _like_path(target):
+        if "/" in target.text or "." in target.text:
             advice = "give a file, a folder, or the name of a hand or object"
             raise NotFoundError("hand or object", target.text, names, advice, is_path=True)
         hint = "Or give the path of a file or folder."
@@ -104,10 +104,6 @@ def recognise(target: Target) -> Kind:
     raise FileFormatError(
         f"{target.path} cannot be viewed: {found}; what can be: {', '.join(k.name for k in known)}"
     )
-
-
-def _like_path(target: Target) -> bool:
-    return "/" in target.text or "." in target.text
 
 
 HEAD = 1 << 16
