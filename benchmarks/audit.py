@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 from itertools import cycle, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
@@ -104,25 +103,21 @@ def _larger(task: GraspTask) -> GraspTask:
 
 _ANYWHERE = frozenset({"gap", "pad", "penetration"})
 
-FAULTS: Mapping[str, KnownFault] = MappingProxyType(
-    {
-        fault.name: fault
-        for fault in (
-            KnownFault(name="gap", stages=frozenset({"gap"}), grasp=_opened(OPENED)),
-            KnownFault(
-                name="penetration", stages=frozenset({"penetration"}), grasp=_opened(CLOSED)
-            ),
-            KnownFault(name="no closure", stages=frozenset({"closure"}), grasp=_first_away),
-            KnownFault(
-                name="torque limit",
-                stages=frozenset({"forces"}),
-                task=lambda task: replace(task, grip_force=GRIP),
-            ),
-            KnownFault(name="wrong hand", stages=_ANYWHERE, task=_for_other_hand),
-            KnownFault(name="wrong scale", stages=_ANYWHERE, task=_larger),
-        )
-    }
-)
+FAULTS: Mapping[str, KnownFault] = {
+    fault.name: fault
+    for fault in (
+        KnownFault(name="gap", stages=frozenset({"gap"}), grasp=_opened(OPENED)),
+        KnownFault(name="penetration", stages=frozenset({"penetration"}), grasp=_opened(CLOSED)),
+        KnownFault(name="no closure", stages=frozenset({"closure"}), grasp=_first_away),
+        KnownFault(
+            name="torque limit",
+            stages=frozenset({"forces"}),
+            task=lambda task: replace(task, grip_force=GRIP),
+        ),
+        KnownFault(name="wrong hand", stages=_ANYWHERE, task=_for_other_hand),
+        KnownFault(name="wrong scale", stages=_ANYWHERE, task=_larger),
+    )
+}
 """All faults by name."""
 
 

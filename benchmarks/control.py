@@ -614,14 +614,12 @@ def _rate(rows: list[Row]) -> Row:
     )
 
 
-_TABLES: Mapping[str, Callable[[list[Row]], Row]] = MappingProxyType(
-    {
-        "fc": _fc,
-        "push": _push,
-        "drift": _drift,
-        "slip": _slip,
-        "robust": _robust,
-        "rate": _rate,
-        "promise": _promise,
-    }
-)
+_TABLES: Mapping[str, Callable[[list[Row]], Row]] = {
+    "fc": _fc,
+    "push": _push,
+    "drift": _drift,
+    "slip": _slip,
+    "robust": _robust,
+    "rate": _rate,
+    "promise": _promise,
+}

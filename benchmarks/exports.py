@@ -20,7 +20,7 @@ import typer
 
 from benchmarks.bench import HandOptions, ObjectsOption
 from benchmarks.common import cells_of, known, task_of
-from benchmarks.summary import Cell, Frame, amount, flat, parts, ratio, summary
+from benchmarks.summary import flat, largest, parts, ratio, summary
 from planner.errors import PlannerError
 from planner.exchange import ImportedGrasp, Reading, export_plans
 from planner.exchange.formats import FORMATS, format_named, load_formats
@@ -116,10 +116,10 @@ def tables(result: Row) -> Iterator[Row | str]:
         {
             "back": parts("back", "asked"),
             f"within {LIMIT:g}": parts("within", "asked"),
-            "position m": _worst("position_m"),
-            "rotation rad": _worst("rotation_rad"),
-            "joints rad": _worst("q_rad"),
-            "pre-grasp rad": _worst("pregrasp_rad"),
+            "position m": largest("position_m"),
+            "rotation rad": largest("rotation_rad"),
+            "joints rad": largest("q_rad"),
+            "pre-grasp rad": largest("pregrasp_rad"),
             "write ms": ratio("write_s", "back", 2, 1e3),
             "read ms": ratio("read_s", "back", 2, 1e3),
             "bytes": ratio("bytes", "back", 0),
@@ -127,11 +127,3 @@ def tables(result: Row) -> Iterator[Row | str]:
     )
     refused = {f"{t['format']} refused: {t['refused']}": None for t in trips if t["refused"]}
     yield from refused
-
-
-def _worst(name: str) -> Cell:
-    def cell(frame: Frame) -> str:
-        value = amount(frame, name, "max")
-        return "-" if value is None else f"{value:.1e}"
-
-    return cell

@@ -22,7 +22,7 @@ import numpy as np
 import typer
 
 from benchmarks.bench import Options as Shared
-from benchmarks.summary import Cell, Frame, amount, flat, of, summary, table_data
+from benchmarks.summary import flat, largest, of, summary, table_data
 from planner.contacts import ContactSet, Pyramid
 from planner.forces import (
     DEFAULT_SOLVER,
@@ -217,15 +217,7 @@ def tables(result: Row) -> Iterator[Row]:
         {"solver": "solver", "tolerance": "asked N"},
         {
             **{head: of(name, "sum", 0) for head, name in counted.items()},
-            "violation N": _size("violation"),
-            "missed N": _size("missed"),
+            "violation N": largest("violation"),
+            "missed N": largest("missed"),
         },
     )
-
-
-def _size(name: str) -> Cell:
-    def cell(frame: Frame) -> str:
-        value = amount(frame, name, "max")
-        return "-" if value is None else f"{value:.1e}"
-
-    return cell

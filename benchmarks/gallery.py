@@ -2,29 +2,103 @@
 
 Each entry, a script in ``examples`` or a command, runs in an empty folder of its own; its plot,
 film or printed text becomes a small picture, and its page stays as it is.
+
+Each runs in a process of its own, as it is; its last simulation is filmed, and its page kept.
+
+    python -m benchmarks.gallery FOLDER SCRIPT
+    python -m benchmarks.gallery FOLDER opposable ARGUMENTS...
+
+FOLDER then holds ``film.webp`` and ``page.html`` of the last trial or manipulation; of a run that
+only plans, those of its last plan, which is held in a trial of its own.
 """
 
 from __future__ import annotations
 
 import ast
 import os
+import runpy
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import wraps
+from importlib.metadata import entry_points
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from PIL import Image, ImageDraw, ImageFont, ImageSequence
 
+import planner.search.grasp
 from benchmarks.bench import Options as Shared
-from benchmarks.filming import FILM, PAGE
 from benchmarks.summary import table_data
 from planner.errors import NotFoundError, TaskError
 from sim.cli.common import make_folder
+from sim.manipulation.run import ManipulationRun
 from sim.tables import Row, number
+from sim.trial import Trial, simulate
+
+FILM, PAGE = "film.webp", "page.html"
+"""Files that a run leaves."""
+
+
+def watch(folder: Path, arguments: list[str]) -> None:
+    """Run and film.
+
+    Args:
+        folder: Where film and page go.
+        arguments: A script, or "opposable" and its arguments.
+    """
+    plans: list[Any] = []
+    shown: list[Any] = []
+    _film(Trial, "run", folder, shown)
+    _film(ManipulationRun, "perform", folder, shown)
+    _keep_plans(plans)
+    try:
+        if arguments[0] == "opposable":
+            (program,) = entry_points(group="console_scripts", name="opposable")
+            sys.argv = arguments
+            program.load()()
+        else:
+            sys.argv = arguments
+            sys.path.insert(0, str(Path(arguments[0]).parent))
+            runpy.run_path(arguments[0], run_name="__main__")
+    finally:
+        if plans and not shown:
+            simulate(plans[-1])
+            shown[:] = plans[-1:]
+        if shown:
+            shown[-1].save_html(folder / PAGE)
+
+
+def _film(owner: Any, method: str, folder: Path, shown: list[Any]) -> None:
+    """Let a method that simulates film and leave its report."""
+    original: Callable[..., Any] = getattr(owner, method)
+
+    @wraps(original)
+    def filmed(self: Any, **options: Any) -> Any:
+        report = original(self, **{**options, "video": folder / FILM})
+        shown.append(report)
+        return report
+
+    setattr(owner, method, filmed)
+
+
+def _keep_plans(plans: list[Any]) -> None:
+    """Note what ``plan_grasp`` finds."""
+    home: Any = planner.search.grasp
+    original = home.search
+
+    @wraps(original)
+    def noted(*arguments: Any, **options: Any) -> Any:
+        plan, made = original(*arguments, **options)
+        if plan is not None:
+            plans.append(plan)
+        return plan, made
+
+    home.search = noted
+
 
 FORMAT = "opposable-gallery"
 
@@ -131,7 +205,7 @@ def measure(case: Row) -> Row:
         begin = os.times()
         try:
             done = subprocess.run(
-                [sys.executable, "-W", "ignore", "-m", "benchmarks.filming", folder, *what],
+                [sys.executable, "-W", "ignore", "-m", "benchmarks.gallery", folder, *what],
                 cwd=there / "run",
                 env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])},
                 capture_output=True,
@@ -217,3 +291,7 @@ def tables(result: Row) -> Iterator[Row]:
         left = (row["picture"] or "-", row["page"] or "-", number(row["cpu_s"], 1))
         lines.append([row["name"], ran, *left])
     yield table_data("gallery", ("entry", "ran", "picture", "page"), ("CPU s",), lines)
+
+
+if __name__ == "__main__":
+    watch(Path(sys.argv[1]).absolute(), sys.argv[2:])

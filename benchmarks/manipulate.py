@@ -16,7 +16,6 @@ from typing import Annotated, TypeAlias
 from zlib import crc32
 
 import numpy as np
-import pinocchio as pin
 import typer
 
 from benchmarks.bench import HandOptions, NumberOption
@@ -45,7 +44,6 @@ from planner.motion.manipulation import (
 )
 from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.objects import object_names, parse_object
-from planner.spatial import SE3
 from planner.task import GraspTask
 from sim.cli.execution import error_model_of, estimate_of, physics_of
 from sim.cli.options import (
@@ -64,6 +62,7 @@ from sim.cli.options import (
 )
 from sim.controllers.follow import RATE, SPEED
 from sim.learning import PolicyMaker, named_driver
+from sim.learning.trials import true_task
 from sim.manipulation import ManipulationReport, Push, manipulate, rests, settled
 from sim.manipulation.in_hand import AnyTurningController
 from sim.scene.physics import PhysicsOptions
@@ -217,19 +216,10 @@ def execute_turn(
     """
     there = turn.draw()
     task = plan.grasp.task  # with the fingers that were chosen
-    pose = task.T_world_object
-    turned = pin.exp3(np.array([0.0, 0.0, there.heading])) @ pose.rotation
-    aside = np.array([*there.shift, 0.0])
-    true_task = replace(
-        task,
-        object=replace(task.object, mass=there.mass),
-        T_world_object=SE3(turned, pose.translation + aside),
-        obstacles=tuple(o.moved(aside) for o in task.obstacles),  # its stand is off as well
-    )
     return manipulate(
         plan,
         controller=controller,
-        true_task=true_task,
+        true_task=true_task(task, there.mass, there.shift, there.heading),
         physics=replace(turn.physics, mu=there.mu),
         push=Push(force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME),
         error_model=turn.error_model.seeded(turn.seed + turn.number),

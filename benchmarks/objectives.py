@@ -15,7 +15,7 @@ import typer
 
 from benchmarks.bench import HandOptions, NumberOption, ObjectsOption
 from benchmarks.common import cells_of, seed_of, task_of
-from benchmarks.summary import Cell, Frame, amount, ratio, summary
+from benchmarks.summary import Cell, Frame, amount, of, ratio, summary
 from planner.search.grasp import attempts
 from planner.search.metrics import METRICS, evaluate_metrics
 from planner.synthesis import OBJECTIVES
@@ -104,7 +104,7 @@ def tables(result: Row) -> Iterator[Row]:
         "its own measure: without objective, with it, and % of paired seeds that are better",
         pairs,
         ("objective", "hand", "object"),
-        {"none": _digits("without"), "with": _digits("with"), "better %": _better},
+        {"none": _digits("without"), "with": _digits("with"), "better %": of("better", "mean", 0)},
         [(None, "all", "")],
     )
 
@@ -117,8 +117,3 @@ def _digits(name: str) -> Cell:
         return np.format_float_positional(value, DIGITS, fractional=False)
 
     return cell
-
-
-def _better(frame: Frame) -> str:
-    value = amount(frame, "better", "mean")
-    return "-" if value is None else f"{value:.0f}"

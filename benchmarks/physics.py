@@ -151,14 +151,12 @@ def _gripped(plan: GraspPlan, factor: float) -> GraspPlan:
     return replace(plan, task=task, forces=forces, contacts=forces.contacts)
 
 
-PARTS: Mapping[str, tuple[Measure, tuple[str, ...]]] = MappingProxyType(
-    {
-        "holds": (_hold, tuple(PRESETS)),
-        "closed": (_closed, tuple(PRESETS)),
-        "remedies": (_remedy, ("noslip", "impratio", "contacts")),
-        "creep": (_creep, tuple(VARIANTS)),
-    }
-)
+PARTS: Mapping[str, tuple[Measure, tuple[str, ...]]] = {
+    "holds": (_hold, tuple(PRESETS)),
+    "closed": (_closed, tuple(PRESETS)),
+    "remedies": (_remedy, ("noslip", "impratio", "contacts")),
+    "creep": (_creep, tuple(VARIANTS)),
+}
 """Name -> function that measures a variant, and the variants."""
 
 

@@ -126,9 +126,19 @@ def amount(frame: Frame, name: str, how: How = MEDIAN, where: str = "") -> float
     return float(getattr(known, how)() if isinstance(how, str) else known.quantile(how))
 
 
-def spread(name: str, digits: int, scale: float = 1.0, where: str = "") -> Cell:
+def largest(name: str) -> Cell:
+    """The largest, as a power of ten."""
+
+    def cell(frame: Frame) -> str:
+        value = amount(frame, name, "max")
+        return "-" if value is None else f"{value:.1e}"
+
+    return cell
+
+
+def spread(name: str, digits: int, scale: float = 1.0) -> Cell:
     """Median and 90 % quantile."""
-    middle, most = (of(name, q, digits, scale, where) for q in (MEDIAN, 0.9))
+    middle, most = (of(name, q, digits, scale) for q in (MEDIAN, 0.9))
     return lambda frame: f"{middle(frame)} / {most(frame)}"
 
 
@@ -148,9 +158,9 @@ def share(name: str, where: str = "", known: str = "") -> Cell:
     return cell
 
 
-def percentage(name: str, digits: int = 1, where: str = "", known: str = "") -> Cell:
+def percentage(name: str, digits: int = 1, known: str = "") -> Cell:
     """How many are true, in percent; see ``share``."""
-    return lambda frame: percent(*_parts(frame, name, where, known), digits)
+    return lambda frame: percent(*_parts(frame, name, "", known), digits)
 
 
 def _parts(frame: Frame, name: str, where: str, known: str) -> tuple[int, int]:
@@ -180,17 +190,16 @@ def ratio(above: str, below: str, digits: int = 2, scale: float = 1.0) -> Cell:
     return cell
 
 
-def share_of(name: str, good: Callable[[Frame], Frame], where: str = "") -> Cell:
+def share_of(name: str, good: Callable[[Frame], Frame]) -> Cell:
     """How many known values are good: "3/4".
 
     Args:
         name: Of the value.
         good: Which of a series are.
-        where: Of what must be true in a row that counts.
     """
 
     def cell(frame: Frame) -> str:
-        known = values(frame, name, where)
+        known = values(frame, name)
         return f"{int(good(known).sum())}/{len(known)}"
 
     return cell

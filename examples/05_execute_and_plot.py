@@ -14,7 +14,7 @@ import matplotlib
 from planner import GraspTask, plan_grasp
 from planner.quality import analyse
 from sim.controllers import PHASES
-from sim.scene.build import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 from sim.trial import simulate
 
 HAND = "allegro_hand"

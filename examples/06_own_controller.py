@@ -17,7 +17,7 @@ import numpy as np
 from planner import GraspPlan, GraspTask, plan_grasp
 from planner.spatial import FloatArray
 from sim.controllers import Controller, GraspController, Observation
-from sim.scene.build import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 from sim.trial import Timeline, simulate
 
 HAND = "allegro_hand"

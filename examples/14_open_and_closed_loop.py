@@ -21,7 +21,7 @@ from planner import GraspTask, plan_grasp
 from planner.certify.breaking import breaking_along
 from planner.spatial import SE3, FloatArray, pose_change
 from sim.controllers import CONTROLLERS
-from sim.scene.build import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 

@@ -26,7 +26,7 @@ from planner.errors import FileFormatError
 from planner.quality import closure_of_wrenches
 from planner.quality.cones import contact_wrenches
 from planner.schema import StrictData
-from planner.spatial import FloatArray, IntArray
+from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 from planner.tolerances import CLOSURE_EDGES
 from sim.controllers.base import Phase
 
@@ -336,6 +336,11 @@ class Recording:
     def __len__(self) -> int:
         """Number of samples."""
         return len(self.phase)
+
+    def poses(self, i: int) -> tuple[SE3, SE3]:
+        """Poses of hand base and object in sample i, world."""
+        base, item = self.T_world_base[i], self.T_world_object[i]
+        return pose_from_wxyz(base[:3], base[3:]), pose_from_wxyz(item[:3], item[3:])
 
     def contacts(self, i: int) -> ContactSet:
         """Contacts of sample i, world, merged per finger, with the simulation's friction.

@@ -44,8 +44,8 @@ from sim.scene.build import Scene, Truth, build_scene
 from sim.scene.carrier import Carrier, Timeline, carrier_of
 from sim.scene.physics import AnyPhysics
 from sim.sensing.errors import ERROR_MODELS, AnyErrorModel, ErrorModel
+from sim.show.painter import Viewer
 from sim.show.picture import FRAME_RATE, Tape, draw_tape
-from sim.show.window import Viewer
 
 if TYPE_CHECKING:
     from sim.controllers.readings import TouchReading

@@ -4,33 +4,23 @@ from __future__ import annotations
 
 import io
 import json
-from contextlib import redirect_stderr, redirect_stdout
 from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from commands import opposable
 from rich.console import Console
 
 from planner.batch import BatchProgress, GraspSet
 from planner.files import read_plan
 from planner.numerics.kernels import compiled_searches
 from sim.cli import batch as commands
-from sim.cli import grasp, main
+from sim.cli import grasp
 from sim.cli.batch import BatchBar
 
 pytest.importorskip("pyarrow")
-
-
-def opposable(*arguments: str | Path) -> tuple[int, str, str]:
-    """Exit code, output and messages of the command, called in this process."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as ended:
-        main([str(a) for a in arguments])
-    code = ended.value.code
-    assert isinstance(code, int)
-    return code, out.getvalue(), " ".join(err.getvalue().split())
 
 
 def test_a_batch_is_planned_summed_up_exported_and_picked_from(tmp_path: Path) -> None:

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import io
 import json
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from commands import opposable
 
-from benchmarks import dexgraspbench_checkout as checkout
-from benchmarks.dexgraspbench_checkout import Installed, install
+from benchmarks import dexgraspbench as checkout
+from benchmarks.dexgraspbench import Installed, install
 from planner.batch import plan_grasps
 from planner.errors import TaskError
-from sim.cli import main
 
 pytest.importorskip("pyarrow")
 
@@ -66,16 +64,6 @@ def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(checkout, "COMMIT", git(folder, "rev-parse", "HEAD"))
     monkeypatch.setattr(checkout, "_environment", lambda folder: Path(sys.executable))
     return folder
-
-
-def opposable(*arguments: str | Path) -> tuple[int, str, str]:
-    """Exit code, output and messages of the command, called in this process."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as ended:
-        main([str(a) for a in arguments])
-    code = ended.value.code
-    assert isinstance(code, int)
-    return code, out.getvalue(), " ".join(err.getvalue().split())
 
 
 @pytest.mark.slow

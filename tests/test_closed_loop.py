@@ -33,7 +33,7 @@ from sim.controllers.torques import HoldingTorques
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.report import TrialReport
 from sim.report_file import ReportFile
-from sim.scene.build import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation
 from sim.trial import Timeline, Trial

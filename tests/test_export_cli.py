@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import json
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benching import run_bench
+from commands import opposable
 
 from benchmarks import exports
 from planner.batch import GraspSet, plan_grasps
@@ -23,19 +22,8 @@ from planner.files import write_plan
 from planner.hands.hand import Hand
 from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
-from sim.cli import main
 
 pytest.importorskip("yaml")
-
-
-def opposable(*arguments: str | Path) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of a command, blanks of the latter as one."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as ended:
-        main([str(a) for a in arguments])
-    code = ended.value.code
-    assert isinstance(code, int)
-    return code, out.getvalue(), " ".join(err.getvalue().split())
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from planner.bridge.mesh_files import HIDDEN_GROUP
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.shapes import Mesh
@@ -20,7 +21,6 @@ from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import GraspTask
 from sim.contacts import other_touches
 from sim.scene.build import WORLD_BIT, Scene, build_scene
-from sim.show.dress import HIDDEN_GROUP
 
 AWAY = SE3(np.eye(3), np.array([0.6, 0.0, 0.4]))
 MADE = (LBracket(), Torus())

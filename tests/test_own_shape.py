@@ -182,8 +182,8 @@ def test_it_is_planned_written_and_held_like_any_other(cone: type[Cone], tmp_pat
 
 
 def test_it_is_seen_in_a_simulation(cone: type[Cone]) -> None:
+    from planner.bridge.mesh_files import HIDDEN_GROUP
     from sim.scene.build import build_scene
-    from sim.show.dress import HIDDEN_GROUP
 
     away = SE3(np.eye(3), np.array([0.0, 0.0, 1.0]))
     scene = build_scene(GraspTask.create("allegro_hand", "cone"), T_world_base=away)

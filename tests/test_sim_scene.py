@@ -70,7 +70,7 @@ def test_options_reach_the_model(hand: Hand) -> None:
         ({"timestep": 0.0}, "timestep is 0.0"),
         ({"mu": float("nan")}, "mu in simulation is nan"),
         ({"mu_torsion": -1.0}, "mu_torsion in simulation is -1.0"),
-        ({"iterations": 0}, "iterations >= 1"),
+        ({"iterations": 0}, "iterations is 0; give a whole number from 1 to"),
     ],
 )
 def test_bad_options_are_named(options: dict[str, float], message: str) -> None:

@@ -8,14 +8,13 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import opposable
 from rich.console import Console
 
-from sim.cli import main
 from sim.cli.dataset import StatesBar, states_table
 from sim.datasets.reset_states import StatesProgress
 from sim.datasets.reset_states.shards import shard_path
@@ -26,16 +25,6 @@ RUN = "from brief import small_shards; from sim.cli import main\nwith small_shar
 """The command line with small shards, run in this folder."""
 
 pytestmark = pytest.mark.usefixtures("small_shards", "plain_searches")
-
-
-def opposable(*arguments: str | Path) -> tuple[int, str, str]:
-    """Exit code, output and messages of the command, called in this process."""
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as ended:
-        main([str(a) for a in arguments])
-    code = ended.value.code
-    assert isinstance(code, int)
-    return code, out.getvalue(), " ".join(err.getvalue().split())
 
 
 @pytest.mark.slow

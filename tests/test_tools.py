@@ -25,7 +25,7 @@ from planner.tools import Tool, needed_margin, read_tool, tool_names, way_blocke
 from planner.verification.grasp import verify_grasp
 from sim import UseTrial, plan_tool
 from sim.cli import main
-from sim.cli.use import UseOptions
+from sim.cli.grasp import UseOptions
 from sim.report_file import ReportFile, read_report, write_report_of
 from sim.scene.physics import PhysicsOptions
 from sim.show.trial_page import trial_page

@@ -26,7 +26,7 @@ from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.task import GraspTask
 from sim.show.dataset import DatasetSite, DatasetTables
-from sim.show.reports import page_of_plan
+from sim.show.kinds import page_of_plan
 from sim.show.targets import Target, ViewOptions, recognise
 
 pytestmark = pytest.mark.slow  # a page takes seconds to start where no GPU draws it

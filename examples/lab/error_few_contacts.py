@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from planner import SE3, GraspTask, plan_grasp
-from sim.scene.build import PhysicsOptions
+from sim.scene.physics import PhysicsOptions
 from sim.trial import Timeline, Trial
 
 HAND = "allegro_hand"

@@ -12,10 +12,10 @@ import typer
 from rich.markup import escape
 
 from sim.cli.common import (
-    EXIT_INTERRUPTED,
     EXIT_NOT_FOUND,
     check_folder,
     err,
+    goes_on,
     heeding_ctrl_c,
     print_json,
     refuse_given,
@@ -104,28 +104,24 @@ def batch(
     loaded = load_hand(hand)
     tasks = [request.task(loaded, item) for item in objects]
     options = request.synthesis()
-    with heeding_ctrl_c() as check, BatchBar(err) as bar:
+    with heeding_ctrl_c() as check, BatchBar(err) as bar, goes_on(bar.kept):
 
         def told(now: BatchProgress) -> None:
             bar.told(now)
             check()
 
-        try:
-            grasps = plan_grasps(
-                loaded,
-                tasks,
-                n,
-                seed=request.seed,
-                workers=workers,
-                out=folder,
-                max_attempts=request.max_attempts or DEFAULT_MAX_ATTEMPTS,
-                max_cpu_s=request.max_cpu_s,
-                options=options,
-                progress=told,
-            )
-        except KeyboardInterrupt as error:
-            say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))
-            raise typer.Exit(EXIT_INTERRUPTED) from error
+        grasps = plan_grasps(
+            loaded,
+            tasks,
+            n,
+            seed=request.seed,
+            workers=workers,
+            out=folder,
+            max_attempts=request.max_attempts or DEFAULT_MAX_ATTEMPTS,
+            max_cpu_s=request.max_cpu_s,
+            options=options,
+            progress=told,
+        )
     summary: dict[str, Any] = batch_summary(grasps)
     write_json(summary, folder / "summary.json")
     if export is not None:

@@ -7,7 +7,7 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,6 +117,20 @@ def heeding_ctrl_c(*, at_once: bool = True) -> Iterator[CtrlC]:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def goes_on(kept: Callable[[], str]) -> Iterator[None]:
+    """Ctrl-C ends a command that goes on where it was when it is given again.
+
+    Args:
+        kept: Says what is kept.
+    """
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        say(err, escape(f"interrupted: {kept()}; the same command goes on"))
+        raise typer.Exit(EXIT_INTERRUPTED) from error
 
 
 def _given(context: typer.Context) -> list[Any]:

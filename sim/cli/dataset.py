@@ -15,6 +15,7 @@ from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NOT_FOUND,
     err,
+    goes_on,
     heeding_ctrl_c,
     print_json,
     say,
@@ -96,32 +97,29 @@ def states(
     """
     from sim.datasets.reset_states import Draws, StatesAsked, make_states
 
+    draws: dict[str, Any] = {"friction": tuple(numbers("--friction", friction, 2))}
+    if mass is not None:
+        draws["mass"] = tuple(numbers("--mass", mass, 2))
+    if gravity != "random":
+        draws["gravity"] = tuple(numbers("--gravity", gravity, 3))
     asked = StatesAsked(
         hand=hand,
         objects=tuple(objects),
         n=n,
         seed=seed,
-        scales=tuple(_list("--scales", scales)),
+        scales=tuple(numbers("--scales", scales, scales.count(",") + 1)),
         grasps=grasps,
         motions=motions,
         gaits=gaits,
         fingers=() if fingers is None else tuple(names(fingers)),
         mu=mu,
-        draws=Draws(
-            friction=_range("--friction", friction),
-            mass=None if mass is None else _range("--mass", mass),
-            gravity=None if gravity == "random" else _direction(gravity),
-        ),
+        draws=Draws(**draws),
         physics=physics_of(physics),
     )
-    with StatesBar(err) as bar:
-        try:
-            summary = make_states(
-                asked, folder, workers=workers, formats=formats or ("all",), progress=bar.told
-            )
-        except KeyboardInterrupt as error:
-            say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))
-            raise typer.Exit(EXIT_INTERRUPTED) from error
+    with StatesBar(err) as bar, goes_on(bar.kept):
+        summary = make_states(
+            asked, folder, workers=workers, formats=formats or ("all",), progress=bar.told
+        )
     if as_json:
         print_json(summary)
     else:
@@ -138,20 +136,6 @@ def states(
         tell(f"to hold a sample without Opposable: {check}")
     if any(cell["states"] < n for cell in summary["cells"]):
         raise typer.Exit(EXIT_NOT_FOUND)
-
-
-def _list(option: str, text: str) -> list[float]:
-    return numbers(option, text, text.count(",") + 1)
-
-
-def _range(option: str, text: str) -> tuple[float, float]:
-    low, high = numbers(option, text, 2)
-    return low, high
-
-
-def _direction(text: str) -> tuple[float, float, float]:
-    x, y, z = numbers("--gravity", text, 3)
-    return x, y, z
 
 
 class StatesBar(ProgressBar):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -198,6 +199,23 @@ def truth_of(scan: str | Path, *, needed: bool) -> Truth | None:
     return truth
 
 
+def print_report(report: TrialReport, verbose: bool) -> None:
+    """Print the screen of a report, with ``--verbose`` what explains the verdict too."""
+    out.print(report)
+    for line in report.details() if verbose else ():
+        out.print(line)
+
+
+@contextmanager
+def share_bar(title: str) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr: yields what shows the share in [0, 1] that is done."""
+    from rich.progress import Progress
+
+    with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
+        bar = progress.add_task(title, total=1.0)
+        yield lambda share: progress.update(bar, completed=share)
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrialOptions(ExecutionOptions):
     """How ``run`` and ``test`` execute the plan of a grasp."""
@@ -211,10 +229,7 @@ class TrialOptions(ExecutionOptions):
             report: What happened.
             picture: Whether a picture was asked for by name, so that its file is told.
         """
-        out.print(report)
-        if self.verbose:
-            for line in report.details():
-                out.print(line)
+        print_report(report, self.verbose)
         if report.drawn and (self.verbose or self.video or picture):
             tell(report.drawn)
 
@@ -231,25 +246,21 @@ class TrialOptions(ExecutionOptions):
             PlannerError: A controller or physics that there is not, no display to view on, or a
                 video that cannot be written; bad input ends before anything is planned.
         """
-        from rich.progress import Progress
-
         from sim.trial import simulate
 
         parts: dict[str, Any] = {**self.parts(), "truth": truth}
         if handover and self.controller == ExecutionOptions.controller:
             parts["controller"] = None  # its own
         if self.view:
-            from sim.show.window import check_display
+            from sim.show.painter import check_display
 
             check_display()
         check_films(self.video)
 
         def execute(plan: Any, picture: Path | None) -> TrialReport:
-            with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
-                bar = progress.add_task("simulating", total=1.0)
+            with share_bar("simulating") as progress:
                 shown: dict[str, Any] = {
-                    "progress": lambda share: progress.update(bar, completed=share),
-                    **{"view": self.view, "picture": picture},
+                    **{"progress": progress, "view": self.view, "picture": picture},
                     **{"video": self.video, "arrows": self.arrows},
                 }
                 if handover:

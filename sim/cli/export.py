@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -113,15 +114,7 @@ def export(
     plans = _read(sources, None if objects is None else names(objects), n)
     done = export_plans(plans, output, to, writing=writing)
     if as_json:
-        print_json(
-            {
-                "format": done.format,
-                "count": done.count,
-                "files": [str(file) for file in done.files],
-                "lost": done.lost,
-                "notes": list(done.notes),
-            }
-        )
+        print_json(asdict(done) | {"files": [str(file) for file in done.files]})
         return
     plural = "s" if done.count > 1 else ""
     tell(f"{done.count} plan{plural} written to {output} as {done.format}")

@@ -1,28 +1,66 @@
-"""Commands that plan a grasp: ``run``, ``plan``."""
+"""Commands that plan a grasp: ``run``, ``plan``, and ``use`` for that of a tool."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
+from rich.markup import escape
 
-from sim.cli.common import check_folder, exit_for, make_folder, out, print_json, tell, told_command
-from sim.cli.execution import TrialOptions, truth_of
+from planner.tolerances import DEFAULT_MU
+from sim.cli.common import (
+    check_films,
+    check_folder,
+    err,
+    exit_for,
+    heeding_ctrl_c,
+    make_folder,
+    out,
+    print_json,
+    tell,
+    told_command,
+)
+from sim.cli.execution import (
+    TrialOptions,
+    error_model_of,
+    physics_of,
+    print_report,
+    share_bar,
+    truth_of,
+)
 from sim.cli.options import (
+    GRIP,
     SEARCH,
+    TRIAL,
     ArrowsOption,
+    ErrorModelOption,
+    ErrorSeedOption,
     HandArgument,
     JsonOption,
+    MuOption,
+    PhysicsOption,
     PictureOption,
+    SeedOption,
     SeenArgument,
+    SimMuOption,
+    VerboseOption,
+    VideoOption,
+    ViewOption,
+    argument,
     command,
     flag,
     option,
 )
 from sim.cli.search import BestOptions, numbered, plans_table
 from sim.cli.tasks import is_cloud, object_of
+
+if TYPE_CHECKING:
+    from planner.plan import GraspPlan
+    from planner.search.grasp import Attempt
+    from planner.tools import Tool
 
 LONGEST_NAME = 60
 """Characters of an object in a folder's name."""
@@ -34,14 +72,48 @@ def _folder_name(item: Any) -> str:
     return item.name if "/" in spec or len(spec) > LONGEST_NAME else spec.replace(":", "-")
 
 
+FolderOption = Annotated[
+    Path | None, option("Folder for plan, report, its page and picture.", None, None, "--out")
+]
+
+
+def _begun(out_dir: Path | None, hand: str, item: str, seed: int, picture: str) -> Path:
+    """The folder of a run, without report and pictures of an earlier plan."""
+    from planner.files import plain_name
+
+    folder = out_dir or Path("runs") / f"{plain_name(hand)}-{plain_name(item)}-{seed}"
+    make_folder(folder)
+    for old in ("report.json", "report.html", f"{picture}.png", f"{picture}-end.png"):
+        (folder / old).unlink(missing_ok=True)
+    return folder
+
+
+def _end(
+    report: Any, folder: Path, picture: str, show: Callable[[Any], None], as_json: bool
+) -> None:
+    """Write the report of a run and its page, show them, and end by what came out."""
+    from planner.files import read_json
+    from sim.report_file import write_report
+
+    write_report(report.to_dict(), folder / "report.json")
+    report.save_html(folder / "report.html")
+    if as_json:
+        plan = read_json(folder / "plan.json", "plan file")
+        print_json({"plan": plan, "report": report.to_dict()})
+    else:
+        show(report)
+        drawn = f"{picture}.png" if report.picture else f"no picture: {report.picture_reason}"
+        page = folder / "report.html"
+        tell(f"open in a browser: {page} (beside plan.json, report.json; {drawn})")
+    exit_for(report)
+
+
 @command
 def run(
     context: typer.Context,
     hand: HandArgument,
     object: SeenArgument,
-    out_dir: Annotated[
-        Path | None, option("Folder for plan, report, its page and picture.", None, None, "--out")
-    ] = None,
+    out_dir: FolderOption = None,
     handover_to: Annotated[
         str | None,
         option("Then hand it over: a hand's name, or that of a pair's other hand.", "HAND", None),
@@ -56,8 +128,7 @@ def run(
     Files: plan.json, report.json, held.png, and report.html, to open in any browser: the motion,
     the forces over time, the numbers.
     """
-    from planner.files import plain_name, read_json, write_plan
-    from sim.report_file import write_report
+    from planner.files import write_plan
 
     if out_dir is not None:
         make_folder(out_dir)
@@ -74,29 +145,15 @@ def run(
 
         found, write = request.handover(hand, object, handover_to), write_handover
         plan = found
-    hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
-    folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
-    make_folder(folder)
-    for old in ("report.json", "report.html", "held.png", "held-end.png"):  # of an earlier plan
-        (folder / old).unlink(missing_ok=True)
+    item = _folder_name(plan.task.object)
+    folder = _begun(out_dir, plan.task.hand.name, item, request.seed, "held")
     write(plan, folder / "plan.json")
     if not as_json and trial.verbose:
         tell(str(plan))
     report = replace(execute(found, folder / "held.png"), command=told_command(context))
     if cloud and report.plan is not plan:  # another of its plans
         write(report.plan, folder / "plan.json")
-    write_report(report.to_dict(), folder / "report.json")
-    report.save_html(folder / "report.html")
-    if as_json:
-        print_json(
-            {"plan": read_json(folder / "plan.json", "plan file"), "report": report.to_dict()}
-        )
-    else:
-        trial.show(report)
-        picture = "held.png" if report.picture else f"no picture: {report.picture_reason}"
-        page = folder / "report.html"
-        tell(f"open in a browser: {page} (beside plan.json, report.json; {picture})")
-    exit_for(report)
+    _end(report, folder, "held", trial.show, as_json)
 
 
 @command
@@ -143,3 +200,92 @@ def plan(
         out.print(plans_table(found, files))
     else:
         tell(str(found[0]), f"written to {output}", *filter(None, [drawn]))
+
+
+ToolArgument = Annotated[str, argument("screwdriver, key, lid, hammer, or NAME.toml.", "TOOL")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class UseOptions:
+    """What ``use`` is asked for beside hand and tool."""
+
+    seed: SeedOption = 0
+    scale: Annotated[float, option("How many times larger the tool is.", "K", GRIP)] = 1.0
+    margin: Annotated[
+        float | None, option("Margin of each needed wrench; 2.", "K", GRIP, min=1.0)
+    ] = None
+    mu: MuOption = DEFAULT_MU
+    resist: Annotated[float, option("Factor on the fixture's friction.", "K", TRIAL, min=0.0)] = 1.0
+    sim_mu: SimMuOption = None
+    physics: PhysicsOption = "ours"
+    error_model: ErrorModelOption = "ideal"
+    error_seed: ErrorSeedOption = None
+    view: ViewOption = False
+    video: VideoOption = None
+    verbose: VerboseOption = False
+
+    def plan(self, hand: str, tool: Tool) -> GraspPlan:
+        """Plan with a spinner that counts attempts, on stderr."""
+        from sim.tools import plan_tool
+
+        margin: dict[str, Any] = {} if self.margin is None else {"needed_margin": self.margin}
+        with heeding_ctrl_c() as check, err.status(f"planning: {hand}, {tool.name}") as status:
+
+            def show(attempt: Attempt[GraspPlan]) -> bool:
+                outcome = escape(str(attempt.failure or "found")[:70])
+                status.update(f"planning: attempt {attempt.index + 1}: {outcome}")
+                check()
+                return False
+
+            return plan_tool(
+                hand,
+                tool,
+                seed=self.seed,
+                progress=show,
+                mu=self.mu,
+                **margin,
+            )
+
+
+@command
+def use(
+    context: typer.Context,
+    hand: HandArgument,
+    tool: ToolArgument,
+    out_dir: FolderOption = None,
+    *,
+    request: UseOptions,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan the grasp of a tool, use it, judge; writes plan and report.
+
+    Files: plan.json, report.json, used.png, and report.html, to open in any browser: the motion,
+    the forces, and what the tool did over time.
+    """
+    from planner.files import write_plan
+    from planner.tools import load_tool
+    from sim.tools import UseTrial
+
+    loaded = load_tool(tool, scale=request.scale)
+    parts: dict[str, Any] = {
+        "physics": physics_of(request.physics, request.sim_mu),
+        "error_model": error_model_of(request.error_model, request.error_seed),
+    }
+    check_films(request.video)
+    if out_dir is not None:
+        make_folder(out_dir)
+    plan = request.plan(hand, loaded)
+    folder = _begun(out_dir, plan.task.hand.name, loaded.name, request.seed, "used")
+    write_plan(plan, folder / "plan.json")
+    if request.verbose and not as_json:
+        tell(str(plan))
+    trial = UseTrial(plan, loaded, friction=request.resist, **parts)
+    with share_bar("using") as progress:
+        report = trial.run(
+            progress=progress,
+            view=request.view,
+            picture=folder / "used.png",
+            video=request.video,
+        )
+    report = replace(report, command=told_command(context))
+    _end(report, folder, "used", lambda made: print_report(made, request.verbose), as_json)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,6 +116,8 @@ WORDS = (
 )
 """Columns that are no numbers."""
 
+_table = partial(table, left=WORDS)
+
 
 def hand_tables(hand: Hand) -> list[Table]:
     """The same for people, lengths in mm and angles in degrees."""
@@ -123,7 +126,7 @@ def hand_tables(hand: Hand) -> list[Table]:
     label = {name: escape(short) for name, short in zip(hand.joint_names, labels, strict=True)}
     _, pads = short_names([f["pad_geometry"] for f in data["fingers"]], GEOM_WIDTH)
     _, servos = short_names(hand.actuation.names)
-    joints = table(
+    joints = _table(
         f"{data['name']}: {data['joints']} joints, {data['actuators']} actuators, "
         f"{data['mass_kg']:.2f} kg",
         ("finger", "joint", "q", "lower deg", "upper deg", "torque N m"),
@@ -140,9 +143,8 @@ def hand_tables(hand: Hand) -> list[Table]:
             for k, joint in enumerate(finger["joints"])
         ),
         caption=_shortened(prefix, (*labels, *pads, *servos)),
-        left=WORDS,
     )
-    tips = table(
+    tips = _table(
         "fingertips at q = 0, base frame",
         ("finger", "tip frame", "x mm", "y mm", "z mm", "pad", "radius mm", "mass g"),
         (
@@ -156,9 +158,8 @@ def hand_tables(hand: Hand) -> list[Table]:
             )
             for finger, pad in zip(data["fingers"], pads, strict=True)
         ),
-        left=WORDS,
     )
-    actuators = table(
+    actuators = _table(
         "actuators",
         ("actuator", "drives", "force range", "ctrl range"),
         (
@@ -170,9 +171,8 @@ def hand_tables(hand: Hand) -> list[Table]:
             )
             for actuator, servo in zip(data["actuator_table"], servos, strict=True)
         ),
-        left=WORDS,
     )
-    couplings = table(
+    couplings = _table(
         "couplings in a grasp",
         ("coupling", "equation", "kind"),
         (
@@ -184,7 +184,6 @@ def hand_tables(hand: Hand) -> list[Table]:
             )
             for c in data["couplings"]
         ),
-        left=WORDS,
     )
     return [joints, tips, actuators, *([couplings] if data["couplings"] else [])]
 
@@ -215,7 +214,7 @@ def print_check(report: CheckReport, console: Console) -> None:
     _, geoms = short_names([p.geom for p in report.pads], GEOM_WIDTH)
     each = ", each with its own actuator" * short
     columns = ("joint", "of", "q", "qpos", "range", "torque N m", "actuators")
-    joints = table(
+    joints = _table(
         f"{report.hand}: joints in the order of q",
         columns[: len(columns) - short],
         (
@@ -231,9 +230,8 @@ def print_check(report: CheckReport, console: Console) -> None:
             for j, name in zip(report.joints, names, strict=True)
         ),
         caption=_shortened(prefix, (*names, *geoms), each),
-        left=WORDS,
     )
-    pads = table(
+    pads = _table(
         "pads",
         ("finger", "geom", "radius mm", "cone deg", "stands out mm", "presses N", "taxels"),
         (
@@ -248,9 +246,8 @@ def print_check(report: CheckReport, console: Console) -> None:
             )
             for p, geom in zip(report.pads, geoms, strict=True)
         ),
-        left=WORDS,
     )
-    spaces = table(
+    spaces = _table(
         "where the tips get to, base frame, mm",
         ("finger", "x", "y", "z"),
         (
@@ -260,9 +257,8 @@ def print_check(report: CheckReport, console: Console) -> None:
             )
             for w in report.workspaces
         ),
-        left=WORDS,
     )
-    postures = table(
+    postures = _table(
         "postures",
         ("posture", "gap mm", "pads off the opposite ones, deg", "clearance mm"),
         (
@@ -274,7 +270,6 @@ def print_check(report: CheckReport, console: Console) -> None:
             )
             for r in report.postures
         ),
-        left=WORDS,
     )
     console.print(joints)
     for coupling in report.couplings:

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from sim.cli.common import (
-    EXIT_INTERRUPTED,
     err,
+    goes_on,
     heeding_ctrl_c,
     out,
     print_json,
@@ -91,14 +90,10 @@ def learn(
         seed=seed,
     )
     course = Course(**{**vars(asked), "senses": tuple(names(asked.senses))})
-    with heeding_ctrl_c(), _Bar(err, ticks=True) as bar:
-        try:
-            learned = train(
-                task, course, folder, command=told_command(context), progress=_shown(bar.told)
-            )
-        except KeyboardInterrupt as error:
-            say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))
-            raise typer.Exit(EXIT_INTERRUPTED) from error
+    with heeding_ctrl_c(), _Bar(err, ticks=True) as bar, goes_on(bar.kept):
+        learned = train(
+            task, course, folder, command=told_command(context), progress=_shown(bar.told)
+        )
     told = learned.to_dict()
     if as_json:
         print_json(told)

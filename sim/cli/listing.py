@@ -54,7 +54,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         _listed("plan", "shadow_hand box -o plan.json", "grasp"),
         _listed("test", "plan.json -o report.json"),
         _listed("view", "plan.json -o plan.html"),
-        _listed("use", "allegro_hand screwdriver"),
+        _listed("use", "allegro_hand screwdriver", "grasp"),
     ),
     "In-hand": (
         _listed("manipulate", "allegro_hand cylinder:0.03x0.08 --rotate 45"),
@@ -74,7 +74,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     ),
     "Hands": (
         _listed("hands", "shadow_hand"),
-        _listed("crosscheck", "my_hand.xml"),
+        _listed("crosscheck", "my_hand.xml", "hands"),
         _listed("drive", "plan.json --rate 100 --log run.npz"),
     ),
 }

@@ -84,6 +84,19 @@ class TestOptions(TrialOptions):
     ] = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class ProtocolOptions:
+    """What the protocols of many trials are asked for."""
+
+    only: Annotated[
+        list[str] | None,
+        option('Only trials of this name: "force +z".', "NAME", OF_PROTOCOLS),
+    ] = None
+    pages: Annotated[str, option("Pages: none, failures, all.", "WHICH", OF_PROTOCOLS)] = "none"
+    workers: WorkersOption = -1
+    seed: SeedOption = 0
+
+
 @command
 def test(
     context: typer.Context,
@@ -115,14 +128,8 @@ def test(
     budget: Annotated[
         float, option("Largest creep that is wanted, mm/s.", "V", OF_PROTOCOLS)
     ] = 0.1,
-    only: Annotated[
-        list[str] | None,
-        option('Only trials of this name: "force +z".', "NAME", OF_PROTOCOLS),
-    ] = None,
-    pages: Annotated[str, option("Pages: none, failures, all.", "WHICH", OF_PROTOCOLS)] = "none",
-    workers: WorkersOption = -1,
-    seed: SeedOption = 0,
     *,
+    asked: ProtocolOptions,
     trial: TestOptions,
     as_json: JsonOption = False,
 ) -> None:
@@ -147,17 +154,8 @@ def test(
     if protocol == HOLD:
         _hold(plans, output, picture, truth, trial, told_command(context), as_json)
         return
-    asked = _Asked(
-        protocol=protocol,
-        only=only or (),
-        pages=pages,
-        workers=workers,
-        folder=output or Path("runs/test"),
-        seed=seed,
-        command=told_command(context),
-        as_json=as_json,
-    )
-    _trials(plans, asked, trial)
+    folder = output or Path("runs/test")
+    _trials(plans, protocol, folder, asked, trial, told_command(context), as_json)
 
 
 def _hold(
@@ -271,21 +269,15 @@ def _told(speeds: dict[str, Any]) -> str:
     return f"{speeds['creep_mm_s']:.2g} mm/s; {formula}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Asked:
-    """What the protocols of many trials are asked for."""
-
-    protocol: str
-    only: Sequence[str]
-    pages: str
-    workers: int
-    folder: Path
-    seed: int
-    command: str
-    as_json: bool
-
-
-def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
+def _trials(
+    plans: Sequence[Path],
+    protocol: str,
+    folder: Path,
+    asked: ProtocolOptions,
+    options: TestOptions,
+    command: str,
+    as_json: bool,
+) -> None:
     """Run protocols of many trials on every plan; reports as they come."""
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
@@ -305,16 +297,15 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
     if asked.pages not in PAGES:  # bad input ends here
         raise NotFoundError("choice of pages", asked.pages, PAGES)
     # the protocol draws from the errors of a laboratory where none are named
-    parts = options.parts(draws=asked.protocol == "errors")
+    parts = options.parts(draws=protocol == "errors")
     film = options.video
     ending = "" if film is None else film.suffix or f".{film}"
     check_video(f"film{ending}" if ending else None)
-    every = asked.protocol == "all"
-    if not every and asked.protocol not in PROTOCOLS:
-        raise NotFoundError("protocol", asked.protocol, (HOLD, CREEP, *PROTOCOLS, "all"))
-    trials = trials_of(in_all() if every else [asked.protocol], asked.only, Settings(), asked.seed)
+    every = protocol == "all"
+    if not every and protocol not in PROTOCOLS:
+        raise NotFoundError("protocol", protocol, (HOLD, CREEP, *PROTOCOLS, "all"))
+    trials = trials_of(in_all() if every else [protocol], asked.only or (), Settings(), asked.seed)
     loaded = [(path, read_plan(path)) for path in listed_plans(plans)]
-    folder = asked.folder
     make_folder(folder)
     if ending and (reason := why_not()):
         say(err, escape(f"no films: {reason}"))
@@ -347,8 +338,8 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
                 write_json(report.to_dict(), folder / f"{stem}.json")
                 write_csv(reports, folder / "trials.csv")
                 if asked.pages != "none":
-                    written += _write_pages(report, plan, folder / stem, asked)
-                if not asked.as_json:
+                    written += _write_pages(report, plan, folder / stem, asked.pages, command)
+                if not as_json:
                     show_wide(protocol_table(report))
                     out.print(report)
                 if not report.complete:
@@ -357,7 +348,7 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
                 break
     if not reports:
         raise TaskError("nothing was tested: no plan's hand can take a protocol that was asked for")
-    if asked.as_json:
+    if as_json:
         print_json({"reports": [report.summary() for report in reports], "skipped": skipped})
     else:
         films = f", {len(list(folder.glob(f'*{ending}')))} films" if ending else ""
@@ -372,7 +363,9 @@ def _trials(plans: Sequence[Path], asked: _Asked, options: TestOptions) -> None:
         raise typer.Exit(EXIT_NO)
 
 
-def _write_pages(report: ProtocolReport, plan: GraspPlan, stem: Path, asked: _Asked) -> list[Path]:
+def _write_pages(
+    report: ProtocolReport, plan: GraspPlan, stem: Path, pages: str, command: str
+) -> list[Path]:
     """Write a page for every trial, or for those that were not held; the files."""
     from planner.files import plain_name
     from planner.pages.page import write_page
@@ -382,9 +375,9 @@ def _write_pages(report: ProtocolReport, plan: GraspPlan, stem: Path, asked: _As
     for outcome in report.outcomes:
         moved = outcome.recording is not None and len(outcome.recording) > 0
         fine = (outcome.held and not outcome.other_grasp) or outcome.grows
-        if not moved or (asked.pages == "failures" and fine):
+        if not moved or (pages == "failures" and fine):
             continue
         path = stem.with_name(f"{stem.name}-{outcome.index:03d}-{plain_name(outcome.name)}.html")
-        write_page(outcome_page(report, outcome, plan, asked.command), path)
+        write_page(outcome_page(report, outcome, plan, command), path)
         written.append(path)
     return written

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -64,26 +64,17 @@ def crosscheck(
         PlannerError: The child process of Pinocchio's own reader cannot start.
         TaskError: A number is out of range.
     """
-    _check_counts(seed, n_configurations)
-    limits = tolerances or Tolerances()
     source = compiled(model)
     layout = layout_of(source.model)
     reference = MujocoSide(source.model, "MuJoCo", layout)
     bridge = match(pinocchio_from_mujoco(source.model), BRIDGE, layout)
-    run = _Run(source, reference, seed, n_configurations, limits)
+    run = _Run(source, reference, seed, n_configurations, tolerances)
     columns = [run.column(bridge, engines=True)]
     if own_reader and source.path is not None:
         result = read_with_pinocchio(source.path, timeout)
         columns.append(_reader_column(run, result, judged=judge_reader))
-    return CrosscheckReport(
-        model=source.name,
-        reference="MuJoCo",
-        columns=tuple(columns),
-        seed=seed,
-        n_configurations=n_configurations,
-        tolerances=limits,
-        notes=(*source.notes, *(f"not compared: {what}" for what in left_out(source.model))),
-    )
+    notes = (*source.notes, *(f"not compared: {what}" for what in left_out(source.model)))
+    return run.report(source.name, columns, notes)
 
 
 def compare_models(
@@ -113,8 +104,6 @@ def compare_models(
         ModelError: MuJoCo cannot read or compile a model.
         TaskError: A number is out of range, or ``names`` names what is not there.
     """
-    _check_counts(seed, n_configurations)
-    limits = tolerances or Tolerances()
     source = compiled(reference)
     layout = layout_of(source.model)
     here = MujocoSide(source.model, source.name, layout, None, stated_velocities(source))
@@ -129,29 +118,46 @@ def compare_models(
         speeds = stated_velocities(second)
         there = MujocoSide(second.model, second.name, layout, names, speeds)
     _check_names(names or {}, here, there)
-    run = _Run(source, here, seed, n_configurations, limits)
-    return CrosscheckReport(
-        model=there.name,
-        reference=source.name,
-        columns=(run.column(there, engines=False),),
-        seed=seed,
-        n_configurations=n_configurations,
-        tolerances=limits,
-        notes=tuple(notes),
-    )
+    run = _Run(source, here, seed, n_configurations, tolerances)
+    return run.report(there.name, [run.column(there, engines=False)], notes)
 
 
 class _Run:
     """One reference and its configurations."""
 
     def __init__(
-        self, source: Source, reference: MujocoSide, seed: int, count: int, limits: Tolerances
+        self,
+        source: Source,
+        reference: MujocoSide,
+        seed: int,
+        count: int,
+        tolerances: Tolerances | None,
     ) -> None:
-        self.source, self.reference, self.limits = source, reference, limits
+        if seed < 0 or count < 1:
+            raise TaskError(
+                f"seed is {seed} and n_configurations {count}; give a seed of 0 or more and at "
+                "least one configuration"
+            )
+        self.source, self.reference = source, reference
+        self.limits = tolerances or Tolerances()
         self.layout = reference.layout
         self.parts = reference.parts()
         self._seed, self._count = seed, count
         self._mass = float(source.model.body_mass.sum())
+
+    def report(
+        self, model: str, columns: Sequence[Column], notes: Sequence[str]
+    ) -> CrosscheckReport:
+        """What came out for a model, by this name."""
+        return CrosscheckReport(
+            model=model,
+            reference=self.reference.name,
+            columns=tuple(columns),
+            seed=self._seed,
+            n_configurations=self._count,
+            tolerances=self.limits,
+            notes=tuple(notes),
+        )
 
     def tally(self, side: Side) -> Tally:
         """Everything except distances and equalities."""
@@ -206,14 +212,6 @@ def _reader_column(run: _Run, result: ReaderResult, *, judged: bool) -> Column:
         compare_boxes(tally, run.source.model, result)
     column = column_from(READER, tally, judged=judged, notes=tuple(notes))
     return explain(column, Context(run.source, run.reference, side, result))
-
-
-def _check_counts(seed: int, count: int) -> None:
-    if seed < 0 or count < 1:
-        raise TaskError(
-            f"seed is {seed} and n_configurations {count}; give a seed of 0 or more and at least "
-            "one configuration"
-        )
 
 
 def _check_names(names: Mapping[str, str], here: Side, there: Side) -> None:

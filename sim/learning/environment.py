@@ -236,7 +236,13 @@ class TurnEnv(gymnasium.Env[SenseData, NDArray[Any]]):
         reward = self._reward()
         if report is None:
             return self._observation(), reward, False, False, {}
-        return self._observation(), reward + _bonus(report), True, False, _verdict(report)
+        return (
+            self._observation(),
+            reward + report.success_with_closure,
+            True,
+            False,
+            _verdict(report),
+        )
 
     def close(self) -> None:
         """End the episode that is under way."""
@@ -319,10 +325,8 @@ class _External(PolicyController):
         }
 
 
-@lru_cache(maxsize=8)
-def _shared_plans(task: TurnTask, folder: Path | None) -> Plans:
-    """The environments of one process share their plans."""
-    return Plans(task, folder)
+_shared_plans = lru_cache(maxsize=8)(Plans)
+"""The environments of one process share their plans."""
 
 
 def _requested_plan(options: dict[str, Any]) -> int | None:
@@ -335,10 +339,6 @@ def _requested_plan(options: dict[str, Any]) -> int | None:
     if not (isinstance(number, int | np.integer) and number >= 0):
         raise TaskError(f"the option plan is {shown(number)}; give an integer >= 0")
     return int(number)
-
-
-def _bonus(report: ManipulationReport) -> float:
-    return 1.0 if report.success_with_closure else 0.0
 
 
 def _verdict(report: ManipulationReport) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from planner.motion.manipulation import (
 )
 from planner.objects import parse_object
 from planner.spatial import SE3
+from planner.task import GraspTask
 from sim.learning.senses import ObjectRange
 from sim.manipulation import ManipulationRun, Push, rests, settled
 from sim.manipulation.in_hand import AnyTurningController
@@ -146,23 +147,35 @@ class Conditions:
         self, task: TurnTask, plan: ManipulationPlan, controller: AnyTurningController
     ) -> ManipulationRun:
         """The execution of a plan under these conditions, not begun yet."""
-        believed = plan.task
-        pose = believed.T_world_object
-        turned = pin.exp3(np.array([0.0, 0.0, self.heading])) @ pose.rotation
-        aside = np.array([*self.shift, 0.0])
-        there = replace(
-            believed,
-            object=replace(believed.object, mass=self.mass),
-            T_world_object=SE3(turned, pose.translation + aside),
-        )
         return ManipulationRun(
             plan,
             controller=controller,
-            true_task=there,
+            true_task=true_task(plan.task, self.mass, self.shift, self.heading),
             physics=replace(task.physics, mu=self.mu),
             push=Push(force=np.array([*self.push, 0.0]), after=self.push_after, duration=PUSH_TIME),
             error_model=task.error_model.seeded(self.seed),
         )
+
+
+def true_task(
+    task: GraspTask, mass: float, shift: tuple[float, float], heading: float
+) -> GraspTask:
+    """What there really is: the object has another mass, and stands aside, with what it stands on.
+
+    Args:
+        task: What is believed.
+        mass: Of the object, kg.
+        shift: Of the object and of obstacles along x and y, m, world.
+        heading: By how much the object is turned about the vertical, rad.
+    """
+    pose, aside = task.T_world_object, np.array([*shift, 0.0])
+    turned = pin.exp3(np.array([0.0, 0.0, heading])) @ pose.rotation
+    return replace(
+        task,
+        object=replace(task.object, mass=mass),
+        T_world_object=SE3(turned, pose.translation + aside),
+        obstacles=tuple(o.moved(aside) for o in task.obstacles),
+    )
 
 
 class Plans:

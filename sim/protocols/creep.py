@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 
 from planner.plan import GraspPlan
-from sim.controllers import AnyController
 from sim.creep import CREEP_BUDGET, Remedy, least_creep, predicted_creep, remedies
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.scene.build import build_scene
@@ -62,21 +61,15 @@ class Tried:
     enough: bool
 
 
-def measure_creep(
-    plan: GraspPlan,
-    physics: PhysicsOptions,
-    *,
-    controller: AnyController | None = None,
-) -> CreepMeasured:
+def measure_creep(plan: GraspPlan, physics: PhysicsOptions) -> CreepMeasured:
     """Grip as planned in the air, and watch the object for a second.
 
     Args:
         plan: What to execute.
         physics: How MuJoCo computes.
-        controller: What drives the hand; "feedforward" if None.
     """
     names = plan.task.finger_names
-    hold = DisturbanceTrial(plan, controller=controller, physics=physics, dropped=None)
+    hold = DisturbanceTrial(plan, physics=physics, dropped=None)
     scene, data = hold.simulation.scene, hold.simulation.data
     least = least_creep(scene, names)
     if fault := hold.close_and_squeeze() or hold.hold_for(CALM_S):

@@ -65,13 +65,13 @@ from sim.scene.build import (
     OBJECT,
     Scene,
     add_looks,
-    dress_hand,
     drop_options,
     index_scene,
 )
 from sim.scene.carrier import Timeline
 from sim.scene.gantry import Gantry
 from sim.scene.physics import PhysicsOptions
+from sim.show.dress import dress_hand
 from sim.verdict import DropCriteria, Fault, lost
 
 HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 0.0001)

@@ -223,7 +223,6 @@ def hold_in_drake(
     *,
     seconds: float | None = None,
     wrench: FloatArray | None = None,
-    time_step: float = TIME_STEP,
 ) -> Held:
     """Begin at the key frame "grasp", command "squeeze", and look for some time.
 
@@ -232,13 +231,12 @@ def hold_in_drake(
         seconds: How long; what the export's own check says if None.
         wrench: Force (N) and torque (N m) (6,) on the object's centre of mass, world axes, from the
             beginning of the second half; none if None.
-        time_step: Of Drake's solver, s.
 
     Raises:
         TaskError: Drake is not installed, or its solver gave up.
         FileFormatError: The folder is no export, or Drake cannot read it.
     """
-    scene = load_drake_scene(folder, time_step=time_step)
+    scene = load_drake_scene(folder)
     return next(_Trial(scene).run(scene.check["seconds"] if seconds is None else seconds, [wrench]))
 
 

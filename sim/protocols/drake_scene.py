@@ -147,12 +147,11 @@ class DrakeScene:
     check: Mapping[str, Any]
 
 
-def load_drake_scene(folder: Path, *, time_step: float = TIME_STEP) -> DrakeScene:
+def load_drake_scene(folder: Path) -> DrakeScene:
     """Read an exported scene into Drake.
 
     Args:
         folder: As ``sim.scene.export.export_scene`` writes it.
-        time_step: Of Drake's solver, s.
 
     Raises:
         TaskError: Drake is not installed.
@@ -162,12 +161,12 @@ def load_drake_scene(folder: Path, *, time_step: float = TIME_STEP) -> DrakeScen
     if reason := drake_missing():
         raise TaskError(f"{folder} is not executed: {reason}")
     try:
-        return _loaded(folder, time_step)
+        return _loaded(folder)
     except RuntimeError:  # of Drake: one of its tetrahedra is degenerate
         with TemporaryDirectory() as made:
             copy = _rounded(folder, Path(made) / "scene")
             try:
-                return _loaded(copy, time_step)
+                return _loaded(copy)
             except RuntimeError as error:
                 raise FileFormatError(
                     f"Drake cannot compute the scene in {folder}: {error}; leave this plan out of "
@@ -175,7 +174,7 @@ def load_drake_scene(folder: Path, *, time_step: float = TIME_STEP) -> DrakeScen
                 ) from error
 
 
-def _loaded(folder: Path, time_step: float) -> DrakeScene:
+def _loaded(folder: Path) -> DrakeScene:
     """The scene of a folder as it is.
 
     Raises:
@@ -193,7 +192,7 @@ def _loaded(folder: Path, time_step: float) -> DrakeScene:
     except (OSError, ValueError, ET.ParseError) as error:
         raise FileFormatError(f"{folder} is no exported scene: {error}; export it again") from error
     builder = DiagramBuilder()
-    plant, graph = AddMultibodyPlant(MultibodyPlantConfig(time_step=time_step), builder)
+    plant, graph = AddMultibodyPlant(MultibodyPlantConfig(time_step=TIME_STEP), builder)
     contacts = SceneGraphConfig()
     contacts.default_proximity_properties.compliance_type = "compliant"
     contacts.default_proximity_properties.resolution_hint = RESOLUTION

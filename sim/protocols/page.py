@@ -15,7 +15,7 @@ from planner.pages.scene import Line, Mark, Plot
 from planner.plan import GraspPlan
 from planner.version import written_by
 from sim.protocols.outcome import Outcome
-from sim.protocols.report import ProtocolReport
+from sim.protocols.report import ASKED, ProtocolReport
 from sim.report_file import EventData
 from sim.show.parts import (
     cone_plot,
@@ -62,12 +62,7 @@ def outcome_page(
         "version": 1,
         "written_by": written_by(),
         "command": command,
-        "protocol": report.protocol,
-        "hand": report.hand,
-        "object": report.object,
-        "mass_kg": report.mass_kg,
-        "controller": report.controller,
-        "seed": report.seed,
+        **{name: getattr(report, name) for name in ASKED if name != "plan"},
         "physics": dict(report.physics),
         "settings": dict(report.settings),
         **outcome.to_dict(),

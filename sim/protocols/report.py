@@ -29,6 +29,10 @@ PROTOCOL_VERSION = 2
 ALLOWED = "what the certificate allows any control in the planned posture"
 NEARBY = "of every posture near the planned one"
 
+ASKED = ("protocol", "plan", "hand", "object", "mass_kg", "controller", "seed")
+MADE_WITH = ("epsilon_planned", "grip_N", "physics", "settings", "wall_s")
+"""Attributes of a report with which its plain data begin and end."""
+
 MOST_FAILED = 3
 """Trials that were not held on the screen; the table has all of them."""
 
@@ -131,13 +135,7 @@ class ProtocolReport(Report):
         (force, least_force), (torque, least_torque) = (self.breaking(u) for u in ("N", "N m"))
         drift = [o.drift[0] for o in self.fixed if o.held and np.isfinite(o.drift[0])]
         data = {
-            "protocol": self.protocol,
-            "plan": self.plan,
-            "hand": self.hand,
-            "object": self.object,
-            "mass_kg": self.mass_kg,
-            "controller": self.controller,
-            "seed": self.seed,
+            **{name: getattr(self, name) for name in ASKED},
             "success": self.success,
             "complete": self.complete,
             "asked": self.asked,
@@ -154,11 +152,7 @@ class ProtocolReport(Report):
             "median_share_of_bound": self.share_of_bound,
             "contradictions": list(self.contradictions),
             "largest_drift_mm": max(drift, default=float("nan")),
-            "epsilon_planned": self.epsilon_planned,
-            "grip_N": self.grip_N,
-            "physics": self.physics,
-            "settings": self.settings,
-            "wall_s": self.wall_s,
+            **{name: getattr(self, name) for name in MADE_WITH},
         }
         return dict(finite(data))
 

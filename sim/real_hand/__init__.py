@@ -24,7 +24,6 @@ from sim.real_hand.interface import (
 from sim.real_hand.joints import JointCheck, check_joints, checks_table, run_controller
 from sim.real_hand.log import HandLog, LogWriter, read_log
 from sim.real_hand.loop import Carry, ControlLoop, LoopReport, Times
-from sim.real_hand.replay import Comparison, ReplayedHand
 from sim.real_hand.safety import (
     CommandLimiter,
     CommandLimits,
@@ -34,7 +33,7 @@ from sim.real_hand.safety import (
     StopCause,
     Stopped,
 )
-from sim.real_hand.simulated import SimulatedHand
+from sim.real_hand.stand_ins import Comparison, ReplayedHand, SimulatedHand
 
 __all__ = [
     "ASSUMABLE",

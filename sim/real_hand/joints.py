@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -269,7 +268,7 @@ def check_joints(
         limits=limits,
         safety=safety,
     )
-    report = loop.run(partial(_probe_all, duration=probe.duration))
+    report = loop.run(lambda loop: loop.phase("approach", probe.duration))
     return [_judged(hand, probe, int(i)) for i in probe.actuators], report
 
 
@@ -280,10 +279,6 @@ def checks_table(checks: Sequence[JointCheck]) -> Table:
         numbers = f"{check.commanded:+.3f}", f"{check.moved:+.3f}"
         table.add_row(check.actuator, ", ".join(check.joints), check.fault or "-", *numbers)
     return table
-
-
-def _probe_all(loop: ControlLoop, duration: float) -> None:
-    loop.phase("approach", duration)
 
 
 def _judged(hand: Hand, probe: _Probe, i: int) -> JointCheck:

@@ -12,7 +12,8 @@ its last command. Phases of a trial: ``sim.real_hand.joints``.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -30,7 +31,6 @@ from sim.real_hand.interface import (
     EndOfReadings,
     HandInterface,
     HandObservation,
-    HandReading,
     Observer,
     Pace,
     PlanMark,
@@ -203,6 +203,17 @@ class _Left(Exception):
     """A phase is not run; no emergency."""
 
 
+@contextmanager
+def _of_interface(doing: str) -> Iterator[None]:
+    """What is done with an interface, whose failure stops the run."""
+    try:
+        yield
+    except EndOfReadings as error:
+        raise Stopped("no more readings", str(error)) from error
+    except (PlannerError, OSError) as error:
+        raise Stopped("interface failed", f"{doing}: {error}") from error
+
+
 class ControlLoop:
     """One run of one controller on one hand.
 
@@ -276,7 +287,7 @@ class ControlLoop:
         self._efforts = False
         self._reason = self._detail = self._did = ""
 
-    def run(self, phases: Callable[[ControlLoop], None]) -> LoopReport:
+    def run(self, phases: Callable[[ControlLoop], object]) -> LoopReport:
         """Run some phases to their end, or to what ends them before.
 
         Args:
@@ -358,7 +369,8 @@ class ControlLoop:
     ) -> HandObservation:
         begin = self.pace.begin()
         cpu = [time.thread_time()]
-        reading = self._read()
+        with _of_interface("reading"):
+            reading = self.interface.read()
         cpu.append(time.thread_time())
         self._guard.check(reading, self._clock.now())
         self._oldest = max(self._oldest, self._clock.now() - reading.time)
@@ -367,7 +379,9 @@ class ControlLoop:
         observation = self._observer.observe(reading, phase, progress)
         if refuse is not None and (why := refuse(observation)):
             raise _Left(why)
-        self._move(phase, progress, per_second)
+        if self._carry is not None:
+            with _of_interface("moving the hand as a whole"):
+                self._carry(phase, progress, per_second)
         if self._limiter is None:
             self._observer.check_senses(self.controller, reading)
             self._efforts = reading.efforts is not None
@@ -388,7 +402,8 @@ class ControlLoop:
             cpu.append(time.thread_time())
             written = False
             try:
-                self._write(commands)
+                with _of_interface("writing"):
+                    self.interface.write(commands)
                 written = True
             finally:
                 self._ticks += 1
@@ -420,28 +435,6 @@ class ControlLoop:
         end = time.thread_time()
         interface = (read - begin) + (end - limited)
         self._spans.append((interface, found - ready, (ready - read) + (limited - found)))
-
-    def _read(self) -> HandReading:
-        try:
-            return self.interface.read()
-        except EndOfReadings as error:
-            raise Stopped("no more readings", str(error)) from error
-        except (PlannerError, OSError) as error:
-            raise Stopped("interface failed", f"reading: {error}") from error
-
-    def _move(self, phase: Phase, progress: float, per_second: float) -> None:
-        if self._carry is None:
-            return
-        try:
-            self._carry(phase, progress, per_second)
-        except (PlannerError, OSError) as error:
-            raise Stopped("interface failed", f"moving the hand as a whole: {error}") from error
-
-    def _write(self, commands: FloatArray) -> None:
-        try:
-            self.interface.write(commands)
-        except (PlannerError, OSError) as error:
-            raise Stopped("interface failed", f"writing: {error}") from error
 
     def _wanted(self, observation: HandObservation) -> FloatArray:
         """What the controller wants (nu,), order of the hand."""

@@ -22,7 +22,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from pinocchio import SE3
 
 from planner.arrays import check_fields
@@ -138,11 +137,6 @@ class Scene:
         """Root of the tree of every body, as plain numbers."""
         roots: list[int] = self.model.body_rootid.tolist()
         return roots
-
-    @cached_property
-    def is_object_geom(self) -> NDArray[np.bool_]:
-        """Which geoms are the object's (ngeom,)."""
-        return np.asarray(self.model.geom_bodyid == self.object_body)
 
     @cached_property
     def pyramids(self) -> bool:

@@ -16,14 +16,12 @@ What the numbers do to a held object is derived in ``sim.creep``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from types import MappingProxyType
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import mujoco
 
-from planner.arrays import checked_number, finite
+from planner.arrays import checked_count, checked_number, finite
 from planner.contacts import MOST_FRICTION
 from planner.errors import TaskError, shown
 from planner.spatial import FloatArray
@@ -56,19 +54,7 @@ until the fingers have closed."""
 Cone = Literal["elliptic", "pyramidal"]
 Integrator = Literal["euler", "implicit", "implicitfast"]
 
-CONES: Mapping[str, int] = MappingProxyType(
-    {
-        "elliptic": int(mujoco.mjtCone.mjCONE_ELLIPTIC),
-        "pyramidal": int(mujoco.mjtCone.mjCONE_PYRAMIDAL),
-    }
-)
-INTEGRATORS: Mapping[str, int] = MappingProxyType(
-    {
-        "euler": int(mujoco.mjtIntegrator.mjINT_EULER),
-        "implicit": int(mujoco.mjtIntegrator.mjINT_IMPLICIT),
-        "implicitfast": int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
-    }
-)
+CONES, INTEGRATORS = get_args(Cone), get_args(Integrator)
 """By MuJoCo's names. Runge-Kutta is left out: it ignores the servos' damping, and MuJoCo advises
 against it where there are contacts."""
 
@@ -157,13 +143,8 @@ class PhysicsOptions:
         for name in ("mu", "mu_torsion", "mu_rolling"):
             _number(f"{name} in simulation", getattr(self, name), 0.0, MOST_FRICTION)
         for name, lowest in (("noslip_iterations", 0), ("iterations", 1)):
-            value = getattr(self, name)
-            whole = isinstance(value, int) and not isinstance(value, bool)
-            if not whole or not lowest <= value <= MOST_ITERATIONS:
-                raise TaskError(
-                    f"{name} is {shown(value)}; give {name} >= {lowest}, a whole number up to "
-                    f"{MOST_ITERATIONS}"
-                )
+            value, most = getattr(self, name), MOST_ITERATIONS
+            checked_count(name, value, least=lowest, most=most, error=TaskError)
         for name, allowed in (("integrator", INTEGRATORS), ("cone", CONES), ("condim", CONDIMS)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, str | int) or value not in allowed:
@@ -223,10 +204,10 @@ class PhysicsOptions:
         option = spec.option
         option.timestep = self.timestep
         option.gravity = gravity
-        option.integrator = mujoco.mjtIntegrator(INTEGRATORS[self.integrator])
+        option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{self.integrator.upper()}")
         option.solver = mujoco.mjtSolver.mjSOL_NEWTON
         option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-        option.cone = mujoco.mjtCone(CONES[self.cone])
+        option.cone = getattr(mujoco.mjtCone, f"mjCONE_{self.cone.upper()}")
         option.impratio = self.impratio
         option.noslip_iterations = self.noslip_iterations
         option.iterations = self.iterations

@@ -212,7 +212,8 @@ def show(shown: Shown, opening: Opening, say: Callable[[str], None]) -> None:
                 "its pages as they are asked for; leave --out away, or take one grasp out of it "
                 "with opposable batch --extract"
             )
-        _write(shown, opening.out)
+        with whole_file(opening.out) as stream:
+            stream.write(_html(shown).encode())
         say(f"wrote {opening.out}")
         return
     browser = opening.open and has_browser()
@@ -235,12 +236,6 @@ def warnings_of(shown: Shown) -> tuple[str, ...]:
 
 def _html(page: Page | WrittenPage) -> str:
     return page.html if isinstance(page, WrittenPage) else page_html(page)
-
-
-def _write(page: Page | WrittenPage, file: Path) -> None:
-    text = _html(page)
-    with whole_file(file) as stream:
-        stream.write(text.encode())
 
 
 def _serve(site: Site, port: int | None, browser: bool, say: Callable[[str], None]) -> None:

@@ -54,7 +54,9 @@ class DatasetSite:
         self._kept: dict[str, Answer] = {}
         self._made: Mapping[str, Callable[[], Answer]] = {
             "/": self._grid,
-            "/script.js": self._script,
+            "/script.js": lambda: Answer(
+                body=grid_script().encode(), kind="text/javascript; charset=utf-8"
+            ),
             "/rows": self._rows,
             "/models": self._models,
         }
@@ -87,9 +89,6 @@ class DatasetSite:
         subtitle = f"{total} grasps of {objects}, seed {m.seed}, {grasps.folder}"
         return Answer(body=grid_html(f"Grasps by {m.hand}", subtitle).encode())
 
-    def _script(self) -> Answer:
-        return Answer(body=grid_script().encode(), kind="text/javascript; charset=utf-8")
-
     def _rows(self) -> Answer:
         columns = self._tables.columns
         units = {name: COLUMNS[name] for name in columns}
@@ -102,8 +101,7 @@ class DatasetSite:
         return Answer(body=grid_models(hand, tasks), kind="application/octet-stream")
 
     def _made_page(self, row: int) -> Answer:
-        plan = self._tables.plan(row)
-        return Answer(body=page_html(plan_page(plan)).encode())
+        return Answer(body=page_html(plan_page(self._tables.plan(row))).encode())
 
 
 def _json(data: Any) -> Answer:
@@ -117,10 +115,6 @@ def _numbers(text: str) -> list[int]:
     return [int(part) for part in parts if part.isascii() and part.isdigit() and len(part) < 13]
 
 
-def _recognises(target: Target) -> bool:
-    return target.holds(MANIFEST)
-
-
 def _shown(target: Target, options: ViewOptions) -> DatasetSite:
     assert target.path is not None
     tables = DatasetTables(target.path)
@@ -132,7 +126,11 @@ def _shown(target: Target, options: ViewOptions) -> DatasetSite:
     return DatasetSite(tables)
 
 
-DATASET = Kind(name="the folder of a batch (opposable batch)", recognises=_recognises, shown=_shown)
+DATASET = Kind(
+    name="the folder of a batch (opposable batch)",
+    recognises=lambda target: target.holds(MANIFEST),
+    shown=_shown,
+)
 """See ``sim.show.targets``."""
 
 
@@ -239,7 +237,7 @@ class DatasetTables:
                 "fingers": values.get("fingers") or [],
                 "forces_N": finite(self._normal_forces(values)),
                 "duplicates": self._duplicates(row, values),
-                "attempts": self._attempts_of(values),
+                "attempts": finite(self._attempts.get((values["object"], values["k"]), [])),
             }
 
     def plan(self, row: int) -> GraspPlan:
@@ -282,11 +280,6 @@ class DatasetTables:
         near = np.flatnonzero(apart <= 1.0)
         near = near[np.argsort(apart[near], kind="stable")]
         return [{"row": numbers[int(others[i])], "apart": float(apart[i])} for i in near]
-
-    def _attempts_of(self, values: Mapping[str, Any]) -> list[dict[str, Any]]:
-        label, k = values["object"], values["k"]
-        found: list[dict[str, Any]] = finite(self._attempts.get((label, k), []))
-        return found
 
     @cached_property
     def _attempts(self) -> dict[tuple[str, int], list[dict[str, Any]]]:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from planner.pages.notebook import grasp_picture, notebook_html
-from planner.spatial import pose_from_wxyz
 
 __all__ = ["manipulation_html", "trial_html"]
 
@@ -73,13 +72,8 @@ def _picture(report: Any) -> bytes | None:
         return None
     held = [i for i, phase in enumerate(recording.phase) if phase == "hold"]
     i = held[-1] if held else len(recording) - 1
-    return grasp_picture(
-        report.plan.task,
-        pose_from_wxyz(recording.T_world_base[i, :3], recording.T_world_base[i, 3:]),
-        recording.q[i],
-        pose_from_wxyz(recording.T_world_object[i, :3], recording.T_world_object[i, 3:]),
-        recording.contacts(i),
-    )
+    base, item = recording.poses(i)
+    return grasp_picture(report.plan.task, base, recording.q[i], item, recording.contacts(i))
 
 
 def _number(value: float, digits: int) -> str:

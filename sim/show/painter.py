@@ -1,5 +1,7 @@
 """``Painter``: draws states of one model; one OpenGL context for all its pictures.
 
+``Viewer``: MuJoCo's live viewer beside a trial, in real time.
+
 Edges are smoothed by drawing larger and shrinking. Without a GPU that is cheaper than MuJoCo's four
 samples a pixel: 26 ms of CPU instead of 42 at 640 x 480, and shadows have smooth edges too.
 
@@ -15,6 +17,7 @@ import copy
 import importlib
 import os
 import sys
+import time
 import warnings
 from dataclasses import dataclass
 from types import TracebackType
@@ -25,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from planner.errors import TaskError
 from planner.spatial import FloatArray
 from sim.show.camera import LAMPS, View, lamp_at
 
@@ -88,10 +92,14 @@ def why_not() -> str:
     return ""
 
 
+def _has_display() -> bool:
+    return any(os.environ.get(d) for d in ("DISPLAY", "WAYLAND_DISPLAY"))
+
+
 def _open(way: str, width: int, height: int) -> Backend | str:
     if way not in NAMES:
         return f"MUJOCO_GL does not know it; give one of {', '.join(ORDER)}"
-    if way == "glfw" and not any(os.environ.get(d) for d in ("DISPLAY", "WAYLAND_DISPLAY")):
+    if way == "glfw" and not _has_display():
         return "there is no display"
     platform = os.environ.get(_PLATFORM)
     try:
@@ -304,3 +312,52 @@ def open_painter(model: Any, quality: Quality) -> Painter | str:
     except (RuntimeError, mujoco.FatalError) as error:
         backend.close()
         return f"no offscreen rendering ({backend.name}: {error})"
+
+
+FRAME = 1.0 / 60.0
+"""Time between two pictures, s."""
+
+
+def check_display() -> None:
+    """See whether a window could open.
+
+    Raises:
+        TaskError: There is no display.
+    """
+    if sys.platform == "linux" and not _has_display():
+        raise TaskError("there is no display to show the trial on; run it without the viewer")
+
+
+class Viewer:
+    """A window that follows a simulation; closing it lets the simulation go on unseen."""
+
+    def __init__(self, model: Any, data: Any) -> None:
+        """Open the window.
+
+        Raises:
+            TaskError: There is no display, or MuJoCo cannot open a window on it.
+        """
+        check_display()
+        import mujoco.viewer  # opens a connection to the display
+
+        try:
+            self._handle = mujoco.viewer.launch_passive(model, data)
+        except RuntimeError as error:
+            raise TaskError(
+                f"MuJoCo's viewer does not open: {error}; run without the viewer (on macOS, start "
+                "Python as mjpython)"
+            ) from error
+        self._begin = time.perf_counter() - data.time
+        self._next = 0.0
+
+    def show(self, now: float) -> None:
+        """Draw if a picture is due at simulated time ``now`` (s), and wait until then."""
+        if now < self._next or not self._handle.is_running():
+            return
+        self._next = now + FRAME
+        self._handle.sync()
+        time.sleep(max(0.0, self._begin + now - time.perf_counter()))
+
+    def close(self) -> None:
+        """Close the window."""
+        self._handle.close()

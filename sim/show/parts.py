@@ -20,7 +20,7 @@ from planner.hands.hand import Hand
 from planner.pages.blocks import Block, Command, Facts, Folded, Heading, Sentence, Table
 from planner.pages.plan_scene import Stage
 from planner.pages.scene import Band, Contacts, Line, Mark, Motion, Plot, Scene
-from planner.spatial import FloatArray, pose_from_wxyz
+from planner.spatial import FloatArray
 from planner.task import GraspTask, Obstacle
 from sim.controllers.base import COMMANDED
 from sim.recording import Recording
@@ -329,10 +329,7 @@ def moving_stage(
     if obstacles is not None:
         task = replace(task, obstacles=tuple(obstacles))
     grip = int(np.isfinite(recording.points[:, :, 0]).sum(axis=1).argmax())
-    base, item = (
-        pose_from_wxyz(rows[grip, :3], rows[grip, 3:])
-        for rows in (recording.T_world_base, recording.T_world_object)
-    )
+    base, item = recording.poses(grip)
     stage = Stage(task, base, recording.q[grip], item)
     followed = "hand" if hand.arm is None else "object"
     way = recording.T_world_base if hand.arm is None else recording.T_world_object

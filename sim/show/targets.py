@@ -1,6 +1,6 @@
 """``kinds``: the kinds of things that can be viewed, each recognised by its content.
 
-Adding one is one ``Kind`` in a module of this package, and its place in ``OURS``; from elsewhere it
+Adding one is one ``Kind``, and its place in ``sim.show.kinds.OURS``; from elsewhere it
 is a call of ``register_kind``.
 
 ``Target``: what a person named on the command line, and what its content says it is.
@@ -62,18 +62,6 @@ class Kind:
     takes: frozenset[str] = frozenset()
 
 
-OURS = (
-    "things:HAND",
-    "things:MESH",
-    "reports:PLAN",
-    "reports:MOTION",
-    "reports:HANDOVER",
-    "reports:REPORT",
-    "dataset:DATASET",
-    "reports:PAGE",
-)
-"""Modules of this package with the names of their kinds, in the order in which they are listed."""
-
 _REGISTERED: list[Kind] = []
 
 
@@ -84,8 +72,7 @@ def register_kind(kind: Kind) -> None:
 
 def kinds() -> tuple[Kind, ...]:
     """All kinds; imports what recognises them."""
-    places = (place.split(":") for place in OURS)
-    ours = (getattr(import_module(f"{__package__}.{module}"), name) for module, name in places)
+    ours: tuple[Kind, ...] = import_module("sim.show.kinds").OURS  # by its name: it needs this one
     return (*ours, *_REGISTERED)
 
 
@@ -102,7 +89,7 @@ def recognise(target: Target) -> Kind:
             return kind
     if target.path is None:
         names = (*hand_names(), *object_names())
-        if _like_path(target):
+        if "/" in target.text or "." in target.text:
             advice = "give a file, a folder, or the name of a hand or object"
             raise NotFoundError("hand or object", target.text, names, advice, is_path=True)
         hint = "Or give the path of a file or folder."
@@ -117,10 +104,6 @@ def recognise(target: Target) -> Kind:
     raise FileFormatError(
         f"{target.path} cannot be viewed: {found}; what can be: {', '.join(k.name for k in known)}"
     )
-
-
-def _like_path(target: Target) -> bool:
-    return "/" in target.text or "." in target.text
 
 
 HEAD = 1 << 16

@@ -29,12 +29,13 @@ import mujoco
 import numpy as np
 
 from planner.arrays import check_fields, checked_count
-from planner.errors import FileFormatError, NotFoundError, TaskError, shown
+from planner.errors import FileFormatError, TaskError, shown
 from planner.files.data import PlanFile
 from planner.files.disk import checked_file
 from planner.files.movements import MovementFile, as_movement
 from planner.hands.hand import Hand
 from planner.pages.page import without_folder
+from planner.registry import Registry
 from planner.spatial import FloatArray, IntArray
 from planner.task import GraspTask
 from sim.manipulation.page_parts import obstacles_of
@@ -338,11 +339,16 @@ def _episode(
 
 def _states(report: ReportFile | ManipulationReportFile, source: str) -> Recording:
     if report.recording is None:
-        raise FileFormatError(
-            f"{source} has no recorded states: it was written without them or by an older "
-            "version; simulate its plan again"
-        )
+        raise without_states(source)
     return Recording.from_data(report.recording)
+
+
+def without_states(source: str) -> FileFormatError:
+    """The error about a report that has no recorded states."""
+    return FileFormatError(
+        f"{source} has no recorded states: it was written without them or by an older version; "
+        "simulate its plan again"
+    )
 
 
 def _plan(report: ReportFile | ManipulationReportFile, source: str) -> dict[str, Any]:
@@ -483,7 +489,7 @@ class EpisodeFormat:
     writer: Callable[[Path, Asked], EpisodeWriter]
 
 
-FORMATS: dict[str, EpisodeFormat] = {}
+FORMATS: Registry[EpisodeFormat] = Registry("format of episodes")
 """All formats by name; those of others once their authors registered them."""
 
 
@@ -493,10 +499,7 @@ def register_format(episode_format: EpisodeFormat) -> EpisodeFormat:
     Raises:
         TaskError: The name is taken.
     """
-    if episode_format.name in FORMATS:
-        raise TaskError(f"the format {episode_format.name!r} exists; give yours another name")
-    FORMATS[episode_format.name] = episode_format
-    return episode_format
+    return FORMATS.add(episode_format.name, episode_format)
 
 
 def format_named(name: str) -> EpisodeFormat:
@@ -506,6 +509,4 @@ def format_named(name: str) -> EpisodeFormat:
         NotFoundError: There is none.
     """
     import_module("sim.datasets.episodes.lerobot")  # which registers itself
-    if name not in FORMATS:
-        raise NotFoundError("format of episodes", name, FORMATS)
-    return FORMATS[name]
+    return FORMATS.named(name)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.errors import TaskError
-from planner.spatial import FloatArray, pose_from_wxyz
+from planner.spatial import FloatArray
 from sim.datasets.episodes.episode import Episode
 from sim.scene.build import Scene, build_scene
 from sim.show.camera import FIELD_OF_VIEW_DEG, View, choose_views
@@ -97,12 +97,8 @@ def draw_episode(
     if episode.task is None:
         raise TaskError(f"{episode.source} keeps no hand and object, so that it cannot be filmed")
     states = episode.recording
-    scene = build_scene(
-        episode.task,
-        T_world_base=pose_from_wxyz(states.T_world_base[0, :3], states.T_world_base[0, 3:]),
-        q=states.q[0],
-    )
-    poses = [_qpos(scene, episode, i) for i in range(len(episode))]
+    scene = build_scene(episode.task, T_world_base=states.poses(0)[0], q=states.q[0])
+    poses = [scene.posed(states.q[i], *states.poses(i)) for i in range(len(episode))]
     quality = Quality(size=size, larger=LARGER, shadows=SHADOWS, slices=20)
     painter = open_painter(scene.model, quality)
     if isinstance(painter, str):
@@ -144,15 +140,6 @@ def sampled_frames(count: int) -> list[int]:
     """Numbers of the frames of which statistics are made: as many as LeRobot takes."""
     wanted = max(min(100, count), min(int(count**0.75), 10_000))
     return [round(i) for i in np.linspace(0, count - 1, wanted).tolist()]
-
-
-def _qpos(scene: Scene, episode: Episode, i: int) -> FloatArray:
-    states = episode.recording
-    base, item = (
-        pose_from_wxyz(row[:3], row[3:])
-        for row in (states.T_world_base[i], states.T_world_object[i])
-    )
-    return scene.posed(states.q[i], base, item)
 
 
 def _standing_view(scene: Scene, poses: Sequence[FloatArray], aspect: float) -> View:

@@ -19,7 +19,7 @@ from planner.files.movements import manipulation_from_dict
 from planner.files.plans import plan_from_dict
 from planner.plan import GraspPlan
 from sim.controllers import AnyController
-from sim.datasets.episodes.episode import AnyReport
+from sim.datasets.episodes.episode import AnyReport, without_states
 from sim.manipulation import manipulate
 from sim.manipulation.report_file import read_manipulation_report
 from sim.report_file import read_report, report_data
@@ -179,10 +179,7 @@ def _of_file(path: Path, trials: Trials) -> Iterator[Source]:
         yield Source(name=name, hand=hand, report=partial(trials.turn, data, name))
     elif kind in _READERS:
         if not data.get("recording"):
-            raise FileFormatError(
-                f"{path} has no recorded states: it was written without them or by an older "
-                "version; simulate its plan again"
-            )
+            raise without_states(name)
         yield Source(name=name, hand=str(data.get("hand")), report=partial(_READERS[kind], path))
     else:
         raise FileFormatError(

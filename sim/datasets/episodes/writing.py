@@ -155,8 +155,6 @@ def write_episodes(
     chosen = format_named(to)
     if video and not chosen.films:
         raise TaskError(f"the format {to} holds no films; leave the video out, or choose another")
-    if fps is not None and fps < 1:
-        raise TaskError(f"fps is {fps}; give a whole number of frames a second, 1 or more")
     asked = Asked(fps=fps, video=video, size=size)
     with whole_folder(Path(folder)) as partial:
         writing = _Writing(chosen.writer(partial, asked), failed=failed, told=told)

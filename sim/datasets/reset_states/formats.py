@@ -39,36 +39,34 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
 
 from planner.batch.rows import arrow
-from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError
+from planner.errors import FileFormatError, PlannerError, TaskError
 from planner.exchange.array_files import OWN_BYTES, checked_small, read_npz
 from planner.files.disk import whole_file
+from planner.registry import Registry
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz, pose_to_wxyz
 from planner.version import written_by
 
 FORMAT, VERSION = "opposable-states", 1
 """Name and version of the file that ``StateSet.write`` makes."""
 
-KEYS: Mapping[str, str] = MappingProxyType(
-    {
-        "q": "joint_position",
-        "commands": "command",
-        "targets": "joint_target",
-        "position": "object_position_m",
-        "quaternion": "object_quaternion_wxyz",
-        "gravity": "gravity_m_s2",
-        "mass": "mass_kg",
-        "friction": "friction",
-        "kind": "source_kind",
-        "plan": "source_plan",
-        "pose": "source_pose",
-    }
-)
+KEYS: Mapping[str, str] = {
+    "q": "joint_position",
+    "commands": "command",
+    "targets": "joint_target",
+    "position": "object_position_m",
+    "quaternion": "object_quaternion_wxyz",
+    "gravity": "gravity_m_s2",
+    "mass": "mass_kg",
+    "friction": "friction",
+    "kind": "source_kind",
+    "plan": "source_plan",
+    "pose": "source_pose",
+}
 """Attribute -> key in the file, of the columns."""
 
 _TEXTS = ("hand", "object", "scene")
@@ -358,7 +356,7 @@ def _write_hora(states: StateSet, name: str, folder: Path) -> Path:
     return path
 
 
-_FORMATS: dict[str, StateFormat] = {}
+_FORMATS: Registry[StateFormat] = Registry("format of states")
 
 
 def register_state_format(made: StateFormat) -> StateFormat:
@@ -367,9 +365,7 @@ def register_state_format(made: StateFormat) -> StateFormat:
     Raises:
         TaskError: Another format has that name.
     """
-    if _FORMATS.setdefault(made.name, made) is not made:
-        raise TaskError(f"there is a format of states called {made.name!r}; choose another name")
-    return made
+    return _FORMATS.add(made.name, made)
 
 
 def state_formats() -> tuple[str, ...]:
@@ -383,9 +379,7 @@ def state_format(name: str) -> StateFormat:
     Raises:
         NotFoundError: There is none of that name.
     """
-    if name not in _FORMATS:
-        raise NotFoundError("format of states", name, _FORMATS)
-    return _FORMATS[name]
+    return _FORMATS.named(name)
 
 
 register_state_format(

@@ -233,7 +233,7 @@ def scene_mjcf(
         qpos = scene.posed(key.q, scene.T_world_base, scene.task.T_world_object)
         ctrl = np.zeros(model.nu)
         ctrl[scene.hand_ctrl] = key.ctrl
-        ET.SubElement(frames, "key", name=key.name, qpos=_text(qpos), ctrl=_text(ctrl))
+        ET.SubElement(frames, "key", name=key.name, qpos=plain_text(qpos), ctrl=plain_text(ctrl))
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -282,8 +282,9 @@ def _write_exactly(body: ET.Element, model: Any, number: int) -> None:
 
 def _digits(written: str, value: Any) -> str:
     """As many numbers as are written, with all their digits."""
-    return _text(np.atleast_1d(value)[: len(written.split())])
+    return plain_text(np.atleast_1d(value)[: len(written.split())])
 
 
-def _text(numbers: FloatArray) -> str:
+def plain_text(numbers: FloatArray) -> str:
+    """Numbers with all of their digits, a space between them."""
     return " ".join(repr(x) for x in np.asarray(numbers, dtype=float).tolist())

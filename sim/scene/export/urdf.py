@@ -17,7 +17,7 @@ import pinocchio as pin
 from planner.shapes import Ellipsoid
 from planner.shapes.mesh import surface_triangles
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
-from sim.scene.export.mjcf import MESHES, MeshFile
+from sim.scene.export.mjcf import MESHES, MeshFile, plain_text
 
 _FREE, _SLIDE, _HINGE = (
     int(getattr(mujoco.mjtJoint, f"mjJNT_{name}")) for name in ("FREE", "SLIDE", "HINGE")
@@ -125,7 +125,7 @@ def _joint(
     _origin(joint, at)
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
-    ET.SubElement(joint, "axis", xyz=_text(model.jnt_axis[j]))
+    ET.SubElement(joint, "axis", xyz=plain_text(model.jnt_axis[j]))
     most = float(effort[dof])
     limit = {
         "effort": repr(most if np.isfinite(most) else _NO_EFFORT_LIMIT),
@@ -188,7 +188,7 @@ def _parts(model: Any, g: int, meshes: Sequence[MeshFile]) -> list[tuple[SE3, st
     if kind == _ELLIPSOID:
         return [(here, "mesh", {"filename": _ellipsoid_name(g)})]
     if kind == _BOX:
-        return [(here, "box", {"size": _text(2.0 * model.geom_size[g])})]
+        return [(here, "box", {"size": plain_text(2.0 * model.geom_size[g])})]
     if kind == _SPHERE:
         return [(here, "sphere", {"radius": repr(a)})]
     if kind not in (_CAPSULE, _CYLINDER):
@@ -206,8 +206,4 @@ def _ellipsoid_name(g: int) -> str:
 
 def _origin(element: ET.Element, pose: SE3) -> None:
     rpy = pin.rpy.matrixToRpy(pose.rotation)
-    ET.SubElement(element, "origin", xyz=_text(pose.translation), rpy=_text(rpy))
-
-
-def _text(numbers: Any) -> str:
-    return " ".join(repr(x) for x in np.asarray(numbers, dtype=float).tolist())
+    ET.SubElement(element, "origin", xyz=plain_text(pose.translation), rpy=plain_text(rpy))

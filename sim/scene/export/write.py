@@ -19,7 +19,8 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -259,20 +260,32 @@ def export_scene(
     texts[CHECK] = Path(check_script.__file__).read_text(encoding="utf-8")
     urdf = {"frames": about, "cannot_say": not_in_urdf(scene.model)}
     data = physics_data(plan, scene, keys, urdf)
+    with _replaced(target) as home:
+        (home / MESHES).mkdir()
+        for name, text in texts.items():
+            (home / name).write_text(text, encoding="utf-8")
+        write_json(data, home / PHYSICS)
+    return _files_in(target)
+
+
+@contextmanager
+def _replaced(target: Path) -> Iterator[Path]:
+    """A new folder to be filled, which then takes the place of one that ``_need_ours`` lets go."""
     _need_ours(target)
     try:
         with tempfile.TemporaryDirectory(dir=target.absolute().parent, prefix=".export-") as made:
-            home = Path(made) / "scene"
-            (home / MESHES).mkdir(parents=True)
-            for name, text in texts.items():
-                (home / name).write_text(text, encoding="utf-8")
-            write_json(data, home / PHYSICS)
+            home = Path(made) / "new"
+            home.mkdir()
+            yield home
             if target.exists():
                 os.replace(target, Path(made) / "old")
             os.replace(home, target)
     except OSError as error:
         raise FileFormatError(f"cannot write {target}: {error.strerror}") from error
-    return tuple(sorted(path for path in target.rglob("*") if path.is_file()))
+
+
+def _files_in(folder: Path) -> tuple[Path, ...]:
+    return tuple(sorted(path for path in folder.rglob("*") if path.is_file()))
 
 
 def _effort(scene: Scene) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -319,17 +332,10 @@ def _write(plans: Sequence[GraspPlan], path: Path, writing: Writing) -> tuple[Pa
         raise FileFormatError(
             f"{path} exists already; several scenes are written into a new folder: name another"
         )
-    _need_ours(path)
-    try:
-        with tempfile.TemporaryDirectory(dir=path.absolute().parent, prefix=".export-") as made:
-            home = Path(made) / "scenes"
-            home.mkdir()
-            for k, plan in enumerate(plans):
-                export_scene(plan, home / f"{k:03d}")
-            os.replace(home, path)
-    except OSError as error:
-        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
-    return tuple(sorted(file for file in path.rglob("*") if file.is_file()))
+    with _replaced(path) as home:
+        for k, plan in enumerate(plans):
+            export_scene(plan, home / f"{k:03d}")
+    return _files_in(path)
 
 
 MJCF_SCENE = register_format(

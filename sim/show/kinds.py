@@ -1,20 +1,40 @@
-"""What is viewed by name or model: a hand with sliders and findings, an object or mesh."""
+"""What can be viewed: hands and objects by name or model, and files of ours.
+
+See ``sim.show.targets``, which asks each kind of ``OURS`` in turn.
+"""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, TypeVar
 
 from planner.describe import check_hand, propose
-from planner.errors import ObjectError
+from planner.errors import NoGraspFoundError, ObjectError
+from planner.files import plan_from_dict
+from planner.files.disk import HANDOVER_FORMAT, MOVEMENT_FORMATS
+from planner.files.handovers import handover_from_dict
+from planner.files.movements import movement_from_dict
 from planner.hand_loading import load_hand
 from planner.hands.catalog import MODEL_SUFFIXES, find_hand, foreign_hand_names, hand_names
 from planner.objects import TouchRegion, object_names, parse_object, parse_region
 from planner.pages.described import comments_of, reasons_by_key
 from planner.pages.hand_page import hand_page
 from planner.pages.mesh_page import mesh_page
+from planner.pages.motion_page import motion_page
 from planner.pages.page import Page
+from planner.pages.plan_page import plan_page, with_alternatives
+from planner.plan import GraspPlan
+from planner.search.grasp import plan_grasp
 from planner.shapes.meshes.io import CONVERTIBLE, MESH_SUFFIXES
+from planner.showing import page_of
+from planner.synthesis.options import SynthesisOptions
+from sim.show.browser import WrittenPage
+from sim.show.dataset import DATASET
 from sim.show.targets import Kind, Target, ViewOptions
+
+Plan = TypeVar("Plan")
 
 SCHEMES = ("menagerie:", "robot_descriptions:", "package:")
 """Beginnings of names of models in packages."""
@@ -48,7 +68,6 @@ def _hand_page(target: Target, options: ViewOptions) -> Page:
 
 
 HAND = Kind(name="a hand (name, hand.toml, MJCF or URDF)", recognises=_is_hand, shown=_hand_page)
-"""See ``sim.show.targets``."""
 
 
 def _is_mesh(target: Target) -> bool:
@@ -115,4 +134,98 @@ MESH = Kind(
     shown=_mesh_page,
     takes=frozenset({"touch", "avoid", "repair", "strict"}),
 )
-"""See ``sim.show.targets``."""
+
+ATTEMPTS = 50
+"""Attempts for each other grasp: the search makes as many as it takes, and this many at most."""
+
+
+def page_of_plan(plan: GraspPlan, options: ViewOptions) -> Page:
+    """The page of a plan with the alternatives that are asked for."""
+    page = plan_page(plan)
+    if not options.alternatives:
+        return page
+    objective = plan.record.objective
+    # the wrenches of a task objective are not part of a plan
+    wanted = SynthesisOptions() if "task" in objective else SynthesisOptions(objective=objective)
+    plans, failed = [], []
+    for k in range(options.alternatives):
+        seed = plan.record.seed + 1 + k
+        try:
+            plans.append(plan_grasp(plan.task, seed=seed, max_attempts=ATTEMPTS, options=wanted))
+        except NoGraspFoundError as error:
+            failed.append(f"Seed {seed} gave none: {error}")
+    return with_alternatives(page, plans, failed)
+
+
+def _read(target: Target, read: Callable[[dict[str, Any], str], Plan]) -> Plan:
+    """The plan in a file."""
+    assert target.data is not None
+    return read(target.data, str(target.path))
+
+
+PLAN = Kind(
+    name="a grasp plan",
+    recognises=lambda target: target.format == "opposable-plan",
+    shown=lambda target, options: page_of_plan(_read(target, plan_from_dict), options),
+    takes=frozenset({"alternatives"}),
+)
+
+HANDOVER = Kind(
+    name="a plan of a handover: the moment in which both hands hold",
+    recognises=lambda target: target.format == HANDOVER_FORMAT,
+    shown=lambda target, _: plan_page(_read(target, handover_from_dict).both),
+)
+
+MOTION = Kind(
+    name="a plan of a movement in the hand",
+    recognises=lambda target: target.format in MOVEMENT_FORMATS,
+    shown=lambda target, _: motion_page(_read(target, movement_from_dict)),
+)
+
+REPORT_READERS: dict[str, str] = {
+    "opposable-report": "sim.report_file:read_report",
+    "opposable-manipulation-report": "sim.manipulation:read_manipulation_report",
+}
+"""Format of a report -> "module:function" of what reads it, loaded at first use; its page is that
+which is registered for what it returns (``planner.showing.register_page``)."""
+
+REPORTS = ("report.json", "report.html")
+"""Names of a report in the folder of a run."""
+
+
+def _report(target: Target) -> Target:
+    """The report of a folder; the target itself if it is a file."""
+    names = (name for name in REPORTS if target.holds(name))
+    name = next(names, None)
+    return target if name is None else Target(f"{target.path}/{name}")
+
+
+def _report_page(target: Target, options: ViewOptions) -> Page:
+    report = _report(target)
+    assert report.path is not None
+    module, _, reader = REPORT_READERS[report.format].partition(":")
+    page: Page = page_of(getattr(import_module(module), reader)(report.path))
+    return page
+
+
+REPORT = Kind(
+    name="a report of a trial or manipulation (JSON, HTML, or the folder of the run)",
+    recognises=lambda target: _report(target).format in REPORT_READERS,
+    shown=_report_page,
+)
+
+
+def _page(target: Target, options: ViewOptions) -> WrittenPage:
+    assert target.path is not None
+    return WrittenPage(path=target.path, html=target.content)
+
+
+PAGE = Kind(
+    name="a page that Opposable wrote (HTML)",
+    recognises=lambda target: target.is_html and target.data is not None,
+    shown=_page,
+)
+
+OURS = (HAND, MESH, PLAN, MOTION, HANDOVER, REPORT, DATASET, PAGE)
+"""In the order in which they are asked and listed; pages last: plans and reports are made anew from
+theirs."""
