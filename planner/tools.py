@@ -89,6 +89,14 @@ USE_MARGIN = 2.0
 """How many times each needed wrench a grasp for a use is to produce (-): with 1.25 a screwdriver
 turned slowly in a hand whose elastic fingers share the load unevenly."""
 
+LOADED_CLEARANCE = 0.0015
+"""Least distance (m) of links from each other, and of those that do not hold from the tool, in a
+grasp for a use: fingers that bear its load yield by a millimetre, and knuckles planned 0.2 mm apart
+pressed on each other."""
+
+ASKED_CLEARANCE = 0.004
+"""Distance (m) of fingers that synthesis asks for in a grasp for a use without options."""
+
 WAY_CLEARANCE = 0.002
 """Least distance (m) of the hand from what stands around on the way of a use."""
 
@@ -531,7 +539,8 @@ def plan_use(
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
         best_of: Grasps to find, of which that with the largest proven margin is taken.
-        options: Margins, weights and objectives; the needed wrenches join the objectives.
+        options: Margins, weights and objectives; the needed wrenches join the objectives. Fingers
+            ``ASKED_CLEARANCE`` apart if None.
         progress: Called after every attempt.
 
     Raises:
@@ -542,9 +551,10 @@ def plan_use(
     hand.require_one("the use of a tool")
 
     def judged() -> Iterator[Attempt[GraspPlan]]:
-        for attempt in attempts(task, seed=seed, options=options):
-            blocked = None
-            if attempt.plan is not None and way is not None:
+        asked = options or SynthesisOptions(clear_fingers=ASKED_CLEARANCE)
+        for attempt in attempts(task, seed=seed, options=asked):
+            blocked = None if attempt.plan is None else _too_near(attempt.plan)
+            if attempt.plan is not None and blocked is None and way is not None:
                 try:
                     blocked = way_blocked(attempt.plan, way(attempt.plan))
                 except TaskError as error:
@@ -567,6 +577,15 @@ def plan_use(
             "for less force",
         )
     return best_of_made(plan, made, metric="needed_margin", value=needed_margin(plan))
+
+
+def _too_near(plan: GraspPlan) -> Failure | None:
+    """Which links come nearer than ``LOADED_CLEARANCE``; None if none do."""
+    near = min(plan.verification.closest, key=lambda pair: pair.distance, default=None)
+    if near is None or near.distance >= LOADED_CLEARANCE:
+        return None
+    text = f"{near} apart; fingers that bear the use yield, {1e3 * LOADED_CLEARANCE:g} mm are kept"
+    return Failure(kind="use_clearance", text=text)
 
 
 def needed_margin(plan: GraspPlan) -> float:

@@ -14,6 +14,7 @@ import pytest
 
 from planner import GraspObject, GraspPlan, GraspTask, NeededWrench, load_tool, plan_use, use_task
 from planner.certify import certify
+from planner.collision.pair_table import Clearance
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.failure import Failure
 from planner.files import read_plan, write_plan
@@ -21,7 +22,15 @@ from planner.files.plans import plan_from_dict, plan_to_dict
 from planner.objects import parse_object
 from planner.spatial import SE3
 from planner.synthesis.options import SynthesisOptions, needed_options
-from planner.tools import Tool, needed_margin, read_tool, tool_names, way_blocked
+from planner.tools import (
+    LOADED_CLEARANCE,
+    Tool,
+    _too_near,
+    needed_margin,
+    read_tool,
+    tool_names,
+    way_blocked,
+)
 from planner.verification.grasp import verify_grasp
 from sim import UseTrial, plan_tool
 from sim.cli import main
@@ -205,6 +214,16 @@ def test_needed_wrenches_join_the_objectives() -> None:
     task = GraspTask.create("allegro_hand", "box")
     assert task.needed == ()
     assert isinstance(task.object, GraspObject)
+
+
+def test_links_of_a_grasp_for_a_use_keep_apart(plan: GraspPlan) -> None:
+    assert min(c.distance for c in plan.verification.closest) >= LOADED_CLEARANCE
+    near = Clearance(first="index_knuckle", second="middle_knuckle", distance=0.0002)
+    touching = replace(plan.verification, closest=(*plan.verification.closest, near))
+    failure = _too_near(replace(plan, verification=touching))
+    assert failure is not None
+    assert "index_knuckle - middle_knuckle: 0.20 mm apart" in failure.text
+    assert "1.5 mm are kept" in failure.text
 
 
 def test_the_way_of_a_use_keeps_off_the_workpiece(plan: GraspPlan) -> None:
