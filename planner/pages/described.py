@@ -17,8 +17,6 @@ from planner.hands.arm import read_mount
 from planner.hands.description_toml import is_pair, read_description
 from planner.hands.hand import Hand
 
-__all__ = ["DescribedLine", "comments_of", "described_lines", "named_joints", "reasons_by_key"]
-
 BASE = -1
 """Number of the base where joints are listed."""
 
@@ -181,8 +179,6 @@ def _key(table: str, entry: str, name: str) -> str:
         return entry
     if table == "fingers":
         return f"{entry}.tip" if name == "tip_site" else f"{entry}.{name}"
-    if table.startswith("postures."):
-        return table
-    if table == "actuators":
+    if table.startswith("postures.") or table == "actuators":
         return table
     return f"{table}.{name}" if table else name

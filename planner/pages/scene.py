@@ -14,7 +14,10 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
+from planner.spatial import SE3, FloatArray, IntArray, fixed_array, pose_to_wxyz
+
+NOTHING = fixed_array([])
+"""Joints of what has none, and times of a scene in which nothing moves."""
 
 Layer: TypeAlias = Literal[
     "hand",
@@ -74,12 +77,12 @@ class Part:
     """
 
     name: str
-    joint: int
+    joint: int = -1
     layer: Layer
     vertices: FloatArray
     triangles: IntArray
     colour: tuple[float, float, float, float]
-    smooth: bool = False
+    smooth: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,7 +117,7 @@ class Actor:
     name: str
     model: str
     pose: FloatArray
-    q: FloatArray
+    q: FloatArray = NOTHING
     layer: Layer | None = None
     opacity: float = 1.0
 
@@ -270,7 +273,7 @@ class Scene:
     actors: tuple[Actor, ...]
     focus: FloatArray
     radius: float
-    time: FloatArray
+    time: FloatArray = NOTHING
     motions: tuple[Motion, ...] = ()
     contacts: tuple[Contacts, ...] = ()
     plots: tuple[Plot, ...] = ()
