@@ -14,10 +14,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from planner.spatial import SE3, FloatArray, IntArray, fixed_array, pose_to_wxyz
-
-NOTHING = fixed_array([])
-"""Joints of what has none, and times of a scene in which nothing moves."""
+from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 
 Layer: TypeAlias = Literal[
     "hand",
@@ -117,7 +114,7 @@ class Actor:
     name: str
     model: str
     pose: FloatArray
-    q: FloatArray = NOTHING
+    q: FloatArray = field(default_factory=lambda: np.zeros(0))
     layer: Layer | None = None
     opacity: float = 1.0
 
@@ -273,7 +270,7 @@ class Scene:
     actors: tuple[Actor, ...]
     focus: FloatArray
     radius: float
-    time: FloatArray = NOTHING
+    time: FloatArray = field(default_factory=lambda: np.zeros(0))
     motions: tuple[Motion, ...] = ()
     contacts: tuple[Contacts, ...] = ()
     plots: tuple[Plot, ...] = ()
