@@ -23,6 +23,8 @@ from planner.joints.description import Finite, Vector
 from planner.schema import StrictData
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
+__all__ = ["Arm", "ArmDescription", "Mount", "MountDescription", "read_mount"]
+
 
 class ArmDescription(StrictData):
     """Which arm, where the hand is on it, and where it stands.

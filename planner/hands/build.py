@@ -30,6 +30,8 @@ from planner.hands.hand import Hand
 from planner.joints.couplings import check_held
 from planner.joints.description import HandDescription
 
+__all__ = ["build_from_spec", "build_hand", "hand_of_model", "hand_on_arm"]
+
 
 def build_from_spec(spec: Any, description: HandDescription) -> Hand:
     """A hand from a ``mujoco.MjSpec`` made in Python; the spec itself is left as it is.

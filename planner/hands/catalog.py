@@ -25,6 +25,19 @@ from planner.registry import Registry
 from planner.system.package import models_dir
 from planner.system.process import Held
 
+__all__ = [
+    "FOREIGN_HANDS",
+    "MODEL_SUFFIXES",
+    "PACKAGE_SCHEME",
+    "find_hand",
+    "foreign_hand_model",
+    "foreign_hand_names",
+    "hand_names",
+    "hand_reference",
+    "joined_names",
+    "model_file",
+]
+
 DESCRIPTION_FILE = "hand.toml"
 
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")

@@ -27,6 +27,18 @@ from planner.joints.description import FingerDescription, HandDescription, Taxel
 from planner.schema import StrictData, faults_of
 from planner.spatial import FloatArray
 
+__all__ = [
+    "DescribedHand",
+    "MirrorAxis",
+    "MirrorDescription",
+    "MotorsDescription",
+    "is_pair",
+    "read_description",
+    "read_toml",
+    "reflection_signs",
+    "validated",
+]
+
 MirrorAxis: TypeAlias = Literal["x", "y", "z"]
 """Normal of the plane of reflection: an axis of the base."""
 

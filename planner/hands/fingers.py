@@ -23,6 +23,8 @@ from planner.joints.description import FingerDescription, HandDescription
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray, IntArray
 
+__all__ = ["Finger", "Pad", "Resolver", "Side"]
+
 PAD_TOL = 5e-4
 """How far (m) a pad's sphere may be from the surface of its geometry: the tolerance of touch."""
 

@@ -19,6 +19,8 @@ from planner.hands.link_pads import FLANK, opposing
 from planner.joints.description import PINCH
 from planner.spatial import FloatArray
 
+__all__ = ["GRASP_TYPES", "contact_sets"]
+
 ContactSets = tuple[tuple[str, ...], ...]
 
 FINGERTIP, ANY = "fingertip", "any"

@@ -31,6 +31,8 @@ from planner.joints.description import PINCH, HandDescription
 from planner.showing import in_notebook
 from planner.spatial import FloatArray, IntArray, fixed_array
 
+__all__ = ["Hand"]
+
 POSTURE_TOL = 1e-9
 """How far (rad or m) a described posture may leave the joint range before it is an error."""
 

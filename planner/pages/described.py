@@ -17,6 +17,8 @@ from planner.hands.arm import read_mount
 from planner.hands.description_toml import is_pair, read_description
 from planner.hands.hand import Hand
 
+__all__ = ["DescribedLine", "comments_of", "described_lines", "named_joints", "reasons_by_key"]
+
 BASE = -1
 """Number of the base where joints are listed."""
 

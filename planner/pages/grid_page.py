@@ -18,6 +18,8 @@ from planner.pages.scene import Model, pose_row
 from planner.shapes.meshes.simplify import simplified
 from planner.task import GraspTask
 
+__all__ = ["grid_html", "grid_models", "grid_script"]
+
 SCRIPTS = ("unpack.js", "bodies.js", "side.js", "thumbnails.js", "grid.js", "grid_main.js")
 """In the order in which they run, after three.js."""
 

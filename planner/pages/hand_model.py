@@ -16,6 +16,8 @@ from planner.pages.scene import Joint, Layer, Model, Part, pose_row
 from planner.shapes.meshes.simplify import simplified
 from planner.spatial import FloatArray
 
+__all__ = ["hand_model"]
+
 MOST_TRIANGLES = 40_000
 """Of a hand in a page; with three.js and an object such a page stays below 1 MB."""
 

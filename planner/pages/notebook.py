@@ -26,6 +26,17 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 from planner.task import GraspTask
 
+__all__ = [
+    "contacts_html",
+    "dataset_html",
+    "grasp_picture",
+    "hand_html",
+    "motion_html",
+    "notebook_html",
+    "plan_html",
+    "postures_picture",
+]
+
 MOST_ROWS = 16
 """Rows of a table; what is left out is counted."""
 

@@ -17,6 +17,8 @@ from planner.pages.scene import Actor, Contacts, Layer, Model, Part, Scene
 from planner.shapes.meshes.simplify import clustered
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
+__all__ = ["data_uri", "paint"]
+
 SUPERSAMPLE = 2
 """Pixels of the drawing per pixel of the picture, along each side."""
 
