@@ -6,6 +6,7 @@ from planner.describe.proposal import (
     Proposal,
     Reason,
     description_text,
+    write_description,
     write_proposal,
 )
 from planner.describe.propose import propose
@@ -20,5 +21,6 @@ __all__ = [
     "description_text",
     "propose",
     "proposed_description",
+    "write_description",
     "write_proposal",
 ]

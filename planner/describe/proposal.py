@@ -73,6 +73,30 @@ COMMENT_WIDTH = 98
 """Width of a comment, characters."""
 
 
+def write_description(
+    description: HandDescription,
+    path: Path,
+    *,
+    reasons: Sequence[Reason] = (),
+    open_questions: Sequence[str] = (),
+    overwrite: bool = False,
+) -> None:
+    """Write a description; a model beside it or below it is named by its relative path.
+
+    Raises:
+        FileFormatError: The file exists already, or cannot be written.
+    """
+    if path.exists() and not overwrite:
+        raise FileFormatError(
+            f"{path} exists already; name another file, or overwrite it (--force)"
+        )
+    text = description_text(description, path.parent, reasons, open_questions)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
+
+
 def description_text(
     description: HandDescription,
     folder: Path,
@@ -134,22 +158,16 @@ def description_text(
 def write_proposal(proposal: Proposal, path: Path, *, overwrite: bool = False) -> None:
     """Write a proposal's description with its reasons and open questions.
 
-    A model beside it or below it is named by its relative path.
-
     Raises:
         FileFormatError: The file exists already, or cannot be written.
     """
-    if path.exists() and not overwrite:
-        raise FileFormatError(
-            f"{path} exists already; name another file, or overwrite it (--force)"
-        )
-    text = description_text(
-        proposal.description, path.parent, proposal.reasons, proposal.open_questions
+    write_description(
+        proposal.description,
+        path,
+        reasons=proposal.reasons,
+        open_questions=proposal.open_questions,
+        overwrite=overwrite,
     )
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
 
 
 def _model(model: str, folder: Path) -> str:
