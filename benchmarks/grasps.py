@@ -16,7 +16,7 @@ from benchmarks.summary import Columns, of, share, summary
 from planner.errors import NoGraspFoundError, TaskError
 from planner.motion.handover import plan_handover
 from planner.search.grasp import plan_grasp
-from planner.synthesis.problem_cache import problems_for
+from planner.synthesis.problem import problems_for
 from planner.task import GraspTask
 from sim.cli.execution import error_model_of, physics_of
 from sim.cli.options import (

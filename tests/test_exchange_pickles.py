@@ -26,7 +26,6 @@ from planner.exchange.array_files import (
     READER,
     load_pickle,
     read_array_file,
-    read_npy,
     read_npz,
 )
 
@@ -153,7 +152,7 @@ def test_what_would_have_to_be_executed_is_refused(name: str, tmp_path: Path) ->
     file.write_bytes(_npy_of(data))
     before = sorted(tmp_path.iterdir())
     with pytest.raises(FileFormatError, match=r"grasps\.npy: .*nothing of it was executed"):
-        read_npy(file)
+        read_array_file(file)
     assert sorted(tmp_path.iterdir()) == before, "nothing may have run"
 
 
@@ -280,7 +279,7 @@ def test_npy_files_of_objects_and_numbers_are_read(tmp_path: Path) -> None:
     np.save(tmp_path / "numbers.npy", np.arange(6.0).reshape(2, 3).T)
     assert _same(read_array_file(tmp_path / "one.npy"), GRASP)
     assert _same(list(read_array_file(tmp_path / "many.npy")), [GRASP, GRASP])
-    assert _same(read_npy(tmp_path / "numbers.npy"), np.arange(6.0).reshape(2, 3).T)
+    assert _same(read_array_file(tmp_path / "numbers.npy"), np.arange(6.0).reshape(2, 3).T)
 
 
 def test_npz_and_pickle_files_are_read(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from planner.errors import ObjectError
 from planner.shapes import Box, Capsule, Shape, Sphere
 from planner.shapes.field.distance_field import DistanceField, taylor_size
-from planner.shapes.field.fit import FAR_REACH, RIM_STEP, fit_field, on_grids
+from planner.shapes.field.fit import FAR_REACH, RIM_STEP, fit_field, grid_nodes
 from planner.spatial import FloatArray
 
 SHAPES: tuple[Shape, ...] = (Sphere(0.04), Box((0.05, 0.06, 0.1)), Capsule(0.012, 0.25))
@@ -26,7 +26,11 @@ AXES = [a for n in range(3) for a in combinations_with_replacement(range(3), n)]
 
 @cache
 def field_of(shape: Shape) -> DistanceField:
-    return fit_field(on_grids(shape.signed_distance), -shape.half_extents, shape.half_extents)
+    return fit_field(
+        lambda *grid: shape.signed_distance(grid_nodes(*grid)).reshape(grid[1]),
+        -shape.half_extents,
+        shape.half_extents,
+    )
 
 
 def on_spheres(count: int, low: float, high: float) -> FloatArray:

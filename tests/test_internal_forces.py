@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.contacts import ContactModel, ContactSet
-from planner.quality import force_closure, internal_forces, plainly_closed, primitive_wrenches
-from planner.quality.internal_forces import PLAIN, positive_weights
+from planner.quality import force_closure, plainly_closed, primitive_wrenches
+from planner.quality.closure import PLAIN, positive_weights
 from planner.spatial import FloatArray
 
 
@@ -87,5 +87,5 @@ def test_a_grasp_that_nearly_opens_is_left_to_the_programme(
         said.append((proven, closure.closed))
     assert (True, True) in said
     assert (False, False) in said
-    monkeypatch.setattr(internal_forces, "STEPS", 0)
-    assert not internal_forces.positive_weights(rows(some_contacts(1)))
+    monkeypatch.setattr("planner.quality.closure.STEPS", 0)
+    assert not positive_weights(rows(some_contacts(1)))

@@ -21,8 +21,7 @@ from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import GraspProblem, Start
-from planner.synthesis.problem_cache import problems_for
+from planner.synthesis.problem import GraspProblem, Start, problems_for
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask, Obstacle

@@ -15,8 +15,7 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_capsules import capsules_are_true
 from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import Candidate, GraspProblem, Start
-from planner.synthesis.problem_cache import problems_for
+from planner.synthesis.problem import Candidate, GraspProblem, Start, problems_for
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.terms.link_distance import (
     LEAST_DISTANCE,

@@ -176,6 +176,7 @@ MADE = frozenset(
     [
         *(
             "Actor",
+            "Part",
             "JointFacts",
             "Budget",
             "Actuation",

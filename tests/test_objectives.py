@@ -32,7 +32,6 @@ from planner.search.metrics import (
 )
 from planner.spatial import FloatArray
 from planner.synthesis import SynthesisOptions, gravity_any_direction, tool_torque
-from planner.synthesis.formulation import Formulation, formulate
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.objectives.joint import (
     LIMIT_TARGET,
@@ -42,7 +41,6 @@ from planner.synthesis.objectives.joint import (
     free_velocities,
 )
 from planner.synthesis.objectives.registry import EPSILON, OBJECTIVES, objective_parameters
-from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.objectives.wrench import (
     MIN_WEIGHT_TARGET,
     NORMAL_ERROR,
@@ -50,10 +48,11 @@ from planner.synthesis.objectives.wrench import (
     ROBUSTNESS_TARGET,
     TASK_TARGET,
     narrowed,
+    resisted_wrenches,
 )
 from planner.synthesis.options import ProblemForm
-from planner.synthesis.problem import Start
-from planner.synthesis.problem_cache import problems_for
+from planner.synthesis.problem import Start, problems_for
+from planner.synthesis.residuals import Formulation, formulate
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.symbols import GraspPoint
 from planner.task import GraspTask

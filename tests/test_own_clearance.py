@@ -28,8 +28,7 @@ from planner.synthesis import (
 from planner.synthesis.link_spheres import LinkSphere
 from planner.synthesis.loops import solver
 from planner.synthesis.loops.solver import LoopResiduals, loop_problem
-from planner.synthesis.problem import GraspProblem, Start
-from planner.synthesis.problem_cache import problems_for
+from planner.synthesis.problem import GraspProblem, Start, problems_for
 from planner.synthesis.residuals import Residuals
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.terms.registry import TERMS

@@ -24,8 +24,7 @@ from planner.synthesis import (
     Term,
     register_term,
 )
-from planner.synthesis.problem import GraspProblem, Start, build_problem
-from planner.synthesis.problem_cache import problems_for
+from planner.synthesis.problem import GraspProblem, Start, build_problem, problems_for
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.terms import clearance
 from planner.synthesis.terms.registry import STANDARD, TERMS

@@ -18,7 +18,7 @@ from PIL import Image
 from planner import GraspPlan, GraspTask, plan_grasp
 from planner.pages.blocks import Sentence, Verdict
 from planner.pages.page import Page, write_page
-from planner.pages.plan_page import RATE, plan_page, plan_scene
+from planner.pages.plan_page import RATE, plan_page
 from planner.pages.scene import Bars, Line, Mark, Plot, pose_row
 from planner.spatial import FloatArray
 
@@ -46,7 +46,8 @@ def plan(plan_of: PlanOf) -> GraspPlan:
 @pytest.fixture(scope="module")
 def with_plots(plan: GraspPlan) -> Page:
     """The page of a plan with one plot, bars and a fault, as reports have them."""
-    scene = plan_scene(plan)
+    scene = plan_page(plan).scene
+    assert scene is not None
     t = scene.time
     wave = np.where(t > 2.0, np.nan, 2.0 + np.sin(5 * t))
     plot = Plot(

@@ -31,7 +31,7 @@ from planner.search.refine.pose import palm_pose, under_pads
 from planner.search.refine.rungs import NEAR, near_numbers
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem_cache import problems_for
+from planner.synthesis.problem import problems_for
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.verification.grasp import verify_grasp
 

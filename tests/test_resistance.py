@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from planner.contacts import ContactSet
 from planner.quality import epsilon_l1
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.resistance import SAMPLE, least_resisted, missing_resistance
 from planner.synthesis.symbols import support
+from planner.synthesis.terms.resistance import SAMPLE, least_resisted, missing_resistance
 
 MU, LENGTH = 0.7, 1.3
 

@@ -100,7 +100,7 @@ def test_same_seed_same_plan_in_a_fresh_process_that_built_other_problems_first(
     script = (
         "from planner.hand_loading import load_hand\n"
         "from planner.search.grasp import plan_grasp\n"
-        "from planner.synthesis.problem_cache import problems_for\n"
+        "from planner.synthesis.problem import problems_for\n"
         "from planner.task import GraspTask\n"
         "hand = load_hand('allegro_hand')\n"
         "problems_for(GraspTask.create(hand, 'sphere'))\n"

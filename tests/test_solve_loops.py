@@ -18,8 +18,7 @@ from planner.synthesis.loops import solver
 from planner.synthesis.loops.field import spline_tables, taylor_at
 from planner.synthesis.loops.solver import LINK_ROWS, LoopProblem, LoopResiduals, loop_problem
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import GraspProblem, Start
-from planner.synthesis.problem_cache import problems_for
+from planner.synthesis.problem import GraspProblem, Start, problems_for
 from planner.synthesis.residuals import Residuals
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.terms.link_distance import LinkDistances

@@ -25,8 +25,7 @@ from planner.shapes.surface import EDGE_MARGIN
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import LinkSphere, hull_spheres, link_spheres
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import Candidate, GraspProblem, Start
-from planner.synthesis.problem_cache import problems_for
+from planner.synthesis.problem import Candidate, GraspProblem, Start, problems_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.terms.forces import LEVER, PRESS_MIN
 from planner.task import GraspTask, Obstacle

@@ -28,8 +28,7 @@ from planner.synthesis.link_capsules import (
 )
 from planner.synthesis.link_spheres import hull_spheres
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import GraspProblem, Start, build_problem
-from planner.synthesis.problem_cache import problems_for
+from planner.synthesis.problem import GraspProblem, Start, build_problem, problems_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.terms.fingers import FINGERS
 from planner.task import GraspTask, Obstacle

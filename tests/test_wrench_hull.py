@@ -11,9 +11,17 @@ from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
 from planner.numerics.kernels import attempt_kernels, compiled_searches
-from planner.quality import primitive_wrenches, wrench_hull
-from planner.quality.weakest import EDGES, pyramid_wrenches, sides_of, wrench_faces
-from planner.quality.wrench_hull import _SHIFTS, distinct_faces, hull_faces, walked_faces
+from planner.quality import primitive_wrenches, weakest
+from planner.quality.weakest import (
+    _SHIFTS,
+    EDGES,
+    distinct_faces,
+    hull_faces,
+    pyramid_wrenches,
+    sides_of,
+    walked_faces,
+    wrench_faces,
+)
 from planner.spatial import FloatArray
 
 LENGTH = 0.05
@@ -51,8 +59,8 @@ def wrenches_of(seed: int) -> FloatArray:
 
 
 def by_qhull(wrenches: FloatArray) -> FloatArray:
-    faces = wrench_hull._qhull_faces(wrenches)
-    return wrench_hull._distinct(faces[np.argsort(-faces[:, 6], kind="stable")], wrench_hull._TIES)
+    faces = weakest._qhull_faces(wrenches)
+    return weakest._distinct(faces[np.argsort(-faces[:, 6], kind="stable")], weakest._TIES)
 
 
 @settings(max_examples=150, deadline=None)
@@ -71,7 +79,7 @@ def test_the_walk_is_the_same_without_a_compiler(seed: int) -> None:
     faces, whole = walked_faces.loops(wrenches, _SHIFTS)  # type: ignore[attr-defined]
     assert whole
     faces = faces[np.argsort(-faces[:, 6], kind="stable")]
-    found = distinct_faces.loops(faces, wrench_hull._TIES)  # type: ignore[attr-defined]
+    found = distinct_faces.loops(faces, weakest._TIES)  # type: ignore[attr-defined]
     np.testing.assert_allclose(found, by_qhull(wrenches), atol=1e-9)
 
 
@@ -87,7 +95,7 @@ def test_a_face_has_all_wrenches_behind_it_and_six_on_it(seed: int) -> None:
         on = wrenches[column > -1e-7]
         assert np.linalg.matrix_rank(on[1:] - on[0], tol=1e-6) == 5
     cosines = faces[:, :6] @ faces[:, :6].T
-    assert (cosines[np.triu_indices(len(faces), 1)] <= 1 - wrench_hull.SAME).all()
+    assert (cosines[np.triu_indices(len(faces), 1)] <= 1 - weakest.SAME).all()
     assert (np.diff(faces[:, 6]) < 1e-6).all()  # nearest first
 
 
@@ -102,7 +110,7 @@ def test_the_hull_of_a_cross_has_a_face_for_every_choice_of_signs() -> None:
 def test_wrenches_that_span_no_volume_have_no_faces(flat: float) -> None:
     wrenches = np.random.default_rng(0).normal(size=(16, 6))
     wrenches[:, 4] = wrenches[:, 0] - 2 * wrenches[:, 1] + flat * wrenches[:, 4]
-    assert hull_faces(wrenches).shape == wrench_hull._qhull_faces(wrenches).shape == (0, 7)
+    assert hull_faces(wrenches).shape == weakest._qhull_faces(wrenches).shape == (0, 7)
     assert hull_faces(wrenches[:6]).shape == (0, 7)
     assert hull_faces(np.zeros((16, 6))).shape == (0, 7)
 
@@ -114,7 +122,7 @@ def test_qhull_answers_where_the_walk_goes_astray_or_is_too_long(
     rng = np.random.default_rng(n)
     wrenches = rng.normal(size=(4 * n, 6))
     expected = by_qhull(wrenches)
-    monkeypatch.setattr(wrench_hull, "walked_faces", lambda w, s: (np.zeros((0, 7)), False))
+    monkeypatch.setattr(weakest, "walked_faces", lambda w, s: (np.zeros((0, 7)), False))
     np.testing.assert_allclose(hull_faces(wrenches), expected, atol=1e-9)
 
 

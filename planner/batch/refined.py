@@ -66,19 +66,12 @@ def refine_grasps(
     backend = default_backend(workers) if backend is None else backend
     check_backend(backend, workers)
     if workers == 1:
-        return _here(tasks, poses, clamp, options)
+        return (
+            (index, _refined(task, *pose, clamp, options))
+            for index, (task, pose) in enumerate(zip(tasks, poses, strict=True))
+        )
     jobs = _jobs(tasks, poses, clamp, options)
     return _by_workers(jobs, tasks, workers, backend)
-
-
-def _here(
-    tasks: Sequence[GraspTask],
-    poses: Sequence[Pose],
-    clamp: bool,
-    options: SynthesisOptions | None,
-) -> Iterator[Result]:
-    for index, (task, (T_world_base, q)) in enumerate(zip(tasks, poses, strict=True)):
-        yield index, _refined(task, T_world_base, q, clamp, options)
 
 
 def _refined(

@@ -80,15 +80,8 @@ def found_row(
     T_object_palm = T_object_world * plan.T_world_palm
     length = task.object.shape.bounding_radius
     row = {
-        "index": index,
-        "object": label,
-        "k": k,
-        "seed": plan.record.seed,
+        **failed_row(index, label, k, plan.record.seed, "", made),
         "found": True,
-        "reason": "",
-        "attempts": len(made),
-        "cpu_s": sum(a.cpu_s for a in made),
-        "tries": [(str(a.failure or ""), a.cpu_s) for a in made],
         "fingers": list(task.finger_names),
         "base_position_object_m": base[0].tolist(),
         "base_quaternion_object_wxyz": base[1].tolist(),

@@ -69,8 +69,7 @@ def hand_geometries(model: Any, pin_model: Any) -> tuple[LinkGeometry, ...]:
     for g in range(model.ngeom):
         if not (model.geom_contype[g] or model.geom_conaffinity[g]):
             continue
-        number = int(model.geom_bodyid[g])
-        body = body_name(model, number)
+        body, joint, pose = _placed(model, pin_model, g)
         name = model.geom(g).name
         if not name:
             raise ModelError(f"a colliding geom of body {body!r} has no name; name every geom")
@@ -79,11 +78,6 @@ def hand_geometries(model: Any, pin_model: Any) -> tuple[LinkGeometry, ...]:
             raise ModelError(
                 f"geom {name!r} is a plane, a height field or a distance field; use a solid instead"
             )
-        local = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
-        joint, pose = 0, local
-        if number > 0:
-            frame = pin_model.frames[pin_model.getBodyId(body)]
-            joint, pose = int(frame.parentJoint), frame.placement * local
         out.append(
             LinkGeometry(
                 name=name,
@@ -96,6 +90,25 @@ def hand_geometries(model: Any, pin_model: Any) -> tuple[LinkGeometry, ...]:
             )
         )
     return tuple(out)
+
+
+def _placed(model: Any, pin_model: Any, g: int) -> tuple[str, int, SE3]:
+    """Body of geom g, the Pinocchio joint that carries it (0 for the base), and its pose there."""
+    number = int(model.geom_bodyid[g])
+    body, pose = body_name(model, number), pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
+    if number == 0:
+        return body, 0, pose
+    frame = pin_model.frames[pin_model.getBodyId(body)]
+    return body, int(frame.parentJoint), frame.placement * pose
+
+
+def mesh_triangles(model: Any, g: int) -> tuple[FloatArray, IntArray]:
+    """Vertices (n, 3), m, and faces (m, 3) of the mesh of geom g, in the geom's own frame."""
+    mesh = int(model.geom_dataid[g])
+    v, n = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    f, m = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    vertices = np.array(model.mesh_vert[v : v + n], dtype=np.float64)
+    return vertices, np.array(model.mesh_face[f : f + m], dtype=np.int64)
 
 
 def coal_geometry(model: Any, g: int) -> Any:
@@ -112,9 +125,7 @@ def coal_geometry(model: Any, g: int) -> Any:
         return coal.Box(2 * a, 2 * b, 2 * c)
     if kind == "ellipsoid":
         return coal.Ellipsoid(a, b, c)
-    mesh = int(model.geom_dataid[g])
-    start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    return _convex_hull(model.mesh_vert[start : start + count], model.geom(g).name)
+    return _convex_hull(mesh_triangles(model, g)[0], model.geom(g).name)
 
 
 def _convex_hull(vertices: FloatArray, name: str) -> Any:
@@ -132,7 +143,7 @@ def _convex_hull(vertices: FloatArray, name: str) -> Any:
             f"the mesh of geom {name!r} is flat, so that it has no convex hull; give it a "
             f"thickness, or write drop_collision = [{name!r}] under [repair]"
         ) from error
-    return convex_geometry(np.asarray(vertices[hull.vertices], dtype=np.float64))
+    return convex_geometry(vertices[hull.vertices])
 
 
 def allowed_pairs(model: Any, extra: Iterable[tuple[str, str]]) -> frozenset[frozenset[str]]:
@@ -156,18 +167,6 @@ def allowed_pairs(model: Any, extra: Iterable[tuple[str, str]]) -> frozenset[fro
 def _weld_parent(model: Any, body: int) -> int:
     return int(model.body_weldid[model.body_parentid[body]])
 
-
-_SPHERE, _CAPSULE, _CYLINDER, _BOX, _ELLIPSOID, _MESH = (
-    int(t)
-    for t in (
-        mujoco.mjtGeom.mjGEOM_SPHERE,
-        mujoco.mjtGeom.mjGEOM_CAPSULE,
-        mujoco.mjtGeom.mjGEOM_CYLINDER,
-        mujoco.mjtGeom.mjGEOM_BOX,
-        mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-        mujoco.mjtGeom.mjGEOM_MESH,
-    )
-)
 
 SEGMENTS = 24
 """Corners of a circle: chords lie within 1 % of its radius."""
@@ -213,30 +212,20 @@ def link_surfaces(model: Any, pin_model: Any) -> tuple[LinkSurface, ...]:
         triangles = _triangles(model, g)
         if triangles is None:
             continue
-        number = int(model.geom_bodyid[g])
-        body = body_name(model, number)
-        joint, pose = 0, pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
-        if number > 0:
-            frame = pin_model.frames[pin_model.getBodyId(body)]
-            joint, pose = int(frame.parentJoint), frame.placement * pose
+        body, joint, pose = _placed(model, pin_model, g)
         out.append(
             LinkSurface(
                 name=model.geom(g).name or body,
                 body=body,
                 joint_id=joint,
                 collides=bool(model.geom_contype[g] or model.geom_conaffinity[g]),
-                is_mesh=int(model.geom_type[g]) == _MESH,
-                vertices=_moved(pose, triangles[0]),
+                is_mesh=_TYPE.get(int(model.geom_type[g])) == "mesh",
+                vertices=triangles[0] @ pose.rotation.T + pose.translation,
                 triangles=triangles[1],
                 colour=_colour(model, g),
             )
         )
     return tuple(out)
-
-
-def _moved(pose: SE3, points: FloatArray) -> FloatArray:
-    moved: FloatArray = points @ pose.rotation.T + pose.translation
-    return moved
 
 
 def _colour(model: Any, g: int) -> tuple[float, float, float, float]:
@@ -250,25 +239,21 @@ def _triangles(model: Any, g: int) -> tuple[FloatArray, IntArray] | None:
     """Vertices and triangles of geom g in its own frame; None for planes and fields."""
     import trimesh  # here, since trimesh loads slowly
 
-    kind = int(model.geom_type[g])
+    kind = _TYPE.get(int(model.geom_type[g]))
     a, b, c = (float(v) for v in model.geom_size[g])
-    if kind == _MESH:
-        mesh = int(model.geom_dataid[g])
-        v, n = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-        f, m = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-        vertices = np.array(model.mesh_vert[v : v + n], dtype=np.float64)
-        return vertices, np.array(model.mesh_face[f : f + m], dtype=np.int64)
-    if kind == _SPHERE:
+    if kind == "mesh":
+        return mesh_triangles(model, g)
+    if kind == "sphere":
         solid = trimesh.creation.icosphere(subdivisions=BALL, radius=a)
-    elif kind == _ELLIPSOID:
+    elif kind == "ellipsoid":
         solid = trimesh.creation.icosphere(subdivisions=BALL)
         solid.apply_scale([a, b, c])
-    elif kind == _CAPSULE:
+    elif kind == "capsule":
         solid = trimesh.creation.capsule(height=2 * b, radius=a, count=[SEGMENTS, SEGMENTS])
         solid.apply_translation([0, 0, -solid.bounds.mean(axis=0)[2]])
-    elif kind == _CYLINDER:
+    elif kind == "cylinder":
         solid = trimesh.creation.cylinder(radius=a, height=2 * b, sections=SEGMENTS)
-    elif kind == _BOX:
+    elif kind == "box":
         solid = trimesh.creation.box(extents=[2 * a, 2 * b, 2 * c])
     else:
         return None
@@ -279,11 +264,17 @@ FURTHEST = 1.0
 """Largest distance (m) that MuJoCo measures between two geoms."""
 
 
-def joint_inertia(model: Any, q: FloatArray) -> FloatArray:
-    """Diagonal (nv,) of the mass matrix at q (nv,), kg m^2 (kg): the inertia at each servo."""
+def _moved_to(model: Any, q: FloatArray) -> Any:
+    """A ``mujoco.MjData`` at q (nq,)."""
     data = mujoco.MjData(model)
     data.qpos[:] = q
     mujoco.mj_forward(model, data)
+    return data
+
+
+def joint_inertia(model: Any, q: FloatArray) -> FloatArray:
+    """Diagonal (nv,) of the mass matrix at q (nv,), kg m^2 (kg): the inertia at each servo."""
+    data = _moved_to(model, q)
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     return np.diag(full).copy()
@@ -291,17 +282,13 @@ def joint_inertia(model: Any, q: FloatArray) -> FloatArray:
 
 def body_positions(model: Any, q: FloatArray) -> FloatArray:
     """Positions (nbody, 3) of all bodies at q (nq,) by MuJoCo's kinematics, m."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_kinematics(model, data)
+    data = _moved_to(model, q)
     return np.array(data.xpos)
 
 
 def touching_geoms(model: Any, q: FloatArray) -> tuple[tuple[str, str, float], ...]:
     """Pairs of geoms that MuJoCo finds in contact at q (nq,), with the signed distance, m."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
+    data = _moved_to(model, q)
     nearest: dict[tuple[str, str], float] = {}
     for i in range(data.ncon):
         contact = data.contact[i]
@@ -313,8 +300,6 @@ def touching_geoms(model: Any, q: FloatArray) -> tuple[tuple[str, str, float], .
 
 def geom_distance(model: Any, q: FloatArray, first: str, second: str) -> float:
     """Signed distance of two geoms at q (nq,) by MuJoCo, m; at most ``FURTHEST``."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
+    data = _moved_to(model, q)
     ids = model.geom(first).id, model.geom(second).id
     return float(mujoco.mj_geomDistance(model, data, *ids, FURTHEST, None))

@@ -269,8 +269,4 @@ def _remedy(message: str) -> str:
             f"; this is MuJoCo {mujoco.__version__}, and the file may be of another version: take "
             "out or rename what it does not know"
         )
-    if "mujocoinclude" in message:
-        return "; it is a fragment: give the file that includes it"
-    if "repeated element" in message:
-        return "; keep one of them"
     return ""

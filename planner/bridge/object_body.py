@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.bridge.geometry import mesh_triangles
 from planner.bridge.load import compile_spec, load_spec
 from planner.errors import NotFoundError, ObjectError
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
@@ -93,27 +94,21 @@ def _triangles(model: Any, g: int, what: str) -> tuple[FloatArray, IntArray]:
     kind = int(model.geom_type[g])
     a, b, c = (float(v) for v in model.geom_size[g])
     if kind in (int(_TYPE.mjGEOM_MESH), int(_TYPE.mjGEOM_SDF)):
-        number = int(model.geom_dataid[g])
-        at, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
-        vertices = np.array(model.mesh_vert[at : at + count], dtype=np.float64)
-        at, count = int(model.mesh_faceadr[number]), int(model.mesh_facenum[number])
-        faces = np.array(model.mesh_face[at : at + count], dtype=np.int64)
-    elif kind == int(_TYPE.mjGEOM_BOX):
-        made = trimesh.creation.box((2 * a, 2 * b, 2 * c))
-        vertices, faces = np.array(made.vertices), np.array(made.faces)
-    elif kind == int(_TYPE.mjGEOM_CYLINDER):
-        made = trimesh.creation.cylinder(a, 2 * b, sections=FINENESS)
-        vertices, faces = np.array(made.vertices), np.array(made.faces)
-    elif kind == int(_TYPE.mjGEOM_CAPSULE):
-        made = trimesh.creation.capsule(2 * b, a, count=(FINENESS // 2, FINENESS))
-        vertices, faces = np.array(made.vertices), np.array(made.faces)
-        vertices[:, 2] -= (vertices[:, 2].min() + vertices[:, 2].max()) / 2
-    elif kind in (int(_TYPE.mjGEOM_SPHERE), int(_TYPE.mjGEOM_ELLIPSOID)):
-        made = trimesh.creation.uv_sphere(1.0, count=(FINENESS // 2, FINENESS))
-        half = np.array([a, b, c]) if kind == int(_TYPE.mjGEOM_ELLIPSOID) else np.full(3, a)
-        vertices, faces = np.array(made.vertices) * half, np.array(made.faces)
+        vertices, faces = mesh_triangles(model, g)
     else:
-        raise ObjectError(f"{what} has a plane or a height field, which is no solid; use a box")
+        if kind == int(_TYPE.mjGEOM_BOX):
+            made = trimesh.creation.box((2 * a, 2 * b, 2 * c))
+        elif kind == int(_TYPE.mjGEOM_CYLINDER):
+            made = trimesh.creation.cylinder(a, 2 * b, sections=FINENESS)
+        elif kind == int(_TYPE.mjGEOM_CAPSULE):
+            made = trimesh.creation.capsule(2 * b, a, count=(FINENESS // 2, FINENESS))
+            made.vertices[:, 2] -= (made.vertices[:, 2].min() + made.vertices[:, 2].max()) / 2
+        elif kind in (int(_TYPE.mjGEOM_SPHERE), int(_TYPE.mjGEOM_ELLIPSOID)):
+            made = trimesh.creation.uv_sphere(1.0, count=(FINENESS // 2, FINENESS))
+            made.vertices *= [a, b, c] if kind == int(_TYPE.mjGEOM_ELLIPSOID) else a
+        else:
+            raise ObjectError(f"{what} has a plane or a height field, which is no solid; use a box")
+        vertices, faces = np.array(made.vertices), np.array(made.faces)
     pose = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
     return vertices @ pose.rotation.T + pose.translation, faces
 

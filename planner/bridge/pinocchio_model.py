@@ -249,28 +249,24 @@ def _snapped(pose: SE3, inertial: SE3, same: int) -> SE3:
 
 def body_name(model: Any, body: int) -> str:
     """Name of a body; a body without one is called by its number."""
-    return model.body(body).name or _invented(
-        "body", body, lambda i: model.body(i).name, model.nbody
-    )
+    return _name(model.body, "body", body, model.nbody)
 
 
 def joint_name(model: Any, joint: int) -> str:
     """Name of a joint; a joint without one is called by its number."""
-    return model.joint(joint).name or _invented(
-        "joint", joint, lambda i: model.joint(i).name, model.njnt
-    )
+    return _name(model.joint, "joint", joint, model.njnt)
 
 
 def site_name(model: Any, site: int) -> str:
     """Name of a site; a site without one is called by its number."""
-    return model.site(site).name or _invented(
-        "site", site, lambda i: model.site(i).name, model.nsite
-    )
+    return _name(model.site, "site", site, model.nsite)
 
 
-def _invented(kind: str, number: int, name: Callable[[int], str], count: int) -> str:
-    """``kind_number``, with underscores behind it until no part of that kind is called so."""
-    taken = {name(i) for i in range(count)}
+def _name(part: Callable[[int], Any], kind: str, number: int, count: int) -> str:
+    """Of a part, or ``kind_number``, with underscores behind it until no other is called so."""
+    if named := str(part(number).name):
+        return named
+    taken = {part(i).name for i in range(count)}
     out = f"{kind}_{number}"
     while out in taken:
         out += "_"

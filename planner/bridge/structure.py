@@ -24,7 +24,7 @@ from planner.bridge.pinocchio_model import (
     tendon_row,
     tied_bodies,
 )
-from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.spatial import FloatArray
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _SITE = int(mujoco.mjtObj.mjOBJ_SITE)
@@ -40,14 +40,12 @@ class BodyPart:
         parent: The body that it is attached to (the world's is itself, 0).
         link: The first body of the rigid link that it is part of (0: fixed to the world).
         mass: kg.
-        T_parent_body: Its pose in the parent as the file draws it.
     """
 
     name: str
     parent: int
     link: int
     mass: float
-    T_parent_body: SE3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,15 +71,6 @@ class JointPart:
     frictionloss: float
     armature: float
     effort: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class GeomPart:
-    """A geom: its name, the number of its body, and whether it can collide."""
-
-    name: str
-    body: int
-    collides: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,7 +118,6 @@ class ModelStructure:
 
     bodies: tuple[BodyPart, ...]
     joints: tuple[JointPart, ...]
-    geoms: tuple[GeomPart, ...]
     actuators: tuple[ActuatorPart, ...]
     tendons: tuple[TendonPart, ...]
     loops: tuple[tuple[str, int, int], ...] = ()
@@ -181,19 +169,10 @@ def structure_of(model: Any) -> ModelStructure:
                 parent=int(model.body_parentid[i]),
                 link=int(model.body_weldid[i]),
                 mass=float(model.body_mass[i]),
-                T_parent_body=pose_from_wxyz(model.body_pos[i], model.body_quat[i]),
             )
             for i in range(model.nbody)
         ),
         joints=tuple(_joint(model, j) for j in range(model.njnt)),
-        geoms=tuple(
-            GeomPart(
-                name=model.geom(g).name,
-                body=int(model.geom_bodyid[g]),
-                collides=bool(model.geom_contype[g] or model.geom_conaffinity[g]),
-            )
-            for g in range(model.ngeom)
-        ),
         actuators=tuple(_actuator(model, i) for i in range(model.nu)),
         tendons=tuple(_tendon(model, t) for t in range(model.ntendon) if is_fixed_tendon(model, t)),
         loops=tuple(

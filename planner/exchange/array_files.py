@@ -79,11 +79,6 @@ def read_array_file(path: Path) -> Any:
     return load_pickle(data, str(path))
 
 
-def read_npy(path: Path) -> NDArray[Any]:
-    """The array of an ``.npy`` file, of numbers or of objects; raises as ``read_array_file``."""
-    return _npy(_bytes(path), str(path))
-
-
 def read_npz(path: Path, most: int = MOST_BYTES) -> dict[str, NDArray[Any]]:
     """The arrays of an ``.npz`` file of at most so many bytes; raises as ``read_array_file``."""
     return _npz(_bytes(path, most), path, most)

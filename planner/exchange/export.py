@@ -20,7 +20,6 @@ from planner.files import plan_files, read_json, read_movement, read_plan
 from planner.files.disk import MOVEMENT_FORMATS
 from planner.motion.plan import MovementPlan
 from planner.plan import GraspPlan
-from planner.task import GraspTask
 
 AnyPlan: TypeAlias = GraspPlan | MovementPlan
 """What has a joint trajectory."""
@@ -30,11 +29,6 @@ _READERS: dict[str, Callable[[Path], AnyPlan]] = {
     **dict.fromkeys(MOVEMENT_FORMATS, read_movement),
 }
 """Format that a file says of itself -> its reader."""
-
-
-def task_of_plan(plan: AnyPlan) -> GraspTask:
-    """The task of a plan of any kind."""
-    return plan.task
 
 
 def plans_of(
@@ -194,7 +188,7 @@ def export_plans(
     assert chosen.write is not None  # checked above
     notes: dict[str, None] = {}
     if "rename" in chosen.heeds:
-        for hand in {id(h): h for h in (task_of_plan(plan).hand for plan in plans)}.values():
+        for hand in {id(h): h for h in (plan.task.hand for plan in plans)}.values():
             notes.update(dict.fromkeys(channels_of(hand, told).said))
     files = chosen.write(plans, Path(path), told)
     return Export(

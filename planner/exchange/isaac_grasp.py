@@ -50,6 +50,7 @@ from planner.exchange.joints import (
     object_frame,
 )
 from planner.exchange.yaml_text import (
+    head_of,
     member,
     number,
     numbers,
@@ -67,9 +68,6 @@ from planner.version import written_by
 
 NAME, VERSION = "isaac_grasp", 1.0
 """What such a file says of itself."""
-
-HEAD = 4096
-"""Characters of a file within which it says its format."""
 
 FRAMES = ("object_frame", "object_frame_link"), ("gripper_frame", "gripper_frame_link")
 """Keys of the frames' names, of which the first is written."""
@@ -191,14 +189,7 @@ def _joints(value: Any, where: str, hand: Hand, reading: Reading) -> Any:
 
 
 def _recognises(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    try:
-        with path.open(encoding="utf-8") as stream:
-            head = stream.read(HEAD)
-    except UnicodeDecodeError:
-        return False
-    lines = (line.split(":", 1) for line in head.splitlines() if ":" in line)
+    lines = (line.split(":", 1) for line in head_of(path).splitlines() if ":" in line)
     return any(k.strip(" \"'{") == "format" and NAME in v for k, v in lines)
 
 

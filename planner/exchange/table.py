@@ -34,7 +34,7 @@ from planner.exchange.table_forms import (
 from planner.files import whole_file
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, pose_to_wxyz
+from planner.spatial import SE3, pose_to_wxyz
 
 NAME = "table"
 
@@ -125,13 +125,13 @@ def table_of(plans: Sequence[GraspPlan], writing: Writing | None = None) -> Tabl
         rows.append(
             TableGrasp(
                 name=f"seed {plan.record.seed}",
-                position=_three(position),
-                quaternion_wxyz=_four(turn),
+                position=tuple(position.tolist()),
+                quaternion_wxyz=tuple(turn.tolist()),
                 joints=tuple(plan.q.tolist()),
                 pregrasp_joints=tuple(plan.q_pregrasp.tolist()),
                 object=plan.task.object.shape.spec,
-                object_position=_three(where),
-                object_quaternion_wxyz=_four(upright),
+                object_position=tuple(where.tolist()),
+                object_quaternion_wxyz=tuple(upright.tolist()),
             )
         )
     names = tuple(writing.rename.get(n, n) for n in hand.joint_names)
@@ -153,46 +153,7 @@ def write_table(plans: Sequence[GraspPlan], path: Path, writing: Writing) -> tup
         TaskError: There are no plans, they are of several hands, or another suffix.
         FileFormatError: The folder does not exist or cannot be written.
     """
-    return _write(table_of(plans, writing), path)
-
-
-def write_imported(given: ImportedGrasps, hand: Hand, path: Path) -> tuple[Path, ...]:
-    """Write grasps that were read from another format as a table.
-
-    Raises:
-        TaskError: Another suffix.
-        FileFormatError: The folder does not exist or cannot be written.
-    """
-    rows = []
-    for grasp in given.grasps:
-        position, turn = pose_to_wxyz(grasp.T_object_base)
-        place = None if grasp.T_world_object is None else pose_to_wxyz(grasp.T_world_object)
-        rows.append(
-            TableGrasp(
-                name=grasp.name,
-                position=_three(position),
-                quaternion_wxyz=_four(turn),
-                joints=tuple(grasp.q.tolist()),
-                pregrasp_joints=_all(grasp.q_pregrasp),
-                squeeze_joints=_all(grasp.q_squeeze),
-                object=grasp.object,
-                scale=grasp.scale,
-                object_position=None if place is None else _three(place[0]),
-                object_quaternion_wxyz=None if place is None else _four(place[1]),
-                confidence=grasp.confidence,
-            )
-        )
-    slides = tuple(n for n in hand.joint_names if _slides(hand, n))
-    table = TableFile(
-        hand=hand.name, joint_names=hand.joint_names, slides=slides, grasps=tuple(rows)
-    )
-    return _write(table, path)
-
-
-def _write(table: TableFile, path: Path) -> tuple[Path, ...]:
-    if path.suffix not in TABLE_FORMS:
-        raise TaskError(f"{path}: a table ends with {', '.join(TABLE_FORMS)}; name it so")
-    data = table_bytes(table, path.suffix)
+    data = table_bytes(table_of(plans, writing), path.suffix)
     with whole_file(path) as stream:
         stream.write(data)
     return (path,)
@@ -211,20 +172,6 @@ def _slides(hand: Hand, joint: str) -> bool:
 
 SLIDE = 2
 """``mujoco.mjtJoint.mjJNT_SLIDE``."""
-
-
-def _three(values: FloatArray) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
-
-
-def _four(values: FloatArray) -> tuple[float, float, float, float]:
-    w, x, y, z = values.tolist()
-    return w, x, y, z
-
-
-def _all(values: FloatArray | None) -> tuple[float, ...] | None:
-    return None if values is None else tuple(values.tolist())
 
 
 def _recognises(path: Path) -> bool:

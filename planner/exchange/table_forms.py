@@ -33,7 +33,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from planner.errors import FileFormatError, few_of
+from planner.errors import FileFormatError, TaskError, few_of
 from planner.exchange.array_files import read_npz
 from planner.files import read_json
 from planner.files.disk import checked_file
@@ -152,7 +152,13 @@ def read_table_file(path: Path) -> TableFile:
 
 
 def table_bytes(table: TableFile, suffix: str) -> bytes:
-    """The content of a file of the suffix ".json", ".npz" or ".csv"."""
+    """The content of a file of the suffix ".json", ".npz" or ".csv".
+
+    Raises:
+        TaskError: Another suffix.
+    """
+    if suffix not in TABLE_FORMS:
+        raise TaskError(f"a table ends with {', '.join(TABLE_FORMS)}, not {suffix!r}; name it so")
     return TABLE_FORMS[suffix][1](table)
 
 

@@ -27,6 +27,9 @@ MOST_VALUES = 1_000_000
 DEEPEST = 50
 """Most mappings and lists inside each other; what is read here has fewer than ten."""
 
+HEAD = 4096
+"""Characters of a file within which it says its format."""
+
 WIDTH = 100
 """Characters of a line of YAML, as near as numbers allow."""
 
@@ -128,6 +131,17 @@ def _loader(yaml: Any) -> Any:
             return super().construct_mapping(node, deep)
 
     return Loader
+
+
+def head_of(path: Path) -> str:
+    """The first ``HEAD`` characters of a text file; "" for a folder or another file."""
+    if not path.is_file():
+        return ""
+    try:
+        with path.open(encoding="utf-8") as stream:
+            return stream.read(HEAD)
+    except UnicodeDecodeError:
+        return ""
 
 
 def table(value: Any, where: str) -> Mapping[str, Any]:

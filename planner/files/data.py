@@ -8,8 +8,7 @@ A task as data and back: part of every plan file and of every batch manifest.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
@@ -147,8 +146,23 @@ class NeededSetData(StrictData):
     wrenches: list[NeededData] = Field(min_length=1)
 
 
-class TaskData(StrictData):
+class LaterData(StrictData):
+    """Data with a field that older files have not: it is left out where it is None."""
+
+    later: ClassVar[str]
+
+    @model_serializer(mode="wrap")
+    def _as_older_files(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        data: dict[str, Any] = handler(self)
+        if data[self.later] is None:
+            del data[self.later]
+        return data
+
+
+class TaskData(LaterData):
     """The task of a plan; ``needed`` where it needs wrenches."""
+
+    later = "needed"
 
     hand: HandData
     object: ObjectData
@@ -165,14 +179,6 @@ class TaskData(StrictData):
     wrist_free: bool
     wrist_q_rad: list[Finite]
     needed: NeededSetData | None = None
-
-    @model_serializer(mode="wrap")
-    def _without_absent_needs(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """All fields; files of tasks that need no wrench stay as they were."""
-        data: dict[str, Any] = handler(self)
-        if self.needed is None:
-            del data["needed"]
-        return data
 
 
 class ArmData(StrictData):
@@ -205,8 +211,10 @@ class ArmData(StrictData):
         return ArmPath(approach=np.array(self.approach_q_rad), lift=np.array(self.lift_q_rad))
 
 
-class GraspData(StrictData):
+class GraspData(LaterData):
     """The grasp itself; joints in the order of ``joint_names``; ``arm`` if the hand is on one."""
+
+    later = "arm"
 
     T_world_base: PoseData
     T_world_base_start: PoseData
@@ -216,14 +224,6 @@ class GraspData(StrictData):
     q_pregrasp_rad: list[Finite]
     opening_m: Finite
     arm: ArmData | None = None
-
-    @model_serializer(mode="wrap")
-    def _without_absent_arm(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """All fields; files of hands without an arm stay as they were before there were arms."""
-        data: dict[str, Any] = handler(self)
-        if self.arm is None:
-            del data["arm"]
-        return data
 
 
 class ContactData(StrictData):
@@ -252,8 +252,10 @@ class BestData(StrictData):
     improving: bool
 
 
-class RecordData(StrictData):
+class RecordData(LaterData):
     """Where the plan comes from."""
+
+    later = "best"
 
     seed: int
     attempt: int
@@ -265,20 +267,10 @@ class RecordData(StrictData):
     objective: str = "epsilon"
     best: BestData | None = None
 
-    @model_serializer(mode="wrap")
-    def _without_absent_best(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """All fields; files of the first plan found stay as they were in version 1."""
-        data: dict[str, Any] = handler(self)
-        if self.best is None:
-            del data["best"]
-        return data
-
     @classmethod
     def of(cls, record: SolveRecord) -> RecordData:
         """From a plan's record."""
-        names = [name for name in cls.model_fields if name != "best"]
-        best = None if record.best is None else BestData(**asdict(record.best))
-        return cls(**{name: getattr(record, name) for name in names}, best=best)
+        return cls.model_validate(record, from_attributes=True)
 
     def record(self) -> SolveRecord:
         """The plan's record."""

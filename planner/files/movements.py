@@ -24,7 +24,7 @@ from pydantic import Field
 from planner.approach.pregrasp import Approach
 from planner.errors import FileFormatError, TaskError, shown
 from planner.failure import Failure
-from planner.files.data import ArmData, ContactData, PlanFile, PoseData
+from planner.files.data import ArmData, ContactData, LaterData, PlanFile, PoseData
 from planner.files.disk import MOVEMENT_FORMATS, checked_file, read_json, write_json
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
@@ -71,8 +71,10 @@ class KnotData(StrictData):
     slips_m: list[NotNegative]
 
 
-class PathData(StrictData):
+class PathData(LaterData):
     """The path of the object, world axes; no attitude is that of the grasp."""
+
+    later = "attitude"
 
     axis: Vector3
     angle_rad: Finite
@@ -178,14 +180,9 @@ def movement_to_dict(plan: MovementPlan) -> dict[str, Any]:
         shift_m=tuple(plan.shift),
         ending=None if plan.ending is None else _ending_data(plan.grasp, plan.ending),
         torque_reserve=plan.reserve,
-        record=MotionRecordData(
-            **{k: getattr(plan.record, k) for k in MotionRecordData.model_fields}
-        ),
+        record=MotionRecordData.model_validate(plan.record, from_attributes=True),
     )
-    written: dict[str, Any] = data.model_dump(mode="json")
-    if data.path.attitude is None:  # as earlier versions wrote and read it
-        del written["path"]["attitude"]
-    return written
+    return data.model_dump(mode="json")
 
 
 def _path_data(path: ObjectPath) -> PathData:

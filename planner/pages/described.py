@@ -181,8 +181,6 @@ def _key(table: str, entry: str, name: str) -> str:
         return entry
     if table == "fingers":
         return f"{entry}.tip" if name == "tip_site" else f"{entry}.{name}"
-    if table.startswith("postures."):
-        return table
-    if table == "actuators":
+    if table.startswith("postures.") or table == "actuators":
         return table
     return f"{table}.{name}" if table else name

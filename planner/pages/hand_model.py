@@ -14,7 +14,7 @@ from planner.hands.fingers import Pad
 from planner.hands.hand import Hand
 from planner.pages.scene import Joint, Layer, Model, Part, pose_row
 from planner.shapes.meshes.simplify import simplified
-from planner.spatial import SE3, FloatArray
+from planner.spatial import FloatArray
 
 __all__ = ["hand_model"]
 
@@ -125,7 +125,6 @@ def _part(
         vertices=vertices,
         triangles=triangles,
         colour=colour,
-        smooth=True,
     )
 
 
@@ -148,21 +147,12 @@ def _pad(finger: str, pad: Pad) -> Part:
             np.column_stack([a, a + around, b + around]),
             np.column_stack([a, b + around, b]),
         ]
-    pose = SE3(_facing(pad.axis), np.array(pad.center))
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(pad.axis)).matrix()
     return Part(
         name=f"pad of {finger}",
         joint=pad.joint_id - 1,
         layer="pads",
-        vertices=points @ pose.rotation.T + pose.translation,
+        vertices=points @ turn.T + pad.center,
         triangles=np.concatenate(triangles).astype(np.int64),
         colour=PAD_COLOUR,
-        smooth=True,
     )
-
-
-def _facing(axis: FloatArray) -> FloatArray:
-    """A rotation (3, 3) whose third column is a direction."""
-    turn: FloatArray = pin.Quaternion.FromTwoVectors(
-        np.array([0.0, 0.0, 1.0]), np.array(axis)
-    ).toRotationMatrix()
-    return turn

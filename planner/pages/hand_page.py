@@ -93,7 +93,6 @@ def _scene(hand: Hand, q: FloatArray) -> Scene:
         actors=(Actor(name="hand", model="hand", pose=IDENTITY_ROW, q=q),),
         focus=focus,
         radius=float(np.linalg.norm(points - focus, axis=1).max()),
-        time=np.zeros(0),
         views=(_view("palm", palm), _view("back", -palm), _view("start", palm + _aside(palm))),
     )
 
@@ -252,5 +251,4 @@ def arrow_part(
         vertices=np.asarray(solid.vertices) @ turn.toRotationMatrix().T + np.asarray(start),
         triangles=np.asarray(solid.faces, np.int64),
         colour=colour,
-        smooth=True,
     )

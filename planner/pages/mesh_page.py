@@ -71,14 +71,14 @@ def mesh_page(
             "table": table_model(3 * radius),
         },
         actors=(
-            Actor(name="object", model="object", pose=rows[0], q=np.zeros(0)),
-            Actor(name="table", model="table", pose=IDENTITY_ROW, q=np.zeros(0), layer="table"),
+            Actor(name="object", model="object", pose=rows[0]),
+            Actor(name="table", model="table", pose=IDENTITY_ROW, layer="table"),
         ),
         focus=rows[0][:3],
         radius=1.2 * radius,
-        time=np.zeros(0),
         off=frozenset({"collision", "field", "frames", "alternatives"}),
     )
+    stable = [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)]
     options = [word for text in touch for word in ("--touch", text)]
     options += [word for text in avoid for word in ("--avoid", text)]
     return Page(
@@ -90,13 +90,13 @@ def mesh_page(
             "name": item.name,
             "mass_kg": item.mass,
             "volume_m3": shape.volume,
-            "stable_poses": [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)],
+            "stable_poses": stable,
         },
         kind="object",
         scripts=own_scripts("side.js", "object.js", "object_start.js"),
         extra={
             "object": {
-                "poses": [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)],
+                "poses": stable,
                 "command": shlex.join(["opposable", "plan", HAND, spec or item.name, *options]),
             }
         },
@@ -166,12 +166,10 @@ def _field_part(shape: Mesh) -> Part:
     vertices, triangles, _ = simplified(vertices, triangles, MOST_FIELD_TRIANGLES)
     return Part(
         name="zero level of the smooth field",
-        joint=-1,
         layer="field",
         vertices=vertices,
         triangles=triangles,
         colour=FIELD_COLOUR,
-        smooth=True,
     )
 
 
@@ -192,12 +190,10 @@ def _region_parts(item: GraspObject) -> list[Part]:
             out.append(
                 Part(
                     name=name,
-                    joint=-1,
                     layer="regions",
                     vertices=vertices[used],
                     triangles=faces.reshape(-1, 3).astype(np.int64),
                     colour=colour,
-                    smooth=True,
                 )
             )
     return out
@@ -250,7 +246,8 @@ def _nets(values: FloatArray) -> tuple[FloatArray, IntArray]:
     total, count = np.zeros((*cells, 3)), np.zeros(cells, dtype=int)
     crossings = []
     for axis in range(3):
-        a, b = _ends(values, axis)
+        low = np.arange(cells[axis])
+        a, b = (values.take(low + end, axis=axis) for end in (0, 1))
         crossed = (a < 0.0) != (b < 0.0)
         at = np.argwhere(crossed)
         share = (a[crossed] / (a[crossed] - b[crossed]))[:, None]
@@ -276,14 +273,6 @@ def _nets(values: FloatArray) -> tuple[FloatArray, IntArray]:
     q = np.concatenate(quads)
     triangles: IntArray = np.concatenate([q[:, [0, 1, 2]], q[:, [0, 2, 3]]]).astype(np.int64)
     return vertices, triangles
-
-
-def _ends(values: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
-    """Values at both ends of every edge along an axis."""
-    low = [slice(None)] * 3
-    high = [slice(None)] * 3
-    low[axis], high[axis] = slice(None, -1), slice(1, None)
-    return values[tuple(low)], values[tuple(high)]
 
 
 def _around(axis: int) -> IntArray:

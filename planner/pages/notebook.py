@@ -221,7 +221,6 @@ def grasp_picture(
         actors=tuple(stage.actors),
         focus=stage.focus,
         radius=stage.radius,
-        time=np.zeros(0),
         contacts=(planned_contacts([contacts]),) if contacts is not None and marked else (),
     )
     return paint(scene, stage.views(contacts)[0].direction)
@@ -262,7 +261,6 @@ def _hand_picture(hand: Hand, q: FloatArray | None = None) -> bytes:
         actors=(Actor(name="hand", model="hand", pose=IDENTITY_ROW, q=q),),
         focus=focus,
         radius=1.5 * float(np.linalg.norm(points - focus, axis=1).max()),
-        time=np.zeros(0),
     )
     return paint(scene, facing + ASIDE * np.cross(up, facing) + 0.3 * up, up=up)
 
@@ -274,7 +272,6 @@ def _contact_picture(contacts: ContactSet) -> bytes:
     radius = max(1e-3, 1.5 * float(np.linalg.norm(points - focus, axis=1).max()))
     part = Part(
         name="between the contacts",
-        joint=-1,
         layer="object",
         vertices=points,
         triangles=_between(len(points)),
@@ -282,10 +279,9 @@ def _contact_picture(contacts: ContactSet) -> bytes:
     )
     scene = Scene(
         models={"object": Model(joints=(), parts=(part,))},
-        actors=(Actor(name="object", model="object", pose=IDENTITY_ROW, q=np.zeros(0)),),
+        actors=(Actor(name="object", model="object", pose=IDENTITY_ROW),),
         focus=focus,
         radius=radius,
-        time=np.zeros(0),
         contacts=(planned_contacts([contacts]),),
     )
     return paint(scene, (0.75, -1.0, 0.62))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 
@@ -50,11 +51,6 @@ def plan_page(plan: GraspPlan) -> Page:
     )
 
 
-def plan_scene(plan: GraspPlan) -> Scene:
-    """The scene of a plan: from the start of the approach to the grasp, where the page opens."""
-    return _scene(plan, stage_of(plan))
-
-
 def _scene(plan: GraspPlan, stage: Stage) -> Scene:
     trajectory = plan.joint_trajectory(rate_hz=RATE)
     return Scene(
@@ -80,14 +76,11 @@ def hand_motion(trajectory: JointTrajectory) -> Motion:
 
 def bands_of(trajectory: JointTrajectory) -> tuple[Band, ...]:
     """The phases of a trajectory, each from the last sample of the one before."""
-    out, begin = [], 0
-    for i in range(1, len(trajectory.phases) + 1):
-        if i < len(trajectory.phases) and trajectory.phases[i] == trajectory.phases[begin]:
-            continue
-        first = float(trajectory.times[max(0, begin - 1)])
-        name = trajectory.phases[begin]
-        out.append(Band(name=name, begin=first, end=float(trajectory.times[i - 1])))
-        begin = i
+    out, end = [], -1
+    for name, members in groupby(trajectory.phases):
+        begin, end = max(0, end), end + len(list(members))
+        first, last = (float(trajectory.times[k]) for k in (begin, end))
+        out.append(Band(name=name, begin=first, end=last))
     return tuple(out)
 
 

@@ -19,7 +19,7 @@ from planner.pages.hand_model import hand_model
 from planner.pages.scene import IDENTITY_ROW, Actor, Contacts, Layer, Model, Part, View, pose_row
 from planner.plan import GraspPlan
 from planner.shapes import Shape
-from planner.shapes.mesh import Mesh, surface_points, surface_triangles
+from planner.shapes.mesh import surface_points, surface_triangles
 from planner.shapes.meshes.simplify import simplified
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask, Obstacle
@@ -65,18 +65,18 @@ class Stage:
         self.focus, self.radius = _extent(task, T_world_base, q, T_world_object)
         self.actors: list[Actor] = [
             Actor(name="hand", model="hand", pose=pose_row(T_world_base), q=np.array(q)),
-            Actor(name="object", model="object", pose=pose_row(T_world_object), q=np.zeros(0)),
+            Actor(name="object", model="object", pose=pose_row(T_world_object)),
         ]
         if task.table_height is not None:
             self.models["table"] = table_model(TABLE_RADIUS * self.radius)
             place = IDENTITY_ROW.copy()
             place[:3] = [*self.focus[:2], task.table_height]
-            self.actors.append(Actor(name="table", model="table", pose=place, q=np.zeros(0)))
+            self.actors.append(Actor(name="table", model="table", pose=place))
         for obstacle in task.obstacles:
             name = f"obstacle {obstacle.name}"
             self.models[name] = obstacle_model(obstacle)
             pose = pose_row(obstacle.T_world_obstacle)
-            self.actors.append(Actor(name=name, model=name, pose=pose, q=np.zeros(0)))
+            self.actors.append(Actor(name=name, model=name, pose=pose))
 
     def views(self, contacts: ContactSet | None) -> tuple[View, ...]:
         """The opening place of the camera, and that which faces the palm.
@@ -190,27 +190,18 @@ def object_model(shape: Shape, name: str = "object") -> ShownObject:
         shape: Its shape; a mesh of more than ``MOST_TRIANGLES`` triangles is simplified.
         name: What is said where it is pointed at.
     """
-    vertices, triangles = _triangles(shape)
+    vertices, triangles = surface_triangles(shape)
     total = len(triangles)
     vertices, triangles, _ = simplified(vertices, triangles, MOST_TRIANGLES)
     body = Part(
         name=name,
-        joint=-1,
         layer="object",
         vertices=vertices,
         triangles=triangles,
         colour=OBJECT_COLOUR,
-        smooth=True,
     )
     parts = _striped(body)
     return ShownObject(model=Model(joints=(), parts=parts), triangles=total, shown=len(triangles))
-
-
-def _triangles(shape: Shape) -> Triangles:
-    """Vertices and triangles of a shape; flat faces in as few triangles as they need."""
-    if isinstance(shape, Mesh):
-        return shape.vertices, shape.faces
-    return surface_triangles(shape)
 
 
 def _striped(body: Part) -> tuple[Part, ...]:
@@ -280,12 +271,10 @@ def obstacle_model(obstacle: Obstacle) -> Model:
 def _part(name: str, layer: Layer, solid: Any, colour: tuple[float, float, float, float]) -> Part:
     return Part(
         name=name,
-        joint=-1,
         layer=layer,
         vertices=np.asarray(solid.vertices, np.float64),
         triangles=np.asarray(solid.faces, np.int64),
         colour=colour,
-        smooth=True,
     )
 
 

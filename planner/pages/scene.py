@@ -74,12 +74,12 @@ class Part:
     """
 
     name: str
-    joint: int
+    joint: int = -1
     layer: Layer
     vertices: FloatArray
     triangles: IntArray
     colour: tuple[float, float, float, float]
-    smooth: bool = False
+    smooth: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,7 +114,7 @@ class Actor:
     name: str
     model: str
     pose: FloatArray
-    q: FloatArray
+    q: FloatArray = field(default_factory=lambda: np.zeros(0))
     layer: Layer | None = None
     opacity: float = 1.0
 
@@ -270,7 +270,7 @@ class Scene:
     actors: tuple[Actor, ...]
     focus: FloatArray
     radius: float
-    time: FloatArray
+    time: FloatArray = field(default_factory=lambda: np.zeros(0))
     motions: tuple[Motion, ...] = ()
     contacts: tuple[Contacts, ...] = ()
     plots: tuple[Plot, ...] = ()

@@ -14,9 +14,9 @@ from planner.quality.closure import (
     closure_of_wrenches,
     force_closure,
     min_weight,
+    plainly_closed,
 )
 from planner.quality.cones import RoundCones, primitive_wrenches
-from planner.quality.internal_forces import plainly_closed
 from planner.quality.interval import Interval, ball_interval, epsilon_linf, epsilon_round
 from planner.quality.report import (
     QualityReport,

@@ -24,8 +24,7 @@ from planner.search.finishing import UNSOLVED, finished, true_geometry, true_lin
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import nearly, optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions, needed_options
-from planner.synthesis.problem import Candidate, GraspProblem, Start
-from planner.synthesis.problem_cache import Problems, problems_for
+from planner.synthesis.problem import Candidate, GraspProblem, Problems, Start, problems_for
 from planner.synthesis.room import with_room
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import seeder_for

@@ -40,8 +40,12 @@ from planner.quality.ball import flat_direction
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.objectives.joint import driving, free_velocities
 from planner.synthesis.objectives.registry import OBJECTIVES, Objective
-from planner.synthesis.objectives.task_wrenches import resisted_wrenches
-from planner.synthesis.objectives.wrench import NORMAL_ERROR, POSITION_ERROR, narrowed
+from planner.synthesis.objectives.wrench import (
+    NORMAL_ERROR,
+    POSITION_ERROR,
+    narrowed,
+    resisted_wrenches,
+)
 from planner.synthesis.options import named_weights
 from planner.task import GraspTask
 

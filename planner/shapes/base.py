@@ -300,6 +300,35 @@ class Shape(ABC):
         return SE3(rotation, np.array([0.0, 0.0, table_height + height]))
 
 
+class Boxed(Shape):
+    """Base of a frozen dataclass whose field ``size`` holds its full extents x, y, z, m."""
+
+    size_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+
+    size: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        """Check the sizes."""
+        object.__setattr__(self, "size", checked_extents(self.kind, self.size))
+
+    @classmethod
+    def from_sizes(cls, sizes: Sequence[float]) -> Self:
+        """From x, y, z."""
+        make: Any = cls
+        shape: Self = make(tuple(sizes))
+        return shape
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Full extents, m."""
+        return self.size
+
+    @property
+    def half_extents(self) -> FloatArray:
+        """Half the full extents, (3,), m."""
+        return np.array(self.size) / 2
+
+
 class Sized:
     """Base, before ``Shape`` or ``Mesh``, of a frozen dataclass whose fields are its sizes.
 

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import coal
 import numpy as np
 
-from planner.shapes.base import ALIGNED, ON_SURFACE, Shape, checked_extents, checked_points, sign
+from planner.shapes.base import ALIGNED, ON_SURFACE, Boxed, checked_points, sign
 from planner.shapes.stable import StablePose, stable_poses
 from planner.shapes.surface import CODE_DIM, KEPT, Patch, Surface, box_clearance, edge_margin
 from planner.spatial import FloatArray, fixed_array
 
 
 @dataclass(frozen=True)
-class Box(Shape):
+class Box(Boxed):
     """A box.
 
     Attributes:
@@ -26,29 +25,8 @@ class Box(Shape):
     """
 
     kind: ClassVar[str] = "box"
-    size_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     default_sizes: ClassVar[tuple[float, ...]] = (0.05, 0.05, 0.08)
     size: tuple[float, float, float]
-
-    def __post_init__(self) -> None:
-        """Check the sizes."""
-        object.__setattr__(self, "size", checked_extents(self.kind, self.size))
-
-    @classmethod
-    def from_sizes(cls, sizes: Sequence[float]) -> Self:
-        """From x, y, z."""
-        x, y, z = sizes
-        return cls((x, y, z))
-
-    @property
-    def sizes(self) -> tuple[float, ...]:
-        """Full extents, m."""
-        return self.size
-
-    @property
-    def half_extents(self) -> FloatArray:
-        """Half the full extents, (3,), m."""
-        return np.array(self.size) / 2
 
     @property
     def bounding_radius(self) -> float:

@@ -11,17 +11,15 @@ of trust-region methods: Conn, Gould and Toint, "Trust-region methods", section 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import casadi as ca
 import coal
 import numpy as np
 
-from planner.shapes.base import Shape, checked_extents, checked_points, sign, unit
-from planner.shapes.surface import KEPT, Patch, Surface, soft_norm, whole_surface
+from planner.shapes.base import Boxed, checked_points, sign, unit
+from planner.shapes.surface import Surface, WholeSurface, soft_norm
 from planner.spatial import FloatArray
 
 ITERATIONS = 60
@@ -36,7 +34,7 @@ ON_PLANE = 1e-18
 
 
 @dataclass(frozen=True)
-class Ellipsoid(Shape):
+class Ellipsoid(Boxed):
     """An ellipsoid. It rests with its shortest axis upright, its longest along world x.
 
     Attributes:
@@ -44,30 +42,9 @@ class Ellipsoid(Shape):
     """
 
     kind: ClassVar[str] = "ellipsoid"
-    size_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     default_sizes: ClassVar[tuple[float, ...]] = (0.09, 0.07, 0.06)
     ball_like: ClassVar[bool] = True
     size: tuple[float, float, float]
-
-    def __post_init__(self) -> None:
-        """Check the sizes."""
-        object.__setattr__(self, "size", checked_extents(self.kind, self.size))
-
-    @classmethod
-    def from_sizes(cls, sizes: Sequence[float]) -> Self:
-        """From x, y, z."""
-        x, y, z = sizes
-        return cls((x, y, z))
-
-    @property
-    def sizes(self) -> tuple[float, ...]:
-        """Full axis lengths, m."""
-        return self.size
-
-    @property
-    def half_extents(self) -> FloatArray:
-        """The semi-axes, (3,), m."""
-        return np.array(self.size) / 2
 
     @property
     def bounding_radius(self) -> float:
@@ -159,17 +136,11 @@ def _ratio(above: FloatArray | float, below: FloatArray) -> FloatArray:
     return np.where(below > 0, above / safe, 0.0)
 
 
-class _EllipsoidSurface(Surface):
+class _EllipsoidSurface(WholeSurface):
     kind = "ellipsoid"
 
     def size(self, shape: Ellipsoid) -> FloatArray:
         return np.array(shape.half_extents)
-
-    def patches(self, shape: Ellipsoid) -> tuple[Patch, ...]:
-        return _patches(shape)
-
-    def patch_at(self, shape: Ellipsoid, point: FloatArray, normal: FloatArray) -> Patch:
-        return self.patches(shape)[0]
 
     def outward_normal(self, size: Any, code: Any, p: Any) -> Any:
         gradient = p / size**2
@@ -183,11 +154,6 @@ class _EllipsoidSurface(Surface):
         a, b = c / size, c / size**2
         k0, k1 = soft_norm(a[0], a[1], a[2]), soft_norm(b[0], b[1], b[2])
         return k0 * (k0 - 1) / k1
-
-
-@lru_cache(maxsize=KEPT)
-def _patches(shape: Ellipsoid) -> tuple[Patch, ...]:
-    return (whole_surface("ellipsoid", 2 * shape.half_extents),)
 
 
 _SURFACE = _EllipsoidSurface()

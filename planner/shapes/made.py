@@ -249,14 +249,10 @@ class Superquadric(Made):
         half = np.array([self.x, self.y, self.z]) / 2
         rings = rays * half * (level ** (-self.e1 / 2))[:, :, None]
         # a fan closes each end; the poles are the last two points
-        south = rings.size // 3
-        first, last = np.arange(n), np.arange(south - n, south)
-        fans = [
-            np.column_stack([np.roll(first, -1), first, np.full(n, south)]),
-            np.column_stack([last, np.roll(last, -1), np.full(n, south + 1)]),
-        ]
         poles = [[0.0, 0.0, -half[2]], [0.0, 0.0, half[2]]]
-        return np.vstack([rings.reshape(-1, 3), poles]), np.vstack([stacked(rings), *fans])
+        return np.vstack([rings.reshape(-1, 3), poles]), np.vstack(
+            [stacked(rings), fans(along - 1, n)]
+        )
 
 
 @dataclass(frozen=True, eq=False)

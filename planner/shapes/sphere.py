@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -11,7 +10,7 @@ import coal
 import numpy as np
 
 from planner.shapes.base import Shape, Sized, checked_points, unit
-from planner.shapes.surface import KEPT, Patch, Surface, soft_norm, whole_surface
+from planner.shapes.surface import Surface, WholeSurface, soft_norm
 from planner.spatial import FloatArray
 
 
@@ -76,17 +75,11 @@ class Sphere(Sized, Shape):
         return _SURFACE
 
 
-class _SphereSurface(Surface):
+class _SphereSurface(WholeSurface):
     kind = "sphere"
 
     def size(self, shape: Sphere) -> FloatArray:
         return np.array([shape.radius, 0.0, 0.0])
-
-    def patches(self, shape: Sphere) -> tuple[Patch, ...]:
-        return _patches(shape)
-
-    def patch_at(self, shape: Sphere, point: FloatArray, normal: FloatArray) -> Patch:
-        return self.patches(shape)[0]
 
     def outward_normal(self, size: Any, code: Any, p: Any) -> Any:
         return p / size[0]
@@ -96,11 +89,6 @@ class _SphereSurface(Surface):
 
     def clearance(self, size: Any, c: Any) -> Any:
         return soft_norm(c[0], c[1], c[2]) - size[0]
-
-
-@lru_cache(maxsize=KEPT)
-def _patches(shape: Sphere) -> tuple[Patch, ...]:
-    return (whole_surface("sphere", 2 * shape.half_extents),)
 
 
 _SURFACE = _SphereSurface()

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -139,3 +140,20 @@ def edge_margin(half: float) -> float:
 def whole_surface(name: str, reach: FloatArray) -> Patch:
     """The patch of a surface without edges, in a box of half extents ``reach`` (3,), m."""
     return Patch(name=name, code=np.zeros(CODE_DIM), lower=-reach, upper=reach)
+
+
+class WholeSurface(Surface):
+    """Base of a surface without edges: one patch."""
+
+    def patches(self, shape: Any) -> tuple[Patch, ...]:
+        """See ``Surface``."""
+        return _whole(self.kind, shape)
+
+    def patch_at(self, shape: Any, point: FloatArray, normal: FloatArray) -> Patch:
+        """See ``Surface``."""
+        return self.patches(shape)[0]
+
+
+@lru_cache(maxsize=2 * KEPT)
+def _whole(kind: str, shape: Any) -> tuple[Patch, ...]:
+    return (whole_surface(kind, 2 * shape.half_extents),)

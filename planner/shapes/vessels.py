@@ -335,9 +335,9 @@ class Teacup(_Handled):
         rows = top - bottom
         ends = [bottom + round(share * rows) for share in (HIGH_END, LOW_END)]
         faces = _without_patches(faces, [(row, HALF) for row in ends])
-        upper, lower = (self._patch(row, HALF) for row in ends)
+        upper = self._patch(ends[0], HALF)
         # seen along the handle, the lower border is passed the other way round
-        lower = self._patch(ends[1], HALF)[_mirrored(len(lower))]
+        lower = self._patch(ends[1], HALF)[-np.arange(len(upper)) % len(upper)]
         border = vertices[upper]
         step = vertices[upper].max(axis=0) - vertices[upper].min(axis=0)
         section = _section(border, step[1] / 2, step[2] / 2)
@@ -358,12 +358,6 @@ class Teacup(_Handled):
         )
         faces = np.vstack([faces, numbers[stacked(whole)]])
         return _joined(np.vstack([vertices, rings.reshape(-1, 3)]), faces)
-
-
-def _mirrored(n: int) -> IntArray:
-    """Order of a border's n points turned upside down."""
-    out: IntArray = -np.arange(n) % n
-    return out
 
 
 GRIP, GRIP_WIDE, GRIP_HIGH = 0.12, 0.011, 0.006

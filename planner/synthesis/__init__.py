@@ -2,7 +2,7 @@
 
 from planner.synthesis.link_spheres import hull_spheres, link_spheres
 from planner.synthesis.objectives.registry import OBJECTIVES
-from planner.synthesis.objectives.task_wrenches import gravity_any_direction, tool_torque
+from planner.synthesis.objectives.wrench import gravity_any_direction, tool_torque
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start, build_problem
 from planner.synthesis.seeds.draw import Seeder

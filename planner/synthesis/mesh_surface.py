@@ -31,12 +31,6 @@ of the mean normal within the radius of smoothing: 1 on flat and evenly round pl
 right-angled edge. At 0.93 the normal is 5 degrees off and a pad of 12 mm meets the true surface 1
 mm nearer to the edge: of 288 attempts at random edged parts 48 ended there, with 0.96 9."""
 
-STEEP_ON_WALLS, WORTH_ON_WALLS = 0.99, 3.0
-"""Least slope (-) in front of thin walls, and weight factor (-) of a lower one. The parallel
-surface goes around a rim in a round bend, where the slope is 0.95. On five cups and bowls of 1 to
-3 mm 17.5 grasps were found per CPU second with these, 12.1 with 0.93 and 1 (Allegro-type hand;
-Shadow-type: 14.6 with these, 12.1 with 0.99 and 1)."""
-
 
 class _MeshSurface(Surface):
     """The zero level of a mesh's smooth distance field; one object per problem."""

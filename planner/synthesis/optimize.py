@@ -29,7 +29,7 @@ from planner.quality.weakest import wrench_faces
 from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray
 from planner.synthesis.objectives.registry import EPSILON, objective_parameters
-from planner.synthesis.objectives.task_wrenches import resisted_wrenches
+from planner.synthesis.objectives.wrench import resisted_wrenches
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.residuals import Residuals

@@ -14,7 +14,7 @@ from planner.errors import NotFoundError, TaskError, shown
 from planner.objects import NeededWrench
 from planner.spatial import FloatArray
 from planner.synthesis.objectives.registry import EPSILON, OBJECTIVES
-from planner.synthesis.objectives.task_wrenches import checked_wrenches
+from planner.synthesis.objectives.wrench import checked_wrenches
 from planner.synthesis.terms.registry import TERMS, checked_terms
 from planner.synthesis.terms.term import Term
 from planner.tolerances import SYNTHESIS_SHARE

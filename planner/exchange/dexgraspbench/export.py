@@ -312,17 +312,7 @@ def export_dexgraspbench(
             grasp cannot press and all are needed.
     """
     folder = Path(folder).resolve()
-    hand = grasps.task(grasps.labels[0]).hand
-    hand.require_one("export for DexGraspBench")
-    if hand.arm is not None:
-        raise TaskError(
-            f"{hand.name} is on an arm; export for DexGraspBench is for hands alone: plan with "
-            "the hand without its arm"
-        )
-    if reason := without_servos(hand):
-        raise TaskError(
-            f"{reason}; DexGraspBench commands postures: plan with a hand that has position servos"
-        )
+    hand = _allowed(grasps.task(grasps.labels[0]).hand)
     _need_distinct_folders(grasps.labels)
     written = 0
     left_out: Counter[str] = Counter()
@@ -490,7 +480,7 @@ def write_dexgraspbench(
 
 
 def _one_hand(plans: Sequence[GraspPlan]) -> Hand:
-    """The hand of all plans, if the benchmark can have it."""
+    """The hand of all plans."""
     hand = plans[0].task.hand
     others = {plan.task.hand.name for plan in plans if plan.task.hand.digest != hand.digest}
     if others:
@@ -498,6 +488,11 @@ def _one_hand(plans: Sequence[GraspPlan]) -> Hand:
             f"the plans are for more than one hand, {hand.name} and {', '.join(sorted(others))}; "
             "write a folder for each"
         )
+    return _allowed(hand)
+
+
+def _allowed(hand: Hand) -> Hand:
+    """A hand, if the benchmark can have it."""
     hand.require_one("export for DexGraspBench")
     if hand.arm is not None:
         raise TaskError(

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import FileFormatError
-from planner.exchange.export import AnyPlan, task_of_plan
+from planner.exchange.export import AnyPlan
 from planner.exchange.formats import (
     GraspFormat,
     ImportedGrasp,
@@ -46,7 +46,7 @@ from planner.exchange.ros.messages import (
     translation,
     write_messages,
 )
-from planner.exchange.yaml_text import member, number, numbers, pose_of
+from planner.exchange.yaml_text import head_of, member, number, numbers, pose_of
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
@@ -60,9 +60,6 @@ CLOSE_S = 1.0
 LIFT = 0.08
 """How far the hand is to lift, m, as in ``ManipulationPlan.joint_trajectory``; not planned, and so
 no part of it is asked for as the least."""
-
-HEAD = 4096
-"""Characters of a file within which its first fields stand."""
 
 
 def grasp_message(plan: GraspPlan, name: str, writing: Writing | None = None) -> dict[str, Any]:
@@ -209,13 +206,7 @@ def _efforts(plan: GraspPlan, writing: Writing, matrix: FloatArray) -> FloatArra
 
 
 def _recognises(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    try:
-        with path.open(encoding="utf-8") as stream:
-            head = stream.read(HEAD)
-    except UnicodeDecodeError:
-        return False
+    head = head_of(path)
     return "grasp_posture" in head and "joint_names" in head
 
 
@@ -251,7 +242,7 @@ def trajectory_message(plan: AnyPlan, writing: Writing | None = None) -> dict[st
         TaskError: Two joints would have one name.
     """
     way = plan.joint_trajectory()
-    channels = channels_of(task_of_plan(plan).hand, writing or Writing())
+    channels = channels_of(plan.task.hand, writing or Writing())
     return joint_trajectory(channels.names, way.times.tolist(), channels.values(way.positions))
 
 
@@ -265,7 +256,7 @@ def write_ros_trajectories(
         TaskError: Two joints would have one name.
         FileFormatError: The file cannot be written.
     """
-    hand = task_of_plan(plans[0]).hand
+    hand = plans[0].task.hand
     comments = (
         f"{written_by()}: {TRAJECTORY} of {hand.name}; rad, m",
         *channels_of(hand, writing).said,

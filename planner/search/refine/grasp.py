@@ -40,7 +40,7 @@ from planner.search.refine.pose import (
 from planner.search.refine.rungs import BOUNDED, RUNGS, Rung, climb_rung, near_options, start_at
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem_cache import Problems, problems_for
+from planner.synthesis.problem import Problems, problems_for
 from planner.system.threads import made_once
 from planner.task import GraspTask
 

@@ -69,26 +69,22 @@ class DistanceField:
         far_radius: Radius r of the far distance |p| - r, m.
         error: How far (m) the value is from the true distance at most, within the solid's bounding
             box: proven when the field is fitted, see ``planner.shapes.field.fit.error_bound``.
+        tables: The levels as the evaluation reads them.
     """
 
     levels: tuple[Level, ...]
     far_radius: float
     error: float
-    _tables: _Tables = field(init=False, repr=False)
+    tables: Tables = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Lay out the tables of the evaluation."""
-        object.__setattr__(self, "_tables", _Tables(self.levels))
+        object.__setattr__(self, "tables", Tables(self.levels))
 
     @property
     def spacing(self) -> float:
         """Spacing of the finest grid, m."""
         return self.levels[0].spacing
-
-    @property
-    def flat(self) -> FloatArray:
-        """Coefficients of all levels one after the other, each level by rows (k,), m."""
-        return self._tables.flat
 
     def taylor(self, points: FloatArray, order: int = 2) -> FloatArray:
         """Value and partial derivatives at points.
@@ -111,7 +107,7 @@ class DistanceField:
             raise ObjectError(
                 f"order is {shown(order)}; give the order of a derivative, one of {ORDERS}"
             )
-        out, inside = self._tables.evaluate(p, order)
+        out, inside = self.tables.evaluate(p, order)
         if not inside.all():
             far = ~inside
             if not np.isfinite(p).all():
@@ -167,11 +163,22 @@ class DistanceField:
         )
 
 
-class _Tables:
-    """All levels in flat arrays, so that points of different levels are evaluated together."""
+class Tables:
+    """All levels in flat arrays, so that points of different levels are evaluated together.
+
+    Attributes:
+        flat: Coefficients of all levels one after the other, each level by rows (k,), m.
+        first: Node at which cell 0 of each level begins (n_levels, 3).
+        inverse: 1 / spacing (n_levels, 1), 1/m.
+        last_cell: (n_levels, 3).
+        strides: Of each level along the axes (n_levels, 3).
+        start: Where each level begins in ``flat`` (n_levels,).
+        centre: Of the box of each level (n_levels, 1, 3), m.
+        reach: Its half extents (n_levels, 1, 3), m.
+    """
 
     def __init__(self, levels: tuple[Level, ...]) -> None:
-        self.levels = levels
+        """Lay out."""
         self.flat = np.concatenate([level.coefficients.ravel() for level in levels])
         # cell k of a level lies between its nodes k + 1 and k + 2
         self.first = np.array([level.first + 1 for level in levels], dtype=np.float64)

@@ -78,11 +78,6 @@ Bracket = Callable[[IntArray, tuple[int, int, int], float], tuple[FloatArray, Fl
 """Lower and upper bounds (nx, ny, nz), m, of the signed distance of the nodes of a grid."""
 
 
-def on_grids(distance: Distance) -> GridDistance:
-    """A distance that is measured at every node."""
-    return lambda first, shape, h: distance(grid_nodes(first, shape, h)).reshape(shape)
-
-
 def fit_field(
     on_grid: GridDistance,
     lower: FloatArray,

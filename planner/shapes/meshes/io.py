@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Callable
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +65,10 @@ def read_mesh(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
         raise ObjectError(f"{path.name}: scale is {scale}; give metres per unit of the file, > 0")
     from planner.shapes.meshes.soundness import MOST_TRIANGLES
 
-    vertices, faces = _read_once(path)
+    try:
+        vertices, faces = _kept(READ, path, _read)
+    except OSError:  # the reader says what is wrong
+        vertices, faces = _read(path)
     if len(faces) == 0:
         raise ObjectError(f"{path.name} holds no triangles; give a mesh of a closed surface")
     if len(faces) > MOST_TRIANGLES:
@@ -104,25 +109,25 @@ def _is_whole_stl(path: Path) -> bool:
     return len(head) == STL_HEAD and path.stat().st_size >= STL_HEAD + STL_TRIANGLE * announced
 
 
+Triangles = tuple[FloatArray, IntArray]
+"""Vertices (n, 3), m, and faces (m, 3)."""
+
 READ = "read"
 """Kind under which the disk cache keeps the triangles of files."""
 
 
-def _read_once(path: Path) -> tuple[FloatArray, IntArray]:
-    """As ``_read``, kept in the disk cache: loading trimesh alone takes 0.5 s of CPU.
+def _kept(kind: str, path: Path, make: Callable[[Path], Triangles], more: str = "") -> Triangles:
+    """What is made of a file's content, kept in the disk cache under the content's digest.
 
-    A file of these formats holds all of its triangles, so its content is the key.
+    Loading trimesh alone takes 0.5 s of CPU. A file of these formats holds all of its triangles.
     """
-    try:
-        content = path.read_bytes()
-    except OSError:  # the reader says what is wrong
-        return _read(path)
-    key = _key_of(path, content)
-    known = read_arrays(READ, key)
+    made_with = f"trimesh {metadata.version('trimesh')};{path.suffix.lower()};{more}"
+    key = hashlib.sha256(made_with.encode() + path.read_bytes()).hexdigest()
+    known = read_arrays(kind, key)
     if known is not None and _are_triangles(known):
         return known["vertices"], known["faces"].astype(np.int64, copy=False)
-    vertices, faces = _read(path)
-    write_arrays(READ, key, {"vertices": vertices, "faces": faces})
+    vertices, faces = make(path)
+    write_arrays(kind, key, {"vertices": vertices, "faces": faces})
     return vertices, faces
 
 
@@ -136,13 +141,7 @@ def _are_triangles(known: dict[str, FloatArray]) -> bool:
     return bool(faces.min() >= 0 and faces.max() < len(vertices))
 
 
-def _key_of(path: Path, content: bytes, more: str = "") -> str:
-    """The digest of a file's content, its format and the version that reads it."""
-    made_with = f"trimesh {metadata.version('trimesh')};{path.suffix.lower()};{more}"
-    return hashlib.sha256(made_with.encode() + content).hexdigest()
-
-
-def _read(path: Path) -> tuple[FloatArray, IntArray]:
+def _read(path: Path) -> Triangles:
     broken = ObjectError(
         f"{path.name} cannot be read as {path.suffix.lower()}: it is neither binary nor text "
         "of that format, or it is cut short; export it again"
@@ -153,6 +152,7 @@ def _read(path: Path) -> tuple[FloatArray, IntArray]:
         # read_mesh refuses vertices that are not finite
         with np.errstate(invalid="ignore"):
             mesh = _loaded(path)
+            mesh.merge_vertices(merge_tex=True, merge_norm=True)
             vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces)
     except ImportError as fault:  # bytes of no known encoding send trimesh looking for a detector
         raise broken from fault
@@ -174,14 +174,13 @@ def _read(path: Path) -> tuple[FloatArray, IntArray]:
 
 
 def _loaded(path: Path) -> Any:
-    """As trimesh has it, equal vertices merged."""
+    """As trimesh has it, all objects in one mesh."""
     # imported here: primitives need no trimesh, and its import takes 0.1 s of CPU
     import trimesh
 
     mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
     if isinstance(mesh, trimesh.Scene):
         mesh = mesh.to_mesh()
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)
     return mesh
 
 
@@ -219,26 +218,31 @@ def converted_mesh(path: Path, most: int = 0) -> tuple[FloatArray, IntArray]:
         ModelError: It cannot be read, holds no triangles, or Collada needs a package that is
             missing.
     """
-    key = _key_of(path, path.read_bytes(), f"{most};" if most else "")
-    known = read_arrays(CONVERTED, key)
-    if known is not None and {"vertices", "faces"} <= set(known):
-        return known["vertices"], known["faces"].astype(np.int64)
-    vertices, faces = _read_link(path)
-    if most:
-        from planner.shapes.meshes.simplify import simplified
 
-        vertices, faces, _ = simplified(vertices, faces, most)
-    write_arrays(CONVERTED, key, {"vertices": vertices, "faces": faces})
-    return vertices, faces
+    def made(file: Path) -> Triangles:
+        vertices, faces = _read_link(file)
+        if most:
+            from planner.shapes.meshes.simplify import simplified
+
+            vertices, faces, _ = simplified(vertices, faces, most)
+        return vertices, faces
+
+    return _kept(CONVERTED, path, made, f"{most};" if most else "")
 
 
-def _read_link(path: Path) -> tuple[FloatArray, IntArray]:
+def _read_link(path: Path) -> Triangles:
+    from trimesh.units import unit_conversion  # here, as in ``_loaded``
+
     try:
-        mesh = _loaded_link(path)
+        mesh = _loaded(path)
+        if path.suffix.lower() == ".stl":
+            mesh.merge_vertices()  # the format repeats each corner
+        if path.suffix.lower() == ".dae" and mesh.units is not None:
+            mesh.apply_scale(unit_conversion(mesh.units, "meters"))
         vertices = np.array(mesh.vertices, dtype=np.float64)
         faces = np.array(mesh.faces, dtype=np.int64)
     except Exception as fault:  # trimesh's readers raise whatever the bytes provoke
-        if path.suffix.lower() == ".dae" and not _installed("pycollada"):
+        if path.suffix.lower() == ".dae" and find_spec("collada") is None:
             raise ModelError(
                 f"{path} is a Collada file, which needs a package that is not installed; "
                 "pip install pycollada"
@@ -250,25 +254,3 @@ def _read_link(path: Path) -> tuple[FloatArray, IntArray]:
     if len(faces) == 0 or not np.isfinite(vertices).all():
         raise ModelError(f"{path} holds no triangles of finite size; export it again")
     return vertices, faces
-
-
-def _loaded_link(path: Path) -> Any:
-    # imported here: models without such meshes need no trimesh, whose import takes 0.1 s of CPU
-    import trimesh
-
-    mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
-    if isinstance(mesh, trimesh.Scene):
-        mesh = mesh.to_mesh()
-    if path.suffix.lower() == ".stl":
-        mesh.merge_vertices()  # the format repeats each corner
-    if path.suffix.lower() == ".dae" and mesh.units is not None:
-        mesh.apply_scale(trimesh.units.unit_conversion(mesh.units, "meters"))
-    return mesh
-
-
-def _installed(distribution: str) -> bool:
-    try:
-        metadata.version(distribution)
-    except metadata.PackageNotFoundError:
-        return False
-    return True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -45,29 +44,19 @@ class SplineTables(NamedTuple):
 
 def spline_tables(field: DistanceField) -> SplineTables:
     """The levels of a field in flat arrays; for one run at a time."""
-    return _tables(field)._replace(weights=np.zeros(36), found=np.zeros(10))
-
-
-@lru_cache(maxsize=8)
-def _tables(field: DistanceField) -> SplineTables:
-    levels = field.levels
-    shapes = np.array([level.coefficients.shape for level in levels])
-    lower = np.array([level.lower for level in levels])
-    upper = np.array([level.upper for level in levels])
-    strides = [shapes[:, 1] * shapes[:, 2], shapes[:, 2], np.ones(len(levels), dtype=np.int64)]
+    t = field.tables
     return SplineTables(
-        flat=field.flat,
-        # cell k of a level lies between its nodes k + 1 and k + 2
-        first=np.array([level.first + 1 for level in levels], dtype=np.float64),
-        inverse=np.array([1.0 / level.spacing for level in levels]),
-        last_cell=shapes - 4,
-        strides=np.ascontiguousarray(np.stack(strides, axis=1)),
-        start=np.concatenate([[0], np.cumsum(shapes.prod(axis=1))[:-1]]),
-        centre=(lower + upper) / 2,
-        reach=(upper - lower) / 2,
+        flat=t.flat,
+        first=t.first,
+        inverse=t.inverse[:, 0],
+        last_cell=t.last_cell,
+        strides=t.strides,
+        start=t.start,
+        centre=t.centre[:, 0],
+        reach=t.reach[:, 0],
         far_radius=float(field.far_radius),
-        weights=np.zeros(0),
-        found=np.zeros(0),
+        weights=np.zeros(36),
+        found=np.zeros(10),
     )
 
 

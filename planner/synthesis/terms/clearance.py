@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from copy import copy
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -53,8 +52,9 @@ from planner.synthesis.terms.hand_points import (
     Rows,
     move,
     point_row,
+    side_by_side,
 )
-from planner.synthesis.terms.term import ActiveRows, Role, Row, SphereClearance, Term
+from planner.synthesis.terms.term import ActiveRows, Role, Row, RowSource, SphereClearance, Term
 from planner.synthesis.unknowns import mrp_rates
 from planner.system.threads import built
 
@@ -236,11 +236,10 @@ def _distance(g: GraspSymbols, term: Term, size: int) -> Any:
         ) from error
 
 
-class Clearances:
-    """The clearances of one hand, finger set and kind of shape: a ``RowSource``.
+class Clearances(RowSource):
+    """The clearances of one hand, finger set and kind of shape.
 
     Attributes:
-        outputs, rows: See ``RowSource``.
         surfaces: The rows, surface by surface.
         sets: The distinct sets of spheres.
         set_of: Which set each surface's spheres are.
@@ -266,22 +265,27 @@ class Clearances:
             HandPoints(g.hand, g.unknowns, [b.joint_id for b in spheres]) for spheres in self.sets
         ]
         placed = [[g.place(b.joint_id, b.center) for b in spheres] for spheres in self.sets]
-        self.outputs: dict[str, Any] = {
+        self.outputs = {
             "columns": g.symbolic.joint_columns(),
             "rotation": g.rotation.T,
         }
         for k, spheres in enumerate(self.sets):
             local = [g.symbolic.point(b.joint_id, b.center) for b in spheres]
-            self.outputs[f"local{k}"] = _columns(local)
-            self.outputs[f"placed{k}"] = _columns(placed[k])
+            self.outputs[f"local{k}"] = side_by_side(local)
+            self.outputs[f"placed{k}"] = side_by_side(placed[k])
         for k, s in enumerate(surfaces):
             if s.distance is not None:
                 found = [s.distance(s.numbers, point) for point in placed[self.set_of[k]]]
                 self.outputs[f"distances{k}"] = ca.horzcat(*[v for v, _ in found])
                 self.outputs[f"slopes{k}"] = ca.horzcat(*[v for _, v in found])
-        self.rows: Mapping[Term, tuple[Row, ...]] = {
+        self._rows = {
             term: tuple(row for s in surfaces if s.term is term for row in s.rows) for term in terms
         }
+
+    @property
+    def rows(self) -> dict[Term, tuple[Row, ...]]:
+        """See ``RowSource``."""
+        return self._rows
 
     @property
     def expressions(self) -> dict[Term, Any]:
@@ -298,14 +302,6 @@ class Clearances:
             looked_up = any(s.term is term and s.distance is None for s in self.surfaces)
             out[term] = None if looked_up else ca.vertcat(*parts)
         return out
-
-    def clone(self) -> Clearances:
-        """The same with parameters and results of its own."""
-        return copy(self)
-
-    def receive(self, results: dict[str, FloatArray]) -> None:
-        """See ``RowSource``."""
-        self._found = results
 
     @built
     def _settings(self) -> Any:
@@ -374,10 +370,6 @@ class Clearances:
         gaps[near] = found[:, 0] - radius - margin
         bad = gaps[near] < 0.0
         return gaps, near[bad], found[bad, 1:4]
-
-
-def _columns(points: list[Any]) -> Any:
-    return ca.horzcat(*points) if points else ca.SX(3, 0)
 
 
 class ClearanceTables(NamedTuple):

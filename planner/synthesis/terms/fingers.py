@@ -6,8 +6,6 @@ that can meet have a row. Derivatives are computed for the violated ones alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from copy import copy
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -27,8 +25,16 @@ from planner.synthesis.link_capsules import (
 )
 from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.contact import PER_METRE
-from planner.synthesis.terms.hand_points import HandAt, HandPoints, Joints, Rows, end_row, move
-from planner.synthesis.terms.term import ActiveRows, Role, Row, Term
+from planner.synthesis.terms.hand_points import (
+    HandAt,
+    HandPoints,
+    Joints,
+    Rows,
+    end_row,
+    move,
+    side_by_side,
+)
+from planner.synthesis.terms.term import ActiveRows, Role, Row, RowSource, Term
 
 FINGERS = Term(
     name="fingers",
@@ -42,11 +48,10 @@ FINGERS = Term(
 )
 
 
-class FingerCapsules:
-    """Distances between fingers of one hand: a ``RowSource``.
+class FingerCapsules(RowSource):
+    """Distances between fingers of one hand.
 
     Attributes:
-        outputs, rows: See ``RowSource``.
         capsules: Of all fingers.
         pairs: Those that avoid each other (n_pairs, 2).
     """
@@ -62,31 +67,24 @@ class FingerCapsules:
         self.pairs = np.array(collision_pairs(g.hand), dtype=np.int64).reshape(-1, 2)
         self._points = HandPoints(g.hand, g.unknowns, [c.joint_id for c in self.capsules])
         point = g.symbolic.point
-        self.outputs: dict[str, Any] = {
-            "inner": _columns([point(c.joint_id, c.inner) for c in self.capsules]),
-            "outer": _columns([point(c.joint_id, c.outer) for c in self.capsules]),
+        self.outputs = {
+            "inner": side_by_side([point(c.joint_id, c.inner) for c in self.capsules]),
+            "outer": side_by_side([point(c.joint_id, c.outer) for c in self.capsules]),
             "rooms": ca.horzcat(*_between_fingers(g)),
             "columns": g.symbolic.joint_columns(),
         }
+
+    @property
+    def rows(self) -> dict[Term, tuple[Row, ...]]:
+        """See ``RowSource``."""
         names = [c.finger for c in self.capsules]
-        self.rows: Mapping[Term, tuple[Row, ...]] = {
-            FINGERS: tuple(
-                FINGERS.row((names[i], names[j]), k) for k, (i, j) in enumerate(self.pairs.tolist())
-            )
-        }
+        pairs = enumerate(self.pairs.tolist())
+        return {FINGERS: tuple(FINGERS.row((names[i], names[j]), k) for k, (i, j) in pairs)}
 
     @property
     def expressions(self) -> dict[Term, Any]:
         """All rows (n_pairs,) as expressions."""
         return {FINGERS: self.outputs["rooms"].T}
-
-    def clone(self) -> FingerCapsules:
-        """See ``RowSource``."""
-        return copy(self)
-
-    def receive(self, results: dict[str, FloatArray]) -> None:
-        """See ``RowSource``."""
-        self._found = results
 
     def set_parameters(self, values: dict[str, FloatArray], field: Field | None) -> None:
         """See ``RowSource``."""
@@ -114,10 +112,6 @@ class FingerCapsules:
         rows = np.zeros((len(bad), self._symbols.unknowns.size))
         self._symbols.unknowns.q(rows.T)[:] = rates.T
         return [ActiveRows(FINGERS, rooms[bad], rows, bad)]
-
-
-def _columns(points: list[Any]) -> Any:
-    return ca.horzcat(*points) if points else ca.SX(3, 0)
 
 
 def _between_fingers(g: GraspSymbols) -> list[Any]:

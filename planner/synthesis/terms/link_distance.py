@@ -12,9 +12,8 @@ stands still does not move (``planner.synthesis.terms.clearance`` has the same r
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from planner.spatial import SE3, FloatArray, IntArray
 from planner.synthesis.field_points import Field
 from planner.synthesis.terms.contact import PER_METRE
 from planner.synthesis.terms.hand_points import Rows, end_row
-from planner.synthesis.terms.term import ActiveRows, Role, Row, Term
+from planner.synthesis.terms.term import ActiveRows, Role, Row, RowSource, Term
 from planner.synthesis.unknowns import Unknowns, mrp_rates
 
 LEAST_DISTANCE = 0.0015
@@ -74,16 +73,12 @@ class LinkDistances:
     urgent: bool
 
 
-class TrueLinks:
-    """The linearised distances that are constrained at present: a ``RowSource``.
-
-    Attributes:
-        outputs: See ``RowSource``.
-    """
+class TrueLinks(RowSource):
+    """The linearised distances that are constrained at present."""
 
     def __init__(self, hand: Hand) -> None:
         """Begin with none."""
-        self.outputs: dict[str, Any] = {}
+        self.outputs = {}
         self._hand = hand
         self._kept: LinkDistances | None = None
 
@@ -95,13 +90,6 @@ class TrueLinks:
         joints = self._kept.joints.tolist() if self._kept is not None else []
         about = [tuple(dict.fromkeys(finger[j] for j in pair if j in finger)) for pair in joints]
         return {LINKS: tuple(LINKS.row(names, k) for k, names in enumerate(about))}
-
-    def clone(self) -> TrueLinks:
-        """See ``RowSource``."""
-        return copy(self)
-
-    def receive(self, results: dict[str, FloatArray]) -> None:
-        """See ``RowSource``."""
 
     def set_parameters(self, values: dict[str, FloatArray], field: Field | None) -> None:
         """See ``RowSource``."""

@@ -12,8 +12,17 @@ from planner.synthesis.objectives.registry import OBJECTIVES
 from planner.synthesis.terms.clearance import OBJECT, OBSTACLE, TABLE
 from planner.synthesis.terms.contact import ALONG, CENTER, EDGE, FACING, SURFACE, TOUCH
 from planner.synthesis.terms.fingers import FINGERS
-from planner.synthesis.terms.forces import BALANCE, CONE, FORCES, LEVEL, PRESS, STOP
-from planner.synthesis.terms.joints import ARM, COUPLING, POSTURE
+from planner.synthesis.terms.forces import (
+    ARM,
+    BALANCE,
+    CONE,
+    COUPLING,
+    FORCES,
+    LEVEL,
+    POSTURE,
+    PRESS,
+    STOP,
+)
 from planner.synthesis.terms.link_distance import LINKS
 from planner.synthesis.terms.resistance import RESISTANCE
 from planner.synthesis.terms.term import Role, Term

@@ -13,10 +13,12 @@ differentiated at every evaluation.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Self
 
 import casadi as ca
 
@@ -233,7 +235,7 @@ class ActiveRows(NamedTuple):
     numbers: IntArray
 
 
-class RowSource(Protocol):
+class RowSource(ABC):
     """Computes rows of one or more terms.
 
     Attributes:
@@ -243,18 +245,19 @@ class RowSource(Protocol):
     outputs: dict[str, Any]
 
     @property
+    @abstractmethod
     def rows(self) -> Mapping[Term, tuple[Row, ...]]:
         """The terms, and the names of all rows that each has at present."""
-        ...
 
-    def clone(self) -> RowSource:
+    def clone(self) -> Self:
         """The same with parameters and results of its own."""
-        ...
+        return copy(self)
 
     def receive(self, results: dict[str, FloatArray]) -> None:
         """Arrays that hold the transposed ``outputs`` after every evaluation, row by row."""
-        ...
+        self._found = results
 
+    @abstractmethod
     def set_parameters(self, values: dict[str, FloatArray], field: Field | None) -> None:
         """Numbers for the calls that follow.
 
@@ -262,11 +265,10 @@ class RowSource(Protocol):
             values: Parameters by name, see ``Formulation``.
             field: The distance field of a mesh.
         """
-        ...
 
+    @abstractmethod
     def __call__(self, x: FloatArray) -> list[ActiveRows]:
         """The rows that count at x (n,), for which the outputs have been computed."""
-        ...
 
 
 def names_of(active: ActiveRows, rows: Mapping[Term, tuple[Row, ...]]) -> list[Row]:
