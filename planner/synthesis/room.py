@@ -35,6 +35,7 @@ def with_room(options: SynthesisOptions, task: GraspTask) -> SynthesisOptions:
         return options
     return replace(
         options,
+        clear_object=options.clear_object + ROOM_DEVIATIONS * deviation,
         clear_fingers=options.clear_fingers + ROOM_DEVIATIONS * deviation,
         clear_table=options.clear_table + TABLE_DEVIATIONS * deviation,
     )
