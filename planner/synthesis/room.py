@@ -22,8 +22,8 @@ ROOM_DEVIATIONS, TABLE_DEVIATIONS = 1.0, 2.0
 """Standard deviations of a fingertip's place that the room between fingers and of links from the
 object has, and that above table and obstacles (-). A tip that comes down on the table ends a trial:
 of 17 holds of the Shadow-type hand under ``rough`` 9 succeeded with one, and 13 with two
-(development draws). A link that comes down on the object's rim was behind six of six stalled turns
-that were looked at (development draws)."""
+(development draws). A link that came down on the object's rim was found in six of six failed
+turns that were taken apart (development draws)."""
 
 
 def with_room(options: SynthesisOptions, task: GraspTask) -> SynthesisOptions:
