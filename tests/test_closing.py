@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import mujoco
@@ -21,12 +22,15 @@ from planner.task import GraspTask
 from sim.controllers.closing import (
     CAREFUL_SPEED,
     EARLY,
+    MOST_WAY,
     SEARCH_REACH,
     SEARCH_SPEED,
+    WAY_SPEED,
     GuardedClosing,
     SearchDirection,
     search_directions,
 )
+from sim.controllers.grasp import GraspController
 
 DT, STEPS = 0.002, 250
 
@@ -106,6 +110,38 @@ def test_a_held_finger_follows_an_object_that_moves_off(plan: GraspPlan) -> None
     after = close(closing, plan, range(130, 230), q=at)[-1]  # 0.2 s without touch
     moved = pads(plan, after) - pads(plan, before)
     assert moved[0] == pytest.approx(SEARCH_SPEED * 0.2, rel=0.4)
+
+
+def test_a_finger_that_touches_on_the_way_in_opens_until_it_is_free(plan: GraspPlan) -> None:
+    controller = GraspController(plan)
+    opened = pads(plan, plan.q_pregrasp)
+    caught = np.zeros(len(plan.task.fingers))
+    caught[0] = 0.5
+
+    def come(force: FloatArray, steps: range) -> FloatArray:
+        for k in steps:
+            controller.step(replace(observe(plan, "approach", 1.0, force=force), time=DT * k))
+        return opened - pads(plan, controller.q_ref)
+
+    np.testing.assert_array_equal(come(0.0 * caught, range(1, 10)), 0.0)
+    assert controller.q_ref.tobytes() == plan.q_pregrasp.tobytes()
+    gone = come(caught, range(10, 60))  # 0.1 s
+    assert gone[0] == pytest.approx(0.1 * WAY_SPEED, rel=0.2)
+    np.testing.assert_allclose(gone[1:], 0.0, atol=1e-12)
+    assert come(0.0 * caught, range(60, 100))[0] == gone[0]  # free again: it stays there
+    assert come(caught, range(100, 1000))[0] == pytest.approx(MOST_WAY, rel=0.2)
+
+
+def test_a_finger_that_touches_before_it_closes_is_not_held_there(plan: GraspPlan) -> None:
+    closing = GuardedClosing(plan)
+    close(closing, plan, range(10), touching=(0,), q=plan.q_pregrasp)
+    assert not closing.careful
+    last = close(closing, plan, range(10, 400))[-1]  # free: it closes as planned
+    np.testing.assert_allclose(pads(plan, last)[0], pads(plan, plan.q)[0], atol=0.008)
+    # one that cannot open any further has touched, early
+    stuck = GuardedClosing(plan)
+    close(stuck, plan, range(round(MOST_WAY / WAY_SPEED / DT) + 5), touching=(0,), q=halfway(plan))
+    assert stuck.careful
 
 
 def test_a_late_finger_searches_slowly_then_faster_and_not_for_ever(plan: GraspPlan) -> None:

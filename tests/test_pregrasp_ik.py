@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -57,6 +58,17 @@ def test_pads_move_back_along_the_normals(plan: GraspPlan, opening: float) -> No
     assert world.is_clear(
         plan.T_world_base, q, environment=0.5 * OPEN_CLEARANCE, fingers=0.5 * FINGER_CLEARANCE
     )
+
+
+def test_joints_that_may_be_off_keep_the_opened_hand_farther_away(plan: GraspPlan) -> None:
+    normals, least = plan.contacts.normals, []
+    for error in (0.0, float(np.deg2rad(3.0))):
+        world = CollisionWorld(replace(plan.task, joint_error=error))
+        q = PregraspIk(world, plan.T_world_base, plan.q, normals).solve(PREGRASP_DISTANCES[0])
+        assert q is not None
+        near = world.near(plan.T_world_base, q, 0.05)
+        least.append(near.distances[near.hand_environment].min())
+    assert least[1] > least[0] + 1e-3
 
 
 def test_where_nothing_is_in_the_way_it_is_the_least_squares_solution() -> None:

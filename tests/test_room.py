@@ -50,13 +50,15 @@ def test_reach_is_what_random_errors_of_the_joints_do_to_a_pad(name: str) -> Non
 @given(error=st.floats(0.0, 0.2))
 @settings(deadline=None)  # the first example finds the reach
 def test_margins_grow_by_standard_deviations_of_a_tip(allegro: Hand, error: float) -> None:
-    options = SynthesisOptions(clear_fingers=0.001, clear_table=0.004)
+    options = SynthesisOptions(clear_object=0.002, clear_fingers=0.001, clear_table=0.004)
     task = GraspTask.create(allegro, "sphere", joint_error=error)
     roomy = with_room(options, task)
     room = error * tip_reach(allegro)
+    assert roomy.clear_object == pytest.approx(0.002 + room)
     assert roomy.clear_fingers == pytest.approx(0.001 + room)
     assert roomy.clear_table == pytest.approx(0.004 + 2.0 * room)  # a tip on the table ends a trial
-    assert replace(roomy, clear_fingers=0.001, clear_table=0.004) == options
+    before = {"clear_object": 0.002, "clear_fingers": 0.001, "clear_table": 0.004}
+    assert replace(roomy, **before) == options
     assert (roomy is options) == (room == 0.0)
 
 

@@ -23,6 +23,7 @@ from planner.collision.world import CollisionWorld, NearPairs
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.point_motion import point_jacobians
+from planner.kinematics.state import tip_reach
 from planner.numerics.ik_step import Barrier, Task, constrained_ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 
@@ -35,7 +36,8 @@ POSTURE_WEIGHT = 0.05
 """Cost of moving a joint by one radian against missing all of the distance (-)."""
 
 OPEN_CLEARANCE = 0.003
-"""Distance (m) that the opened hand keeps from object, table and obstacles, where it can."""
+"""Distance (m) that the opened hand keeps from object, table and obstacles, where it can; more by a
+standard deviation of a pad's place where joints may be off."""
 
 FINGER_CLEARANCE = 0.002
 """Distance (m) that it keeps from itself, where it can."""
@@ -137,6 +139,7 @@ class PregraspIk:
             moved[held] = False
         self._free = np.flatnonzero(moved)
         self._held = self._matrix[:, self._free]
+        self._clear = OPEN_CLEARANCE + world.task.joint_error * tip_reach(hand)
 
     def solve(self, distance: float) -> FloatArray | None:
         """Joints (nq,) with the pads back along the normals (m); None if limits forbid it.
@@ -145,7 +148,7 @@ class PregraspIk:
         """
         q = self._descend(self._grasp, distance, None)
         if q is not None:
-            clear = {"environment": OPEN_CLEARANCE, "fingers": FINGER_CLEARANCE}
+            clear = {"environment": self._clear, "fingers": FINGER_CLEARANCE}
             if not self._world.is_clear(self._T_world_base, q, **clear):
                 near = self._world.near(self._T_world_base, q, SEEN)
                 q = self._descend(q, distance, near)
@@ -203,7 +206,7 @@ class PregraspIk:
     def _near(self, q: FloatArray, near: NearPairs) -> tuple[FloatArray, FloatArray]:
         """By how much distances that can be changed are too small (k,), m, and rates (k, nq)."""
         rates = near.rates(self._state)
-        short = np.where(near.hand_environment, OPEN_CLEARANCE, FINGER_CLEARANCE) - near.distances
+        short = np.where(near.hand_environment, self._clear, FINGER_CLEARANCE) - near.distances
         moving = np.abs(rates[:, self._free]).max(axis=1, initial=0.0) > STILL
         return short[moving], rates[moving]
 

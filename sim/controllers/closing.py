@@ -1,7 +1,9 @@
 """``GuardedClosing``: moves every finger until it touches, wherever its encoders say that it is.
 
 Called by ``GraspController`` in the phase "close". A finger goes from pre-grasp to grasp; where it
-touches it stays, and one that arrives without touching goes on along its contact normal.
+touches it stays, and one that arrives without touching goes on along its contact normal. One that
+touches before it closes, as a link that comes down on the object's rim, opens further until it is
+free.
 
 Joints that are off bring one finger to the object millimetres before the others. What cannot be the
 object's place, a touch more than ``EARLY`` before the planned one, tells of that, and from then on
@@ -96,6 +98,10 @@ SEARCH_REACH = 0.02
 of 0.1 + 0.06 + 0.03 m of joints that are off by 3 degrees each are 12 mm, and the object is off as
 well."""
 
+WAY_SPEED, MOST_WAY = 0.1, 0.02
+"""Speed (m/s) along the normal with which a finger opens that touches before it closes, about that
+of the hand on its way in, and how far (m): as ``SEARCH_REACH``."""
+
 LEAST_GAP = 0.002
 """Distance (m) from its neighbour, by the joints, within which a finger does not search towards it:
 what plans leave between fingers."""
@@ -136,7 +142,7 @@ class GuardedClosing:
         self._search, self._along = np.zeros((2, n, plan.task.hand.nq))
         for i, one in enumerate(self._directions):
             self._search[i, one.index], self._along[i, one.index] = one.straight, one.along
-        self._share, self._reach, self._follows = np.zeros((3, n))
+        self._share, self._reach, self._follows, self._way = np.zeros((4, n))
         self._moved = np.zeros_like(self._search)  # by searching, rad
         way = np.abs(self._along @ (plan.q - plan.q_pregrasp))
         self._careful_rate = CAREFUL_SPEED / np.maximum(way, CAREFUL_SPEED / CLOSE_RATE)
@@ -145,12 +151,25 @@ class GuardedClosing:
         self._neighbours = Neighbours(plan.task.hand, self._fingers)
         self.careful = plan.task.object.belief is not None  # its place is known to millimetres
 
+    def make_way(self, elapsed: float, observation: Observation) -> FloatArray:
+        """Pre-grasp posture (nq,), further open where fingers that have not closed touch."""
+        early = self._early(observation)
+        self._way[early] = np.minimum(MOST_WAY, self._way + WAY_SPEED * elapsed)[early]
+        return np.asarray(self._plan.q_pregrasp - self._way @ self._search)
+
+    def _early(self, observation: Observation) -> NDArray[np.bool_]:
+        """Which fingers (n,) touch before they close, and can open further."""
+        touching = observation.normal_forces >= TOUCH_FORCE
+        waits = self._searches & (self._share == 0.0) & (self._way < MOST_WAY)
+        return np.asarray(touching & waits & ~self._touched)
+
     def step(self, elapsed: float, observation: Observation) -> FloatArray:
         """Reference posture (nq,); advances every finger that does not touch."""
         plan = self._plan
         goal = float(minimum_jerk(np.asarray(observation.progress)))
         free = observation.normal_forces < TOUCH_FORCE
-        self._notice(~free & ~self._touched, observation.q)
+        opened = self.make_way(elapsed, observation)
+        self._notice(~free & ~self._touched & ~self._early(observation), observation.q)
         arrived = self._share >= 1.0
         rate = self._careful_rate if self.careful else CLOSE_RATE
         self._share[free] = np.minimum(goal, self._share + rate * elapsed)[free]
@@ -167,7 +186,7 @@ class GuardedClosing:
                 q[k] = self._held[i] + self._follows[i] * self._search[i, k]
                 self._reach[i], self._moved[i] = 0.0, 0.0
             else:
-                q[k] = plan.q_pregrasp[k] + share * (plan.q[k] - plan.q_pregrasp[k])
+                q[k] = opened[k] + share * (plan.q[k] - opened[k])
         return np.asarray(q + self._moved.sum(axis=0))
 
     def _go_on(self, i: int, step: float, q: FloatArray) -> None:

@@ -91,6 +91,10 @@ class Reclosing:
         """Whether a touch came too early for exact joints."""
         return self._closing.careful
 
+    def make_way(self, elapsed: float, observation: Observation) -> FloatArray:
+        """Reference posture (nq,) on the way in."""
+        return self._closing.make_way(elapsed, observation)
+
     def step(self, elapsed: float, observation: Observation) -> FloatArray:
         """Reference posture (nq,)."""
         if self.again:
@@ -223,6 +227,7 @@ class GraspController:
         if observation.phase == "close":
             self.q_ref = self._closing.step(elapsed, observation)
         elif observation.phase == "approach":
+            self._come(elapsed, observation)
             if self._feels and observation.normal_forces.any():
                 self.refused = "a finger felt the object on the way in"
         else:
@@ -260,6 +265,10 @@ class GraspController:
     def closing(self) -> bool:
         """Whether the closing goes on though all fingers touch."""
         return self._closing.busy
+
+    def _come(self, elapsed: float, observation: Observation) -> None:
+        """On the way in: fingers that touch make way."""
+        self.q_ref = self._closing.make_way(elapsed, observation)
 
     def _take(self, contacts: ContactSet) -> None:
         """Press by contacts in the object's frame, with their forces, from now on."""
@@ -316,6 +325,9 @@ class Opening(GraspController):
     """Opens fingers from where they are to their pre-grasp, and keeps them there."""
 
     _closed: FloatArray | None = None
+
+    def _come(self, elapsed: float, observation: Observation) -> None:
+        """Nothing: the fingers open whether they touch or not."""
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
