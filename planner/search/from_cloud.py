@@ -315,12 +315,13 @@ def _verified(plan: GraspPlan, belief: Belief, moved: SE3) -> GraspPlan | Failur
 
 def _widened(belief: Belief, shift: float) -> SynthesisOptions:
     """Margins for a surface and a pose, off by a shift (m), that are uncertain."""
-    room = min(float(np.median(belief.deviations)) + shift, ROOM)
+    surface = float(np.median(belief.deviations))
     usual = SynthesisOptions()
     return replace(
         usual,
-        clear_object=usual.clear_object + room,
-        clear_table=usual.clear_table + room,
+        clear_object=usual.clear_object + min(surface + shift, ROOM),
+        # along the table nothing comes nearer to it, and low objects leave no room below fingers
+        clear_table=usual.clear_table + min(surface, ROOM),
         cone_share=CONE_SHARE,
     )
 
