@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from planner.clouds.cloud import PointCloud, prepared
+from planner.clouds.hollow import lidded
 from planner.clouds.sight import Grid, Hypothesis, Sight, hypotheses
 from planner.errors import ObjectError
 from planner.shapes import Mesh
@@ -59,6 +60,10 @@ BAND = 2.0
 CERTAIN = 0.0045
 """Standard deviation (m) of the surface up to which a finger may touch it: half of its pad."""
 
+ON_LID = 0.004
+"""Distance (m) from points of a lid within which a finger would touch it: its points are as dense
+as those of a camera."""
+
 SHIFT_STEPS, LEAST_SHIFT = 3, 1e-6
 """Gauss-Newton steps (-) to the shift that touches tell: over some millimetres a surface is nearly
 flat, so that a step leaves little; and least deviation (m) of a shift, for a finite weight."""
@@ -88,6 +93,7 @@ class Belief:
         places: Conditions (m, 3), m, in the cloud's frame.
         deviations: Their standard deviations (m,), m.
         before: Points (m, 3), m, ``BEFORE`` before the places, NaN where there is none.
+        lid: Points (k, 3), m, on the mouth of a hollow, where nothing is to be touched.
         length: Length scale of the process, m.
     """
 
@@ -100,6 +106,7 @@ class Belief:
     places: FloatArray
     deviations: FloatArray
     before: FloatArray
+    lid: FloatArray
     length: float
 
     @classmethod
@@ -110,7 +117,7 @@ class Belief:
             ObjectError: The cloud is not usable (``planner.clouds.cloud.prepared``), or explains no
                 solid.
         """
-        used = prepared(cloud)
+        used, lid = lidded(prepared(cloud))
         grid, sight, found = hypotheses(used)
         if not found:
             raise ObjectError(
@@ -129,6 +136,7 @@ class Belief:
             places=places,
             deviations=deviations,
             before=before,
+            lid=lid,
             length=max(LENGTH * longest, SHORTEST),
         )
 
@@ -180,8 +188,12 @@ class Belief:
         return np.asarray(np.sqrt(own + between) / np.clip(slope, LEAST_SLOPE, 1.0))
 
     def certain(self, points: FloatArray) -> FloatArray:
-        """Whether a finger may touch there, (n,): ``deviation`` is at most ``CERTAIN``."""
-        return np.asarray(self.deviation(np.asarray(points, dtype=np.float64)) <= CERTAIN)
+        """Whether a finger may touch there, (n,): ``deviation`` is at most ``CERTAIN``, no lid."""
+        p = np.asarray(points, dtype=np.float64)
+        good = self.deviation(p) <= CERTAIN
+        if len(self.lid):
+            good &= _distances(p + self.offset, self.lid).min(axis=1) > ON_LID
+        return np.asarray(good)
 
     def samples(self, points: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
         """Errors (count, n) of the process at points (n, 3), m, with their correlation."""
