@@ -47,7 +47,7 @@ def lidded(cloud: PointCloud) -> tuple[PointCloud, FloatArray]:
     top = float(np.percentile(points[:, 2], 98.0)) - cloud.noise
     least = max(RIM, RIM_NOISE * cloud.noise)
     rim = points[points[:, 2] > top - least, :2]
-    inside, mouth = _through(rim, top, points, cloud.views[cloud.view_of])
+    inside, mouth = through(rim, top, points, cloud.views[cloud.view_of])
     inside &= points[:, 2] < top - least
     deep = inside & (points[:, 2] < top - max(DEEP, DEEP_SHARE * (top - cloud.table)))
     if deep.mean() < HOLLOW or _gap(rim - mouth[deep].mean(axis=0)) > OPEN:
@@ -59,7 +59,7 @@ def lidded(cloud: PointCloud) -> tuple[PointCloud, FloatArray]:
     lid = np.column_stack([flat, np.full(len(flat), top)])
     # for every camera that looks in: some rays into a hollow come back without a depth
     looks_in = np.unique(cloud.view_of[inside])
-    outside = ~_through(rim, top, cloud.past, cloud.views[cloud.past_of])[0]  # a thin floor's
+    outside = ~through(rim, top, cloud.past, cloud.views[cloud.past_of])[0]  # a thin floor's
     note = f"{inside.sum()} points are in a hollow, which counts as filled"
     filled = replace(
         cloud,
@@ -78,7 +78,7 @@ def _gap(around: FloatArray) -> float:
     return float(np.diff(angles, append=angles[:1] + 2.0 * np.pi).max())
 
 
-def _through(
+def through(
     rim: FloatArray, top: float, points: FloatArray, eyes: FloatArray
 ) -> tuple[NDArray[np.bool_], FloatArray]:
     """Whether rays from eyes above to points (n, 3) go through a rim, and where, (n, 2)."""
