@@ -13,14 +13,16 @@ import numpy as np
 import pytest
 
 from planner import GraspObject, PointCloud, plan_from_cloud
-from planner.clouds.belief import CERTAIN, DIFFER, Belief
+from planner.clouds.belief import CERTAIN, DIFFER, LEAST_SLOPE, Belief
 from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
+from planner.clouds.hollow import lidded
 from planner.clouds.sight import _distance, _reflection
 from planner.errors import ObjectError, TaskError, UncertainError
 from planner.objects import parse_object
 from planner.search.from_cloud import CLEAR, CONE_SHARE, TABLE_MU, CloudPlan, _hits, _tips, _tried
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
+from sim.scan import scan
 
 CAMERA = np.array([0.42, 0.05, 0.36])
 BALL, RADIUS = np.array([0.0, 0.0, 0.035]), 0.035
@@ -124,6 +126,34 @@ def test_one_sigma_holds_two_thirds_of_the_seen_surface() -> None:
             off = np.abs(belief.mean(seen)) / np.maximum(slope, 0.5)
             shares.append(float(np.mean(off < belief.deviation(seen))))
     assert 0.60 <= np.mean(shares) <= 0.76
+
+
+@pytest.mark.parametrize("solid", SOLIDS)
+def test_the_level_rises_as_a_distance(solid: str) -> None:
+    item = believed(solid)
+    slope = np.linalg.norm(belief_of(item).gradient(split(solid, item)[0]), axis=1)
+    assert 0.8 < np.median(slope) < 1.1
+
+
+@pytest.mark.parametrize("views", [1, 2])
+def test_a_hollow_that_was_looked_into_counts_as_filled(views: int) -> None:
+    """A cup with walls of 2 mm, less than the noise of three points."""
+    seen = scan(parse_object("cup:0.025x0.07x0.002"), views=views, seed=5)
+    item = GraspObject.from_points(seen.cloud(table=0.0))
+    belief, pose = belief_of(item), seen.truth.T_world_object
+    outer = seen.truth.object.shape.half_extents[2]
+    axis = pose.translation + np.linspace(-0.5, 0.6, 9)[:, None] * outer * pose.rotation[:, 2]
+    assert (item.shape.signed_distance(axis - belief.offset) < -0.005).all()
+    assert not belief.certain(belief.lid - belief.offset).any() and len(belief.lid) > 300
+    on_lid = (belief.cloud.points[:, None] == belief.lid[:: len(belief.lid) // 9]).all(axis=2)
+    assert (on_lid.sum(axis=0) == views).all()
+
+
+@pytest.mark.parametrize("spec", ["sphere:0.035", "box:0.05x0.05x0.08", "lbracket"])
+def test_what_is_round_flat_or_open_to_a_side_is_no_hollow(spec: str) -> None:
+    cloud = prepared(scan(parse_object(spec), views=2, seed=5).cloud(table=0.0))
+    kept, lid = lidded(cloud)
+    assert kept is cloud and not len(lid)
 
 
 @pytest.mark.parametrize("solid", SOLIDS)
@@ -355,7 +385,8 @@ def test_far_from_what_was_seen_the_hypotheses_alone_are_uncertain() -> None:
     between = (weights * off**2).sum(axis=0)
     differ = between > (0.004**2)
     assert differ.any()
-    own = belief.deviation(far)[differ] ** 2 - between[differ]
+    slope = np.clip(np.linalg.norm(belief.gradient(far), axis=1), LEAST_SLOPE, 1.0)
+    own = (belief.deviation(far) * slope)[differ] ** 2 - between[differ]
     prior = belief._scale(far[differ] + belief.offset) ** 2
     assert (own > 0.2 * prior).all() and (own <= prior * (1.0 + 1e-9)).all()
 
@@ -365,7 +396,8 @@ def test_no_mesh_reaches_into_what_a_camera_saw_through() -> None:
     belief = belief_of(believed("ball"))
     large = [replace(h, distance=h.distance - 0.03) for h in belief.hypotheses]
     swollen = replace(belief, hypotheses=tuple(large), places=belief.places[:0],
-                      deviations=belief.deviations[:0], offset=np.zeros(3))  # fmt: skip
+                      deviations=belief.deviations[:0], before=belief.before[:0],
+                      offset=np.zeros(3))  # fmt: skip
     own, mesh = swollen.of_hypothesis(0)
     towards = (CAMERA - BALL) / np.linalg.norm(CAMERA - BALL)
     before, behind = BALL + 1.4 * RADIUS * towards, BALL - 1.4 * RADIUS * towards
@@ -385,7 +417,7 @@ def test_a_hand_in_another_hypothesis_is_noticed() -> None:
     plan, belief = found("box", 2).plan, found("box", 2).belief
     everywhere = replace(belief.hypotheses[0], distance=np.full(belief.grid.shape, -0.05))
     both = replace(belief, hypotheses=(*belief.hypotheses, everywhere), places=belief.places[:0],
-                   deviations=belief.deviations[:0])  # fmt: skip
+                   deviations=belief.deviations[:0], before=belief.before[:0])  # fmt: skip
     assert not _hits(plan, both, belief.chosen)
     assert _hits(plan, both, len(belief.hypotheses))
 
@@ -478,6 +510,17 @@ def test_the_next_plan_is_where_the_object_has_moved_to() -> None:
         assert np.allclose((new.task.T_world_object.inverse() * getattr(new, at)).homogeneous,
                            kept.homogeneous)  # fmt: skip
     assert following.survival == other.survival
+
+
+def test_grasps_are_planned_anew_when_none_is_left() -> None:
+    last = replace(found("box", 2), others=())
+    moved = SE3(np.eye(3), np.array([0.02, -0.01, 0.0]))
+    anew = last.after(np.zeros((0, 3)), moved)
+    assert anew is not None and anew.survival >= anew.survives
+    assert not np.allclose(anew.plan.q, last.plan.q)
+    for grasp, shift in ((last, np.zeros(3)), (anew, moved.translation)):
+        place = grasp.plan.task.T_world_object.translation
+        assert np.allclose(place, grasp.belief.offset + shift)
 
 
 def test_what_was_seen_beside_the_object_is_in_the_way() -> None:

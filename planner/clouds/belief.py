@@ -6,8 +6,10 @@ zero level of
     f_k(p) = F_k(p) + g(p),    g ~ GP(0, s(p) s(q) Matern52(|p - q| / l)),
 
 conditioned on f_k = 0, with the standard deviation that the cloud's own scatter gives, at a few
-hundred places where a quadric was fitted to the points around. The prior's s is small where all
-hypotheses agree and as large as they differ elsewhere: so is the standard deviation behind.
+hundred places where a quadric was fitted to the points around, and on f_k = ``BEFORE`` so far
+before each, so that f_k rises as a distance does and its deviation is one in metres. The prior's s
+is small where all hypotheses agree and as large as they differ elsewhere: so is the standard
+deviation behind.
 Where a camera saw through, f_k is positive whatever the process says.
 """
 
@@ -20,10 +22,11 @@ from typing import Any
 import numpy as np
 
 from planner.clouds.cloud import PointCloud, prepared
+from planner.clouds.hollow import lidded
 from planner.clouds.sight import Grid, Hypothesis, Sight, hypotheses
 from planner.errors import ObjectError
 from planner.shapes import Mesh
-from planner.spatial import SE3, FloatArray, contact_frames
+from planner.spatial import SE3, FloatArray, IntArray, contact_frames
 
 CONDITIONS = 320
 """Places at which the process is conditioned, about."""
@@ -31,8 +34,16 @@ CONDITIONS = 320
 CLOSEST, WINDOW = 0.0035, 1.4
 """Least distance (m) of these places, and radius of the fit around each over their distance."""
 
+CORRELATED = 1.4
+"""Deviation of a fit over that of independent points (-): pixels of a stereo camera share matching
+windows. Set on scans; without it 60 % of the seen surface are within one deviation."""
+
 FLOOR = 0.0004
 """Least standard deviation (m) of a place: what a quadric of some millimetres leaves out."""
+
+BEFORE = 0.004
+"""Distance (m) before a place at which the level is this distance: within what the ray of a camera
+went through, and far enough that the scatter of places does not tilt it."""
 
 AGREED = 0.003
 """Prior standard deviation (m) of the surface where all hypotheses agree."""
@@ -49,6 +60,10 @@ BAND = 2.0
 CERTAIN = 0.0045
 """Standard deviation (m) of the surface up to which a finger may touch it: half of its pad."""
 
+ON_LID = 0.004
+"""Distance (m) from points of a lid within which a finger would touch it: its points are as dense
+as those of a camera."""
+
 SHIFT_STEPS, LEAST_SHIFT = 3, 1e-6
 """Gauss-Newton steps (-) to the shift that touches tell: over some millimetres a surface is nearly
 flat, so that a step leaves little; and least deviation (m) of a shift, for a finite weight."""
@@ -56,6 +71,9 @@ flat, so that a step leaves little; and least deviation (m) of a shift, for a fi
 TOUCH = 0.002
 """Standard deviation (m) of the place of a touch: of a tip 10 cm from joints that are off by 1
 degree each."""
+
+LEAST_SLOPE = 0.5
+"""Slope (-) of the mean below which it tells of no distance any more: between two surfaces."""
 
 STEP = 0.003
 """Distance (m) over which slopes of the surface are taken: half of a fingertip's contact."""
@@ -74,6 +92,8 @@ class Belief:
         chosen: Which of them the object's mesh has.
         places: Conditions (m, 3), m, in the cloud's frame.
         deviations: Their standard deviations (m,), m.
+        before: Points (m, 3), m, ``BEFORE`` before the places, NaN where there is none.
+        lid: Points (k, 3), m, on the mouth of a hollow, where nothing is to be touched.
         length: Length scale of the process, m.
     """
 
@@ -85,6 +105,8 @@ class Belief:
     chosen: int
     places: FloatArray
     deviations: FloatArray
+    before: FloatArray
+    lid: FloatArray
     length: float
 
     @classmethod
@@ -95,14 +117,14 @@ class Belief:
             ObjectError: The cloud is not usable (``planner.clouds.cloud.prepared``), or explains no
                 solid.
         """
-        used = prepared(cloud)
+        used, lid = lidded(prepared(cloud))
         grid, sight, found = hypotheses(used)
         if not found:
             raise ObjectError(
                 "no solid explains the cloud: its views see through one another's points; check "
                 "that the views are in one frame, or give a larger noise"
             )
-        places, deviations = fitted_places(used)
+        places, deviations, before = fitted_places(used)
         longest = float(np.ptp(used.points, axis=0).max())
         return cls(
             cloud=used,
@@ -113,6 +135,8 @@ class Belief:
             chosen=0,
             places=places,
             deviations=deviations,
+            before=before,
+            lid=lid,
             length=max(LENGTH * longest, SHORTEST),
         )
 
@@ -150,7 +174,8 @@ class Belief:
     def deviation(self, points: FloatArray) -> FloatArray:
         """Standard deviation (n,), m, of the surface at points (n, 3) on it.
 
-        Of the process, and of what the hypotheses differ there.
+        Of the process, and of what the hypotheses differ there, over the slope of the mean: at
+        walls thinner than ``STEP`` the level rises less than a distance.
         """
         p = points + self.offset
         scale = self._scale(p)
@@ -159,11 +184,16 @@ class Belief:
         means = np.stack([self._mean(p, k) for k in range(len(self.hypotheses))])
         off = np.clip(means - means[self.chosen], -DIFFER, DIFFER)
         between = (self._weights[:, None] * off**2).sum(axis=0)
-        return np.asarray(np.sqrt(own + between))
+        slope = np.linalg.norm(self.gradient(points), axis=1)
+        return np.asarray(np.sqrt(own + between) / np.clip(slope, LEAST_SLOPE, 1.0))
 
     def certain(self, points: FloatArray) -> FloatArray:
-        """Whether a finger may touch there, (n,): ``deviation`` is at most ``CERTAIN``."""
-        return np.asarray(self.deviation(np.asarray(points, dtype=np.float64)) <= CERTAIN)
+        """Whether a finger may touch there, (n,): ``deviation`` is at most ``CERTAIN``, no lid."""
+        p = np.asarray(points, dtype=np.float64)
+        good = self.deviation(p) <= CERTAIN
+        if len(self.lid):
+            good &= _distances(p + self.offset, self.lid).min(axis=1) > ON_LID
+        return np.asarray(good)
 
     def samples(self, points: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
         """Errors (count, n) of the process at points (n, 3), m, with their correlation."""
@@ -210,6 +240,7 @@ class Belief:
             hypotheses=others,
             places=np.vstack([self.places, at + self.offset]),
             deviations=np.concatenate([self.deviations, sure]),
+            before=np.vstack([self.before, np.full(at.shape, np.nan)]),
         ), moved
 
     @cached_property
@@ -229,30 +260,49 @@ class Belief:
         return np.hypot(AGREED, np.minimum(self.grid.at(self._spread, p), DIFFER))
 
     @cached_property
+    def _with_before(self) -> IntArray:
+        """Numbers of the places before which there is a point."""
+        return np.flatnonzero(np.isfinite(self.before).all(axis=1))
+
+    @cached_property
+    def _conditions(self) -> FloatArray:
+        """Places and the points before them, (c, 3)."""
+        return np.vstack([self.places, self.before[self._with_before]])
+
+    @cached_property
     def _scales(self) -> FloatArray:
-        return self._scale(self.places)
+        return self._scale(self._conditions)
 
     def _correlation(self, p: FloatArray) -> FloatArray:
-        return _matern(_distances(p, self.places) / self.length)
+        return _matern(_distances(p, self._conditions) / self.length)
 
     @cached_property
     def _root(self) -> FloatArray:
-        """Lower Cholesky factor (m, m) of the conditions' covariance."""
-        prior = self._scales[:, None] * self._correlation(self.places) * self._scales
-        return np.asarray(np.linalg.cholesky(prior + np.diag(self.deviations**2)), np.float64)
+        """Lower Cholesky factor (c, c) of the conditions' covariance.
+
+        A point before a place is off by the same as the place, and ``FLOOR``.
+        """
+        prior = self._scales[:, None] * self._correlation(self._conditions) * self._scales
+        own = np.concatenate([np.arange(len(self.places)), self._with_before])
+        same = own[:, None] == own
+        noise = np.where(same, self.deviations[own] ** 2, 0.0)
+        noise += np.diag(np.where(np.arange(len(own)) < len(self.places), 0.0, FLOOR**2))
+        return np.asarray(np.linalg.cholesky(prior + noise), np.float64)
 
     def _solved(self, cross: FloatArray) -> FloatArray:
-        """L^-1 C' (m, n) of cross covariances C (n, m)."""
+        """L^-1 C' (c, n) of cross covariances C (n, c)."""
         from scipy.linalg import solve_triangular
 
         return np.asarray(solve_triangular(self._root, cross.T, lower=True, check_finite=False))
 
     @cached_property
     def _alphas(self) -> FloatArray:
-        """Weights (k, m) of the conditions for each hypothesis, times their scales."""
+        """Weights (k, c) of the conditions for each hypothesis, times their scales."""
         from scipy.linalg import cho_solve
 
-        off = np.stack([-self.grid.at(h.distance, self.places) for h in self.hypotheses], axis=1)
+        level = np.where(np.arange(len(self._conditions)) < len(self.places), 0.0, BEFORE)
+        at = [self.grid.at(h.distance, self._conditions) for h in self.hypotheses]
+        off = np.stack([level - here for here in at], axis=1)
         solved = cho_solve((self._root, True), off, check_finite=False)
         return np.asarray(solved.T * self._scales)
 
@@ -277,8 +327,11 @@ class Belief:
         return tuple(level.reshape(shape) for level in levels)
 
 
-def fitted_places(cloud: PointCloud) -> tuple[FloatArray, FloatArray]:
-    """Places (m, 3) on quadrics through the points around them, and their deviations (m,), m."""
+def fitted_places(cloud: PointCloud) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Places (m, 3) on quadrics through the points around them, and their deviations (m,), m.
+
+    Also the points ``BEFORE`` each along the normal (m, 3), NaN where another part is nearer.
+    """
     from scipy.spatial import cKDTree
 
     points, normals = cloud.points, cloud.normals
@@ -311,10 +364,20 @@ def fitted_places(cloud: PointCloud) -> tuple[FloatArray, FloatArray]:
     shared = (np.pi * (0.6 * radius) ** 2 * 2.0) / (np.pi * apart**2 / 4.0)
     doubled = np.einsum("nki,nk,nkj->nij", rows, weight**2, rows)
     leverage = np.einsum("ni,nij,nj->n", inverse[:, 0], doubled, inverse[:, 0])
-    deviations = np.sqrt(own * leverage * max(shared, 1.0) + FLOOR**2)
+    variance = own * leverage * max(shared, 1.0)
+    deviations = np.sqrt(CORRELATED**2 * variance + FLOOR**2)
     moved = fit[:, :1] * frames[:, :, 0]
     good = np.linalg.norm(moved, axis=1) < radius
-    return (centers + moved)[good], deviations[good]
+    places, deviations = (centers + moved)[good], deviations[good]
+    slope = fit[good, 1:3] / radius
+    outward = -frames[good, :, 0] + np.einsum("nij,nj->ni", frames[good][:, :, 1:], slope)
+    before = places + BEFORE * outward / np.linalg.norm(outward, axis=1)[:, None]
+    before[tree.query(before)[0] < NEARER * BEFORE] = np.nan
+    return places, deviations, before
+
+
+NEARER = 0.75
+"""Share (-) of ``BEFORE`` within which a point before a place has another part of the surface."""
 
 
 MOST_FITTED, FEWEST_FITTED = 160, 8
