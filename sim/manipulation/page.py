@@ -111,7 +111,7 @@ def _verdict(report: ManipulationReportFile, fault: float | None) -> Verdict:
     good = report.complete and report.success
     if not report.complete:
         text, reason = "Failed", report.reason
-    elif report.earlier is not None:
+    elif report.earlier is not None and not report.earlier.complete:
         text, reason = "Put down half-way and begun again", report.earlier.reason
     elif not report.success:
         turned = shown(report.numbers["turned_deg"], "degrees")
