@@ -154,9 +154,7 @@ def verify_release(motion: MovementPlan, release: Approach) -> Failure | None:
     return verify_approach(CollisionWorld(there), motion.T_world_base, end.q, release)
 
 
-def turned_ending(
-    motion: MovementPlan, T_world_target: SE3, release: Approach | None
-) -> Ending:
+def turned_ending(motion: MovementPlan, T_world_target: SE3, release: Approach | None) -> Ending:
     """The ending of a hand that stays in the attitude of the path, which puts down or holds.
 
     Args:

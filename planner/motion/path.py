@@ -180,7 +180,11 @@ class ObjectPath:
             )
         short = abs(self.angle) < SHORTEST and float(np.linalg.norm(shift)) < SHORTEST
         if self.stays != short:
-            raise TaskError("the object is to stay where it is; give an angle or a shift" if short else "a path that stays has neither angle nor shift; leave them out")
+            raise TaskError(
+                "the object is to stay where it is; give an angle or a shift"
+                if short
+                else "a path that stays has neither angle nor shift; leave them out"
+            )
         object.__setattr__(self, "axis", axis / float(np.linalg.norm(axis)))
         object.__setattr__(self, "shift", shift)
         object.__setattr__(self, "angle", float(self.angle))

@@ -46,7 +46,7 @@ __all__ = ["Roadmap", "build_roadmap", "roadmap_for"]
 KIND, VERSION = "roadmap", 1
 """Folder of the cache, and version of what is kept there."""
 
-ATTEMPTS = 120
+ATTEMPTS = 200
 """Attempts on each stable pose. Of 60 grasps of the box of 5 x 5 x 8 cm 0 to 12 are grasps on
 another face as well, with either hand."""
 
@@ -56,9 +56,6 @@ MOST_POSES = 8
 LEAST_TILT_DEG = 8.0
 """Tilt (degrees) at which a pose falls below which nothing is set down on it: objects are set down
 by up to 5 degrees off, and on their edge then."""
-
-KEPT = 40
-"""Grasps kept of one pose beside those that are grasps on others too."""
 
 ROADMAP_S = 600.0
 """CPU time (s) after which building ends with what there is."""
@@ -132,8 +129,12 @@ class Roadmap:
     def __str__(self) -> str:
         """One line."""
         n = self.stands.shape[1]
-        moves = sum(bool(self.stands[self.stands[:, k], j].any()) for k in range(n)
-                    for j in range(n) if j != k)
+        moves = sum(
+            bool(self.stands[self.stands[:, k], j].any())
+            for k in range(n)
+            for j in range(n)
+            if j != k
+        )
         return (
             f"roadmap: {len(self)} grasps on {int(self.stands.any(axis=0).sum())} of {n} stable "
             f"poses, {moves} of {n * (n - 1)} set-downs on another, {self.cpu_s[0]:.0f} s of CPU"
@@ -193,7 +194,15 @@ def _key(task: GraspTask, seed: int) -> str:
     """Digest of all that a roadmap depends on."""
     touch = "" if task.object.touch is None else repr(task.object.touch)
     numbers = [task.object.mass, task.mu, task.mu_torsion, task.grip_force, *task.gravity]
-    named = [VERSION, seed, task.hand.digest, shape_key(task.object.shape), touch]
+    named = [
+        VERSION,
+        ATTEMPTS,
+        DIRECTIONS,
+        seed,
+        task.hand.digest,
+        shape_key(task.object.shape),
+        touch,
+    ]
     rest = [task.contact_model, *task.finger_names, task.may_spare_fingers, task.joint_error]
     text = json.dumps([*named, *rest, *[float(n) for n in numbers]])
     return hashlib.sha256(text.encode()).hexdigest()
@@ -232,13 +241,11 @@ def build_roadmap(task: GraspTask, *, seed: int = 0, max_cpu_s: float = ROADMAP_
         except TaskError as error:
             refused.append(str(error))
             continue
-        found: list[dict[str, Any]] = []
         for attempt in islice(endless, ATTEMPTS):
             if attempt.plan is not None and (row := builder.row(attempt.plan)) is not None:
-                found.append(row)
+                rows.append(row)
             if planning_time() - begin > max_cpu_s:
                 break
-        rows += _spread(found)
     if not rows:
         why = f": {refused[0]}" if refused else f" in {ATTEMPTS} attempts each"
         raise TaskError(
@@ -303,20 +310,3 @@ class _Builder:
             if forces.found:
                 out[i] = pressed(forces)
         return out
-
-
-def _spread(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of the grasps on one pose those on others too, and the rest spread by where the palm looks.
-
-    The rest are taken one by one, each the farthest from those taken before, closer ones by margin.
-    """
-    several = [row for row in found if sum(row["stands"]) > 1]
-    rest = sorted((r for r in found if sum(r["stands"]) == 1), key=lambda row: -row["margins"])
-    kept: list[dict[str, Any]] = rest[:1]
-    nearest = np.full(len(rest), np.inf)
-    while len(kept) < min(KEPT, len(rest)):
-        apart = [float(np.arccos(np.clip(r["palms"] @ kept[-1]["palms"], -1, 1))) for r in rest]
-        nearest = np.minimum(nearest, apart)
-        nearest[[r is kept[-1] for r in rest]] = -1.0
-        kept.append(rest[int(np.argmax(nearest))])
-    return [*several, *kept]

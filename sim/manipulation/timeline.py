@@ -142,7 +142,7 @@ class SuccessCriteria:
         shift_mm: How far from where it was to be moved in the hand the object may be, mm; asked
             only where it was to be moved.
         place_mm: How far from the target the object may stand at last, mm.
-        goal_deg: How far (degrees) from a goal rotation the object may be at last, held or standing.
+        goal_deg: How far from a goal rotation the object may be at last, degrees.
         fingers: Fewest fingers that must touch in the air for a success with closure.
         collision_N: Normal force of the hand on itself, table or obstacle from which on it has
             collided, N, as in trials of grasps.
