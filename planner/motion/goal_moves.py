@@ -9,26 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 import pinocchio as pin
 
 from planner.approach.pregrasp import Approach
 from planner.collision.world import CollisionWorld
+from planner.errors import NoGraspFoundError
 from planner.failure import Failure
-from planner.kinematics.state import HandState
-from planner.motion.context import finger_sets, with_rolling_pads
 from planner.motion.ending import turned_ending
 from planner.motion.path import ObjectPath
 from planner.motion.plan import ManipulationPlan, MotionRecord, MovementPlan
 from planner.motion.roadmap import Roadmap
-from planner.motion.search import motion_attempts
+from planner.motion.search import plan_motion
 from planner.motion.single_stroke import TILT_TOLERANCE, merit, pivots
 from planner.motion.task import with_fingers
 from planner.motion.verify import MovementVerifier
 from planner.plan import SolveRecord
-from planner.spatial import SE3, FloatArray, fixed_array
+from planner.spatial import SE3, FloatArray, fixed_array, rotation_angle
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 
@@ -36,12 +34,16 @@ TRIED = 6
 """Grasps that are verified for one movement, of which the best is taken unless one is good enough
 (``planner.motion.single_stroke.merit``) before."""
 
-MOST_IN_FINGERS, FARTHEST = np.deg2rad([30.0, 90.0])
-"""Largest tilt (rad) that is asked of the fingers, and largest one beyond what the wrist is counted
-on for at which they are asked: the rest is for grasps that are tilted themselves."""
+USUAL_IN_FINGERS, MOST_IN_FINGERS, FARTHEST = np.deg2rad([20.0, 40.0, 90.0])
+"""Tilt (rad) that is asked of the fingers first, the largest one, and the largest tilt beyond what
+the wrist is counted on for at which they are asked: grasps are tilted themselves."""
 
-FINGER_ATTEMPTS = 12
-"""Attempts at a turn in the fingers, with each set of them."""
+FINGER_TRIES, FINGER_ROUNDS, FINGER_ATTEMPTS = 6, 3, 12
+"""Seeds that turns in the fingers are planned with; turns planned with each, the next one further
+by what the palm tilts too far; and attempts at each, which take some 0.2 s of CPU."""
+
+WITHIN = np.deg2rad(2.0)
+"""How far (rad) within its limit the next turn aims: the grasp is a little different then."""
 
 OF_LIMIT = 0.5
 """Share (-) of the palm's tilt that the wrist uses where the fingers turn too: grasps from above
@@ -170,11 +172,11 @@ class GoalMoves:
 
     # ---- where the palm may not tilt as far as the object
 
-    def left_to_fingers(self, start: SE3, goal: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """The wrist's attitude (3, 3), and the tilt (3,), rad, world, that fingers make before it.
+    def left_to_fingers(self, start: SE3, goal: FloatArray) -> FloatArray | None:
+        """The turn (3, 3), world, that fingers make where a palm straight down may not tilt so far.
 
-        The tilt is what the palm, straight down at the grasp, may not make. None where nothing is
-        left to the fingers, or too much.
+        It is made before the wrist makes the rest. None where nothing is left to the fingers, or
+        too much.
         """
         whole = goal @ start.rotation.T
         tilt = np.asarray(pin.log3(upright(whole.T @ UP, np.eye(3))))
@@ -182,8 +184,7 @@ class GoalMoves:
         rest = angle - OF_LIMIT * self.goal_tilt
         if not LEAST_IN_FINGERS < rest <= FARTHEST:
             return None
-        by_fingers = min(rest, MOST_IN_FINGERS) / angle * tilt
-        return whole @ pin.exp3(by_fingers).T, by_fingers
+        return np.asarray(pin.exp3(min(rest, USUAL_IN_FINGERS) / angle * tilt))
 
     def turned_in_fingers(
         self, start: SE3, goal: FloatArray, target: SE3
@@ -192,32 +193,58 @@ class GoalMoves:
         left = self.left_to_fingers(start, goal)
         if left is None:
             return None
-        attitude, tilt = left
-        angle = float(np.linalg.norm(tilt))
-        axis, task = tilt / angle, replace(self.task, T_world_object=start)
-        path = ObjectPath(axis=axis, angle=angle, shift=np.zeros(3), attitude=attitude)
-        least = np.cos(self.goal_tilt) - ROUNDING
-
-        def palm_down(T_world_base: SE3, q: FloatArray) -> bool:
-            palm = T_world_base * HandState(task.hand, q).T_base_palm
-            return bool(-(attitude @ palm.rotation @ task.hand.palm_normal)[2] >= least)
-
-        for one in finger_sets(with_rolling_pads(task)):
-            attempts = motion_attempts(
-                one, path, path_tolerance=TILT_TOLERANCE, seed=self.seed, reaches=palm_down
-            )
-            for attempt in islice(attempts, FINGER_ATTEMPTS):
-                self.verified += 1
-                motion, failure = attempt.plan, attempt.failure
-                if motion is not None:
-                    grasp = motion.grasp
-                    palm = grasp.T_world_palm.rotation @ task.hand.palm_normal
-                    failure = pivots(motion) or self._tilted(path, palm)
-                    if failure is None and palm_down(grasp.T_world_base, grasp.q):
-                        ending = turned_ending(motion, target, None)
-                        return ManipulationPlan.of(motion, ending, angle=angle, shift=np.zeros(3))
-                if failure is None or failure.kind == "out_of_reach":
-                    text = "no grasp for a turn in the fingers has the palm within its tilt there"
-                    failure = Failure(kind="palm_tilts", text=text)
-                self.failures.append(failure)
+        palm_of = self.task.hand.palm_normal
+        for k in range(FINGER_TRIES):
+            turn = left
+            for _ in range(FINGER_ROUNDS):
+                motion = self._planned_in_fingers(start, goal, turn, self.seed + k * SEEDS_APART)
+                if motion is None:
+                    break
+                palm = motion.grasp.T_world_palm.rotation @ palm_of
+                attitude = motion.path.attitude
+                low = self._lowered(attitude @ palm)
+                failure = pivots(motion) or self._tilted(motion.path, palm)
+                if failure is None and rotation_angle(low) == 0.0:
+                    ending = turned_ending(motion, target, None)
+                    angle = motion.path.angle
+                    return ManipulationPlan.of(motion, ending, angle=angle, shift=np.zeros(3))
+                text = "the palm of a turn in the fingers tilts too far at the goal"
+                self.failures.append(failure or Failure(kind="palm_tilts", text=text))
+                turn = (low @ attitude).T @ goal @ start.rotation.T
+                if failure is not None or rotation_angle(turn) > MOST_IN_FINGERS:
+                    break
         return None
+
+    def _planned_in_fingers(
+        self, start: SE3, goal: FloatArray, turn: FloatArray, seed: int
+    ) -> MovementPlan | None:
+        """A motion that turns the object in the fingers (3, 3), world; the wrist makes the rest."""
+        self.verified += 1
+        rotation = pin.log3(turn)
+        angle = float(np.linalg.norm(rotation))
+        try:
+            return plan_motion(
+                replace(self.task, T_world_object=start),
+                axis=rotation / angle,
+                angle=angle,
+                path_tolerance=TILT_TOLERANCE,
+                seed=seed,
+                max_attempts=FINGER_ATTEMPTS,
+                attitude=goal @ start.rotation.T @ turn.T,
+            )
+        except NoGraspFoundError as error:
+            self.failures.append(Failure(kind="no_turn_in_fingers", text=str(error)))
+            return None
+
+    def _lowered(self, palm: FloatArray) -> FloatArray:
+        """The smallest rotation (3, 3), world, of a palm (3,) to within its tilt at the goal."""
+        down = upright(-palm, np.eye(3))
+        tilt = rotation_angle(down)
+        if tilt <= self.goal_tilt:
+            return np.eye(3)
+        within = max(0.0, self.goal_tilt - WITHIN)
+        return np.asarray(pin.exp3((1.0 - within / tilt) * pin.log3(down)))
+
+
+SEEDS_APART = 1000
+"""Distance between the seeds of these turns, so that a caller's next seeds give others."""

@@ -127,14 +127,19 @@ class ManipulationReport(ExecutionReport):
     @property
     def goal_reached(self) -> bool:
         """Complete, not dropped, and within ``SuccessCriteria.goal_deg`` of the goal at last."""
-        near = bool(np.rad2deg(self.goal_off) <= self.criteria.goal_deg)
-        return self.complete and near and self.success
+        return self.plan.ending.turned and self.success
 
     @property
     def success(self) -> bool:
-        """Turned as far or further, moved as asked for, not put down half-way, and not dropped."""
+        """Turned as far or further, moved as asked for, not put down half-way, and not dropped.
+
+        Of a plan with a goal: complete, near the goal, and not dropped.
+        """
         if self.earlier is not None and not (self.earlier.complete and self.earlier.success):
             return False
+        if self.plan.ending.turned:
+            near = bool(np.rad2deg(self.goal_off) <= self.criteria.goal_deg)
+            return self.complete and near and not self.dropped
         held = self.log.during("hold")
         return bool(len(held)) and bool(self._reached()[held[-1]]) and not self.dropped
 
