@@ -195,10 +195,12 @@ class _Search:
     def __init__(self, moves: GoalMoves, poses: Sequence[SE3], *, put_down: bool) -> None:
         self._moves, self._poses, self._put_down = moves, poses, put_down
         self._road = moves.roadmap
+        self._reached: set[int] = set()
 
     def chain(self, k: int, goal: FloatArray, place: FloatArray) -> list[ManipulationPlan] | None:
         """The cheapest chain from a stable pose to a goal at a place (2,); None for none."""
         numbers, reached = itertools.count(), {k}
+        self._reached = reached
         first = _Node(pose=k, T_world_object=self._moves.task.T_world_object)
         heap = list(self._edges(first, goal, place, 0.0, numbers))
         heapq.heapify(heap)
@@ -300,9 +302,10 @@ class _Search:
     def unreachable(self, k: int, goal: FloatArray) -> UnreachableError:
         """The error of a goal that is not reached, with the nearest that is."""
         task, place = self._moves.task, self._moves.task.T_world_object.translation[:2]
+        on_reached = self._road.stands[:, sorted(self._reached)].any(axis=1)
         why = Counter(f.text for f in self._moves.failures).most_common(1)
-        limits = [self._limit(goal), *(f"{n} x {text}" for text, n in why)]
-        near = next((r for r in self._near(goal) if self.chain(k, r, place)), None)
+        limits = [self._limit(goal, on_reached), *(f"{n} x {text}" for text, n in why)]
+        near = next((r for r in self._near(goal, on_reached) if self.chain(k, r, place)), None)
         off = None if near is None else float(np.rad2deg(rotation_angle(near.T @ goal)))
         told = "none near it is reached"
         if near is not None:
@@ -319,20 +322,20 @@ class _Search:
             off,
         )
 
-    def _limit(self, goal: FloatArray) -> str:
+    def _limit(self, goal: FloatArray, on_reached: NDArray[np.bool_]) -> str:
         """How many grasps what kind of limit keeps from a goal."""
         if self._put_down and self._stable(goal) is None:
             return "the object does not stand as it is turned there"
-        road, down = self._road, -goal[2]
-        weak = road.forces_towards(down) > MOST_PRESS
-        tilted = road.palms @ down < np.cos(self._moves.goal_tilt) - ROUNDING
+        road, down, n = self._road, -goal[2], len(self._poses)
+        tilted = on_reached & (road.palms @ down < np.cos(self._moves.goal_tilt) - ROUNDING)
+        weak = on_reached & ~tilted & (road.forces_towards(down) > MOST_PRESS)
         return (
-            f"of {len(road)} grasps {int(tilted.sum())} have the palm tilted too far there, "
-            f"{int((weak & ~tilted).sum())} more do not bear the weight, and the stable poses of "
-            "the others are not reached or their movements fail"
+            f"of {int(on_reached.sum())} grasps on the {len(self._reached)} of {n} stable poses "
+            f"that are reached, {int(tilted.sum())} have the palm tilted too far there, "
+            f"{int(weak.sum())} more do not bear the weight, and movements by the others fail"
         )
 
-    def _near(self, goal: FloatArray) -> Iterator[FloatArray]:
+    def _near(self, goal: FloatArray, on_reached: NDArray[np.bool_]) -> Iterator[FloatArray]:
         """Rotations near a goal for which the roadmap has grasps, the nearest first; a few."""
         if self._put_down:
             turns = [upright(pose.rotation[2], goal) for pose in self._poses]
@@ -343,14 +346,12 @@ class _Search:
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         angles = np.arange(NEAR_STEP, np.pi + NEAR_STEP / 2, NEAR_STEP)
         near = (pin.exp3(angle * axis) @ goal for angle in angles for axis in axes)
-        able = (
-            turn
-            for turn in near
-            if (
-                (road.palms @ -turn[2] >= least) & (road.forces_towards(-turn[2]) <= MOST_PRESS)
-            ).any()
-        )
-        yield from itertools.islice(able, NEAREST_TRIED)
+
+        def able(turn: FloatArray) -> bool:
+            borne = road.forces_towards(-turn[2]) <= MOST_PRESS
+            return bool((on_reached & (road.palms @ -turn[2] >= least) & borne).any())
+
+        yield from itertools.islice(filter(able, near), NEAREST_TRIED)
 
 
 def _set_down(now: SE3, there: SE3) -> SE3:
