@@ -141,8 +141,9 @@ def plan_reorientation(
     found = search.chain(k, rotation, np.array([x, y]))
     if found is None:
         raise search.unreachable(k, rotation)
-    spent = {"seed": seed, "attempts": moves.verified, "cpu_s": planning_time() - begin}
-    found[0] = replace(found[0], record=replace(found[0].record, **spent))
+    spent = planning_time() - begin
+    record = replace(found[0].record, seed=seed, attempts=moves.verified, cpu_s=spent)
+    found[0] = replace(found[0], record=record)
     plan = found.pop()
     while found:
         plan = replace(found.pop(), then=plan)
@@ -302,7 +303,7 @@ class _Search:
     def unreachable(self, k: int, goal: FloatArray) -> UnreachableError:
         """The error of a goal that is not reached, with the nearest that is."""
         task, place = self._moves.task, self._moves.task.T_world_object.translation[:2]
-        on_reached = self._road.stands[:, sorted(self._reached)].any(axis=1)
+        on_reached = np.asarray(self._road.stands[:, sorted(self._reached)].any(axis=1))
         why = Counter(f.text for f in self._moves.failures).most_common(1)
         limits = [self._limit(goal, on_reached), *(f"{n} x {text}" for text, n in why)]
         near = next((r for r in self._near(goal, on_reached) if self.chain(k, r, place)), None)

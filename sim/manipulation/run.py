@@ -272,8 +272,8 @@ def manipulate(
     plan = given_manipulation(plan)
     options = (options or ManipulationOptions()).with_changes(**changes)
     retry = retry and not plan.ending.turned
-    again = retry or plan.then is not None
-    fresh = copy.deepcopy(options.controller) if again else None  # as it is before the first run
+    more = retry or plan.then is not None
+    fresh = copy.deepcopy(options.controller) if more else None  # as it is before the first run
     run = ManipulationRun(plan, options)
     run.sim.simulation.on_step = on_step
     report = run.perform(pictures=pictures, video=video, arrows=arrows, retry=retry, view=view)
