@@ -25,6 +25,7 @@ NAMES = (
     "metrics",
     "trials",
     "tools",
+    "goals",
     "refine",
     "audit",
     "forces",

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         plan_handover,
         plan_manipulation,
         plan_motion,
+        plan_reorientation,
     )
     from planner.numerics.kernels import compiled_searches
     from planner.objects import GraspObject, NeededWrench, parse_object
@@ -92,6 +93,7 @@ __all__ = [
     "plan_handover",
     "plan_manipulation",
     "plan_motion",
+    "plan_reorientation",
     "plan_several",
     "plan_use",
     "plans",
@@ -143,6 +145,7 @@ _HOMES = {
     "plan_handover": "planner.motion",
     "plan_manipulation": "planner.motion",
     "plan_motion": "planner.motion",
+    "plan_reorientation": "planner.motion",
     "plan_several": "planner.batch",
     "plan_use": "planner.tools",
     "plans": "planner.search.grasp",

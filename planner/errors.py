@@ -23,6 +23,7 @@ __all__ = [
     "PlannerError",
     "TaskError",
     "UncertainError",
+    "UnreachableError",
 ]
 
 
@@ -200,6 +201,24 @@ class UncertainError(NoGraspFoundError):
     def __reduce__(self) -> tuple[Any, ...]:
         """How it is sent to another process: without plans, whose hands hold models of MuJoCo."""
         return type(self), (str(self), tuple(a for a in self.attempts if a.plan is None))
+
+
+class UnreachableError(NoGraspFoundError):
+    """A goal rotation that no sequence of movements reaches.
+
+    Attributes:
+        nearest: The nearest rotation (3, 3), world from object, that is reached; None for none.
+        off_deg: How far it is from the goal, degrees; None for none.
+    """
+
+    def __init__(self, message: str, nearest: Any = None, off_deg: float | None = None) -> None:
+        """Keep the message and the nearest rotation."""
+        self.nearest, self.off_deg = nearest, off_deg
+        super().__init__(message, ())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How it is sent to another process: it is made again of what it was made of."""
+        return type(self), (str(self), self.nearest, self.off_deg)
 
 
 class InfeasibleError(PlannerError):

@@ -445,10 +445,10 @@ def test_the_arm_carries_what_the_hand_turns(turning: ManipulationPlan) -> None:
 def test_its_file_holds_the_way_out(turning: ManipulationPlan) -> None:
     data = movement_to_dict(turning)
     again = manipulation_from_dict(json.loads(json.dumps(data)), "a file")
-    assert again.ending.release.arm is not None and turning.ending.release.arm is not None
-    np.testing.assert_allclose(
-        again.ending.release.arm.approach, turning.ending.release.arm.approach
-    )
+    read, out = again.ending.release, turning.ending.release
+    assert read is not None and out is not None
+    assert read.arm is not None and out.arm is not None
+    np.testing.assert_allclose(read.arm.approach, out.arm.approach)
     for rows in data["ending"]["arm_out"]["approach_q_rad"]:
         rows[0] += 0.02
     with pytest.raises(FileFormatError, match="way out fails its checks"):

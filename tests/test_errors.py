@@ -15,6 +15,7 @@ from planner.errors import (
     NotFoundError,
     PlannerError,
     UncertainError,
+    UnreachableError,
 )
 from planner.exchange.yaml_text import number, table, text
 from planner.files import PlanFile
@@ -25,6 +26,7 @@ from planner.shapes import shape_from_dict
 SPECIAL: dict[str, PlannerError] = {
     "NotFoundError": NotFoundError("hand", "alegro", ["shadow", "allegro"], "Name a path."),
     "NoGraspFoundError": NoGraspFoundError("no grasp in 2 attempts", ("first", "second")),
+    "UnreachableError": UnreachableError("not reached", [[1.0]], 5.0),
     "UncertainError": UncertainError("too little was seen", ()),  # plans stay: test_clouds
     "InfeasibleError": InfeasibleError("no forces", np.arange(6.0)),
 }

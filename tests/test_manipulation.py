@@ -343,6 +343,7 @@ def test_fingers_that_have_opened_stay_open(plan: ManipulationPlan) -> None:
 
 def test_a_plan_knows_how_to_let_go(plan: ManipulationPlan) -> None:
     motion, release = plan.motion, plan.ending.release
+    assert release is not None
     end, task = motion.knots[-1], motion.grasp.task
     there = replace(task, T_world_object=end.T_world_object, table_height=None)
     world = CollisionWorld(there)

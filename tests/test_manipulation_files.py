@@ -294,6 +294,7 @@ def test_a_trajectory_puts_the_object_where_it_is_to_stand(plan: ManipulationPla
     assert there.isApprox(plan.ending.T_world_target, 1e-9)
     out = trajectory.T_world_base[-1]
     assert out.isApprox(plan.way_out(base), 1e-9)
+    assert plan.ending.release is not None
     np.testing.assert_allclose(trajectory.positions[-1], plan.ending.release.q, atol=1e-12)
 
 

@@ -97,6 +97,7 @@ def test_what_does_not_stand_is_put_down_as_it_was_picked_up(plan: ManipulationP
         plan.ending.T_world_target.translation, [0.04, -0.02, 0.04], atol=1e-12
     )
     np.testing.assert_allclose(plan.ending.T_world_target.rotation, np.eye(3), atol=1e-12)
+    assert plan.ending.release is not None
     np.testing.assert_array_equal(plan.ending.release.q, grasp.q_pregrasp)
     ending = planned_ending(plan.motion, math.pi / 2, None)  # on its side it would stand
     assert not isinstance(ending, Failure)

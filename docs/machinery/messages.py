@@ -42,6 +42,7 @@ PAGES = {
     "PlannerError": "What is not installed, and the rest",
     "NoGraspFoundError": "What is not installed, and the rest",
     "UncertainError": "What is not installed, and the rest",
+    "UnreachableError": "What is not installed, and the rest",
     "InfeasibleError": "What is not installed, and the rest",
     "Finding": "What hands --check finds",
     "Fault": "Faults of meshes",

@@ -147,14 +147,14 @@ class NeededSetData(StrictData):
 
 
 class LaterData(StrictData):
-    """Data with a field that older files have not: it is left out where it is None."""
+    """Data with a field that older files have not: it is left out where it is None or False."""
 
     later: ClassVar[str]
 
     @model_serializer(mode="wrap")
     def _as_older_files(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         data: dict[str, Any] = handler(self)
-        if data[self.later] is None:
+        if data[self.later] is None or data[self.later] is False:
             del data[self.later]
         return data
 

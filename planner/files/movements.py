@@ -28,7 +28,7 @@ from planner.files.data import ArmData, ContactData, LaterData, PlanFile, PoseDa
 from planner.files.disk import MOVEMENT_FORMATS, checked_file, read_json, write_json
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
-from planner.motion.ending import backwards, object_at_target, verify_release
+from planner.motion.ending import backwards, object_at_target, verify_release, verify_turned
 from planner.motion.path import ObjectPath, checked_attitude
 from planner.motion.plan import (
     Ending,
@@ -125,28 +125,35 @@ class RelocationData(StrictData):
     normalised_min_weight: Finite
 
 
-class EndingData(StrictData):
+class EndingData(LaterData):
     """How the object is put down; joints in the order of the grasp's ``joint_names``.
 
-    ``arm_out`` is the arm's way out, reversed, if the hand is on one.
+    ``arm_out`` is the arm's way out, reversed, if the hand is on one. ``turned`` is true where the
+    hand stays in the path's attitude; then ``q_open_rad`` is null if the object is held at last.
     """
 
+    later = "turned"
+
     T_world_target: PoseData
-    q_open_rad: list[Finite]
+    q_open_rad: list[Finite] | None
     opening_m: NotNegative
-    T_world_base_out: PoseData
+    T_world_base_out: PoseData | None
     made_backwards_because: str
     arm_out: ArmData | None = None
+    turned: bool = False
 
 
-class MovementFile(StrictData):
+class MovementFile(LaterData):
     """A movement of an object in the hand as JSON.
 
     ``path``, ``knots`` and ``limits`` are those of one stroke, ``relocations`` those after it;
     ``cycles`` is the number of strokes. ``angle_rad`` and ``shift_m`` are what was requested, which
     the strokes may exceed. ``ending`` is null where it is not planned how the object is put down,
-    ``torque_reserve`` in files of older formats without one.
+    ``torque_reserve`` in files of older formats without one. ``then`` is the movement that begins
+    where this one has put the object down, null or left out for none.
     """
+
+    later = "then"
 
     format: Literal["opposable-movement"] = "opposable-movement"
     version: Literal[1] = 1
@@ -163,6 +170,7 @@ class MovementFile(StrictData):
     ending: EndingData | None
     torque_reserve: Finite | None
     record: MotionRecordData
+    then: MovementFile | None = None
 
 
 def movement_to_dict(plan: MovementPlan) -> dict[str, Any]:
@@ -182,7 +190,8 @@ def movement_to_dict(plan: MovementPlan) -> dict[str, Any]:
         torque_reserve=plan.reserve,
         record=MotionRecordData.model_validate(plan.record, from_attributes=True),
     )
-    return data.model_dump(mode="json")
+    written: dict[str, Any] = data.model_dump(mode="json")
+    return written if plan.then is None else {**written, "then": movement_to_dict(plan.then)}
 
 
 def _path_data(path: ObjectPath) -> PathData:
@@ -216,14 +225,16 @@ def _relocation_data(relocation: Relocation) -> RelocationData:
 
 
 def _ending_data(grasp: GraspPlan, ending: Ending) -> EndingData:
-    arm = ending.release.arm
+    release = ending.release
+    arm = None if release is None else release.arm
     return EndingData(
         T_world_target=PoseData.of(ending.T_world_target),
-        q_open_rad=list(ending.release.q),
-        opening_m=ending.release.pregrasp_distance,
-        T_world_base_out=PoseData.of(ending.release.T_world_base_start),
+        q_open_rad=None if release is None else list(release.q),
+        opening_m=0.0 if release is None else release.pregrasp_distance,
+        T_world_base_out=None if release is None else PoseData.of(release.T_world_base_start),
         made_backwards_because=ending.back,
         arm_out=None if arm is None else ArmData.of(grasp, arm),
+        turned=ending.turned,
     )
 
 
@@ -363,7 +374,13 @@ def movement_from_dict(
     fault = _fault(plan, file.torque_reserve)
     if fault:
         raise FileFormatError(f"{source}: {fault}; it is damaged")
-    return plan
+    if data.get("then") is None:
+        return plan
+    then = manipulation_from_dict(data["then"], f"{source}, what follows", hand=hand)
+    first = None if plan.ending is None else plan.ending.T_world_target
+    if first is None or not first.isApprox(then.task.T_world_object, CONSISTENT):
+        raise FileFormatError(f"{source}: what follows begins elsewhere; it is damaged")
+    return replace(plan, then=then)
 
 
 def _strokes(file: MovementFile, grasp: GraspPlan, path: str) -> MovementPlan:
@@ -374,6 +391,7 @@ def _strokes(file: MovementFile, grasp: GraspPlan, path: str) -> MovementPlan:
             angle=file.path.angle_rad,
             shift=np.array(file.path.shift_m),
             attitude=checked_attitude(file.path.attitude or "down"),
+            stays=file.path.angle_rad == 0.0 and not any(file.path.shift_m),
         )
     except TaskError as error:
         raise FileFormatError(f"{path} is damaged: {error}") from error
@@ -440,16 +458,19 @@ def _same(stored: FloatArray, true: FloatArray) -> bool:
 def _whole(strokes: MovementPlan, file: MovementFile, ending: EndingData) -> ManipulationPlan:
     """Strokes with the ending of a file, not judged yet."""
     hand, arm = strokes.task.hand, ending.arm_out
-    release = Approach(
-        q=hand.checked_q(ending.q_open_rad, "q_open_rad"),
-        pregrasp_distance=ending.opening_m,
-        T_world_base_start=ending.T_world_base_out.pose(),
-        arm=None if arm is None else arm.path(hand),
-    )
+    release = None
+    if ending.q_open_rad is not None and ending.T_world_base_out is not None:
+        release = Approach(
+            q=hand.checked_q(ending.q_open_rad, "q_open_rad"),
+            pregrasp_distance=ending.opening_m,
+            T_world_base_start=ending.T_world_base_out.pose(),
+            arm=None if arm is None else arm.path(hand),
+        )
     made = Ending(
         T_world_target=ending.T_world_target.pose(),
         release=release,
         back=ending.made_backwards_because,
+        turned=ending.turned,
     )
     return ManipulationPlan.of(strokes, made, angle=file.angle_rad, shift=np.array(file.shift_m))
 
@@ -474,6 +495,11 @@ def _fault_of_ending(plan: MovementPlan, ending: Ending) -> str:
     """The same of how the object is put down."""
     if ending.back and plan.cycles > 1:
         return f"its {plan.cycles} strokes are said to be made backwards, which only one is"
+    if ending.turned:
+        failure = verify_turned(plan, ending)
+        return "" if failure is None else f"its ending fails its checks: {failure}"
+    if ending.release is None:
+        return "it holds its object at last, but its wrist turns back"
     x, y, _ = ending.T_world_target.translation
     made = 0.0 if ending.back else plan.angle
     target = object_at_target(plan.task, plan.path.axis, made, (x, y))
@@ -481,6 +507,7 @@ def _fault_of_ending(plan: MovementPlan, ending: Ending) -> str:
         return "its object does not stand at its target as it was turned"
     if ending.back:
         grasp, way_in = ending.release, backwards(plan, (x, y), ending.back).release
+        assert way_in is not None  # a hand that goes back lets go
         same = np.allclose(grasp.q, way_in.q, rtol=0.0, atol=CONSISTENT)
         if not (same and grasp.T_world_base_start.isApprox(way_in.T_world_base_start, CONSISTENT)):
             return "its way out is not its way in, though the motion is made backwards"

@@ -8,6 +8,7 @@
 
 from planner.motion.ending import Rests, planned_ending
 from planner.motion.gait import plan_gait
+from planner.motion.goals import plan_reorientation
 from planner.motion.handover import HandoverPlan, plan_handover
 from planner.motion.manipulation import manipulation_of, plan_manipulation, plan_regrasping
 from planner.motion.order import Lift, NoOrder, Order, find_order
@@ -60,6 +61,7 @@ __all__ = [
     "plan_motion",
     "plan_others",
     "plan_regrasping",
+    "plan_reorientation",
     "plan_single_stroke",
     "planned_ending",
 ]

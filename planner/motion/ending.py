@@ -25,7 +25,7 @@ from planner.collision.resting import lift_to_rest
 from planner.collision.world import CollisionWorld
 from planner.failure import Failure
 from planner.motion.plan import Ending, MovementPlan
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 
 Rests: TypeAlias = Callable[[GraspTask], bool]
@@ -152,6 +152,51 @@ def verify_release(motion: MovementPlan, release: Approach) -> Failure | None:
     if isinstance(there, Failure):
         return there
     return verify_approach(CollisionWorld(there), motion.T_world_base, end.q, release)
+
+
+def turned_ending(motion: MovementPlan, T_world_target: SE3, release: Approach | None) -> Ending:
+    """The ending of a hand that stays in the attitude of the path, which puts down or holds.
+
+    Args:
+        motion: The motion.
+        T_world_target: Final pose of the object, as it is turned in the attitude.
+        release: Opened fingers and the way out there, world; None if it is held.
+    """
+    if release is not None:
+        back = hand_at_target(motion, T_world_target) * motion.T_world_base.inverse()
+        start = back.inverse() * release.T_world_base_start
+        release = replace(release, T_world_base_start=start)
+    return Ending(T_world_target=T_world_target, release=release, back="", turned=True)
+
+
+def hand_at_target(motion: MovementPlan, T_world_target: SE3) -> SE3:
+    """Pose of the base when the object, as it lies in the hand at the end, is at a pose."""
+    return T_world_target * motion.knots[-1].T_world_object.inverse() * motion.T_world_base
+
+
+def verify_turned(motion: MovementPlan, ending: Ending) -> Failure | None:
+    """Why a hand cannot end in the attitude of the path as an ending says, None if it can."""
+    task, target, end = motion.grasp.task, ending.T_world_target, motion.knots[-1]
+    turned = motion.path.attitude @ end.T_world_object.rotation
+    if rotation_angle(turned.T @ target.rotation) > SAME_TURN:
+        return Failure(kind="falls", text="the object is not turned to its target")
+    if ending.release is None:
+        return None
+    table, shape = task.table_height, task.object.shape
+    down = target.rotation[2]
+    flat = any(down @ pose.rotation[2] > FLAT for pose in shape.resting_poses())
+    lowest = target.translation[2] - shape.support(-down)
+    if table is None or not flat or abs(lowest - table) > ALIKE:
+        return Failure(kind="falls", text="the object does not stand on the table at its target")
+    base = hand_at_target(motion, target)
+    back = base * motion.T_world_base.inverse()
+    out = replace(ending.release, T_world_base_start=back * ending.release.T_world_base_start)
+    there = CollisionWorld(replace(task, T_world_object=target))
+    return verify_approach(there, base, end.q, out)
+
+
+SAME_TURN = 1e-6
+"""Largest difference (rad) of an object's rotation from that of its target: rounding."""
 
 
 def standing(motion: MovementPlan) -> GraspTask | Failure:

@@ -116,11 +116,24 @@ def checked_attitude(given: AnyAttitude) -> FloatArray:
             raise NotFoundError("attitude", given, ATTITUDES)
         named: FloatArray = ATTITUDES[given]
         return named.copy()
-    turn = finite_array("attitude", given, (3, 3), error=TaskError)
-    if np.abs(turn @ turn.T - np.eye(3)).max() > NO_ROTATION or np.linalg.det(turn) < 0:
-        raise TaskError(
-            "attitude is no rotation; give a matrix with orthonormal columns, or a name"
-        )
+    return checked_rotation("attitude", given, "a matrix with orthonormal columns, or a name")
+
+
+def checked_rotation(name: str, given: Any, wanted: str) -> FloatArray:
+    """A rotation (3, 3) as it was given.
+
+    Args:
+        name: What it is called.
+        given: What was given.
+        wanted: What to give instead, in words.
+
+    Raises:
+        TaskError: Another shape, not finite, not orthonormal, or a reflection.
+    """
+    turn = finite_array(name, given, (3, 3), error=TaskError)
+    off = float(np.abs(turn @ turn.T - np.eye(3)).max())
+    if off > NO_ROTATION or np.linalg.det(turn) < 0:
+        raise TaskError(f"{name} is no rotation; give {wanted}")
     return turn
 
 
@@ -137,12 +150,20 @@ class ObjectPath:
         shift: Translation over the whole path (3,), m, world.
         attitude: Rotation (3, 3), world, of hand and object from the grasp to where the path is
             made.
+        stays: Whether the object stays where it is in the fingers and the wrist alone turns it.
     """
 
     axis: FloatArray
     angle: float
     shift: FloatArray
     attitude: FloatArray = field(default_factory=lambda: np.eye(3))
+    stays: bool = False
+
+    @classmethod
+    def of_wrist(cls, attitude: AnyAttitude) -> ObjectPath:
+        """The path of an object that stays in the fingers while the wrist turns."""
+        turn = checked_attitude(attitude)
+        return cls(axis=np.eye(3)[2], angle=0.0, shift=np.zeros(3), attitude=turn, stays=True)
 
     def __post_init__(self) -> None:
         """Check the numbers, and make the axis a unit vector.
@@ -157,8 +178,13 @@ class ObjectPath:
                 f"angle is {self.angle} rad; give at most a half turn (pi) in either direction, "
                 "since the fingers stay where they touch"
             )
-        if abs(self.angle) < SHORTEST and float(np.linalg.norm(shift)) < SHORTEST:
-            raise TaskError("the object is to stay where it is; give an angle or a shift")
+        short = abs(self.angle) < SHORTEST and float(np.linalg.norm(shift)) < SHORTEST
+        if self.stays != short:
+            raise TaskError(
+                "the object is to stay where it is; give an angle or a shift"
+                if short
+                else "a path that stays has neither angle nor shift; leave them out"
+            )
         object.__setattr__(self, "axis", axis / float(np.linalg.norm(axis)))
         object.__setattr__(self, "shift", shift)
         object.__setattr__(self, "angle", float(self.angle))
@@ -216,7 +242,7 @@ class ObjectPath:
             parts.append(f"{np.rad2deg(self.angle):.1f} degrees about ({axis})")
         if float(np.linalg.norm(self.shift)) >= SHORTEST:
             parts.append(f"({', '.join(f'{1e3 * v:.1f}' for v in self.shift)}) mm")
-        told = " and ".join(parts)
+        told = " and ".join(parts) or "held as it is"
         if not self.turns_wrist:
             return told
         wrist = ", ".join(f"{v:.0f}" for v in np.rad2deg(self.wrist_turn) + 0.0)

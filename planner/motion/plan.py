@@ -202,18 +202,20 @@ class Relocation:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ending:
-    """How an object is put down.
+    """How an object is put down, or held at last.
 
     Attributes:
-        T_world_target: Final pose of the object.
+        T_world_target: Final pose of the object; if it is held, at the height of the grasp.
         release: Opened fingers and the way out where the motion ends, or where it began if the
-            motion is reversed.
+            motion is reversed, both for a hand that is not turned by the wrist; None if it is held.
         back: Why the motion is reversed before, "" if it is not.
+        turned: Whether the hand stays in the attitude of the path; else the wrist turns back.
     """
 
     T_world_target: SE3
-    release: Approach
+    release: Approach | None
     back: str
+    turned: bool = False
 
     def __post_init__(self) -> None:
         """Keep copies that nobody changes."""
@@ -249,7 +251,8 @@ class MovementPlan(Shown):
         record: Where the plan comes from.
         angle: Requested turn, rad, with its sign; the strokes may go further.
         shift: Requested translation in the hand (3,), m, world.
-        ending: How the object is put down; None where that is not planned.
+        ending: How the object is put down or held; None where that is not planned.
+        then: The movement that begins where this one has put the object down; None for none.
     """
 
     grasp: GraspPlan
@@ -261,6 +264,7 @@ class MovementPlan(Shown):
     angle: float
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))
     ending: Ending | None = None
+    then: ManipulationPlan | None = None
 
     def __post_init__(self) -> None:
         """Keep copies that nobody changes."""
@@ -526,10 +530,12 @@ class MovementPlan(Shown):
         if self.path.turns_wrist:
             builder.move_along("wrist", turned[1:], wrist_s)
         T_world_object, q = self._move(builder)
-        if self.path.turns_wrist:
+        if self.path.turns_wrist and not self.ending.turned:
             builder.move_along("wrist back", turned[-2::-1], wrist_s)
         to_target = self.ending.T_world_target * T_world_object.inverse() * base
         builder.move_base("carry", shifted(to_target, up), CARRY_S)
+        if self.ending.release is None:
+            return builder.built()
         builder.move_base("lower", to_target, LOWER_S * self._stretch(lift_m))
         builder.turn("open", np.array([q, self.ending.release.q]), np.array([0.0, 1.0]), OPEN_S)
         builder.move_base("retreat", self.way_out(to_target), RETREAT_S)
@@ -574,8 +580,10 @@ class MovementPlan(Shown):
             TaskError: The plan has no ending, and none is given.
         """
         chosen = ending or self.ending
-        if chosen is None:
-            raise TaskError("the plan has no ending; give one, or plan it by manipulation_of")
+        if chosen is None or chosen.release is None:
+            raise TaskError(
+                "the plan has no ending that lets go; give one, or plan it by manipulation_of"
+            )
         planned = self.T_world_base
         way = way_back(self.task.hand, planned, chosen.release)
         return shifted(T_world_base, T_world_base.rotation @ planned.rotation.T @ way)
@@ -653,6 +661,11 @@ class ManipulationPlan(MovementPlan):
         )
 
     @property
+    def chain(self) -> tuple[ManipulationPlan, ...]:
+        """This plan and those that follow on it, in order."""
+        return (self, *(() if self.then is None else self.then.chain))
+
+    @property
     def attempts(self) -> int:
         """Attempts made."""
         return self.record.attempts
@@ -677,13 +690,13 @@ class ManipulationPlan(MovementPlan):
         shift = ", ".join(f"{v:.1f}" for v in 1e3 * self.shift + 0.0)
         lines = [
             super().__str__(),
-            f"  requested: {np.rad2deg(self.angle):.1f} degrees, ({shift}) mm; put down "
-            f"at ({target}) m",
+            f"  requested: {np.rad2deg(self.angle):.1f} degrees, ({shift}) mm; "
+            f"{'held' if self.ending.release is None else 'put down'} at ({target}) m",
             f"  the most loaded actuator keeps {100 * self.reserve:.0f} % of its limit",
         ]
         if self.ending.back:
             lines.append(f"  made backwards before it is put down: {self.ending.back}")
-        return "\n".join(lines)
+        return "\n".join([*lines, *([] if self.then is None else ["then", str(self.then)])])
 
 
 MotionPlan: TypeAlias = MovementPlan

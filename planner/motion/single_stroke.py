@@ -271,7 +271,7 @@ def _whole(
     rests: Rests | None,
 ) -> ManipulationPlan | Failure:
     """A motion with its ending, made by the arm that the hand is on; or why there is none."""
-    carried = _pivoting(motion) or (motion if on_arm is None else on_arm.carried(motion))
+    carried = pivots(motion) or (motion if on_arm is None else on_arm.carried(motion))
     if isinstance(carried, Failure):
         return carried
     ending = planned_ending(carried, angle, place, rests=rests)
@@ -308,7 +308,7 @@ def _with_overshoot(asked: ObjectPath, overshoot: float) -> ObjectPath:
     return replace(asked, angle=whole, shift=whole / angle * asked.shift)
 
 
-def _pivoting(motion: MovementPlan) -> Failure | None:
+def pivots(motion: MovementPlan) -> Failure | None:
     """Which tip pivots too far on its contact when the object is tilted or moved, None for none.
 
     Torsional friction, which the controller does not model, would hold the object back.
@@ -464,6 +464,7 @@ class OnArm:
             return stuck
         to = ending.T_world_target.translation - end.T_world_object.translation
         up = np.array([0.0, 0.0, lift])
+        assert ending.release is not None  # a single stroke ends on the table
         out = way_back(hand, self._root, ending.release)
         away = ending.T_world_target.translation - self._root.translation
         away[2] = 0.0

@@ -130,6 +130,25 @@ class MovementVerifier:
         knots = self.verify_knots(T_world_base, waypoints, path, path_tolerance)
         return knots if isinstance(knots, Failure) else (grasp, knots)
 
+    def verify_held(
+        self, T_world_base: SE3, q: FloatArray, path: ObjectPath, record: SolveRecord
+    ) -> tuple[GraspPlan, tuple[Knot, ...]] | Failure:
+        """The grasp and the knots of an object that stays in the fingers while the wrist turns.
+
+        Args:
+            T_world_base: Pose of the base at the grasp.
+            q: Joints (nq,).
+            path: A path that stays.
+            record: Where the grasp comes from.
+        """
+        grasp = verify_grasp(self._task, T_world_base, q, record=record, world=self._world)
+        if isinstance(grasp, Failure):
+            return grasp
+        T_object_base = self._task.T_world_object.inverse() * T_world_base
+        ends = [Waypoint(path_parameter=s, T_object_base=T_object_base, q=q) for s in (0.0, 1.0)]
+        knots = self.verify_knots(T_world_base, ends, path, 0.0)
+        return knots if isinstance(knots, Failure) else (grasp, knots)
+
     def verify_knots(
         self,
         T_world_base: SE3,

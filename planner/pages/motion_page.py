@@ -172,7 +172,10 @@ def _summary(plan: MovementPlan, note: str) -> tuple[Block, ...]:
     rows.append(("most loaded actuator", f"keeps {100 * plan.reserve:.0f} % of its limit"))
     if plan.ending is not None:
         target = ", ".join(f"{v:.3f}" for v in plan.ending.T_world_target.translation)
-        rows.append(("put down at", f"({target}) m"))
+        held = plan.ending.release is None
+        rows.append(("held at last at" if held else "put down at", f"({target}) m"))
+        if plan.then is not None:
+            rows.append(("movements that follow", str(len(plan.then.chain))))
         if plan.ending.back:
             rows.append(("turned back before", plan.ending.back))
     blocks: list[Block] = [PlotsHere(), Heading(text="Motion"), Facts(rows=tuple(rows))]

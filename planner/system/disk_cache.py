@@ -83,6 +83,11 @@ def write_arrays(kind: str, key: str, arrays: Mapping[str, NDArray[Any]]) -> Non
             Path(temporary).unlink(missing_ok=True)
 
 
+def is_stored(kind: str, key: str) -> bool:
+    """Whether there is a file under a kind and a key, be it damaged."""
+    return _path(kind, key).exists()
+
+
 def read_text(kind: str, key: str) -> str | None:
     """The text stored under a kind and a key; None if there is none."""
     stored = read_arrays(kind, key)

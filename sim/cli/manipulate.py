@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -74,6 +75,25 @@ class TurnOptions(TaskOptions):
     gait: Annotated[
         bool, flag("--gait", "Turn by strokes, fingers moving on between them.", MOVEMENT)
     ] = False
+    goal: Annotated[
+        str | None,
+        option(
+            "Rotation of the object at last, held in the hand: roll, pitch, yaw in degrees about "
+            "the world's axes.",
+            "R,P,Y",
+            MOVEMENT,
+        ),
+    ] = None
+    put_down: Annotated[
+        bool, flag("--put-down", "With --goal: it stands on the table at last.", MOVEMENT)
+    ] = False
+    goal_tilt: Annotated[
+        float,
+        option("With --goal: most tilt of the palm from straight down there.", "DEG", MOVEMENT),
+    ] = 180.0
+    wrist_tilt: Annotated[
+        float, option("With --goal: the same wherever the wrist turns.", "DEG", MOVEMENT)
+    ] = 180.0
     seed: SeedOption = 0
     mu: MuOption = MU
     max_attempts: AttemptsOption = MAX_ATTEMPTS
@@ -105,6 +125,34 @@ class TurnOptions(TaskOptions):
         """Where the object is put (2,), m."""
         x, y = numbers("--place", self.place, 2)
         return x, y
+
+    def plan_goal(self, hand: str, object: str) -> ManipulationPlan:
+        """The movements to --goal, with a spinner on stderr.
+
+        Raises:
+            PlannerError: Bad input, or the goal is not reached.
+        """
+        import pinocchio as pin
+
+        from planner.motion.goals import plan_reorientation
+
+        roll, pitch, yaw = (math.radians(v) for v in numbers("--goal", str(self.goal), 3))
+        item = object_of(object, mass=self.mass, repair=self.repair, strict=self.strict)
+        with err.status(f"planning: {hand}, {item.name} ..."):
+            return plan_reorientation(
+                hand,
+                item,
+                pin.rpy.rpyToMatrix(roll, pitch, yaw),
+                T_world_object=item.resting_pose(index=self.pose),
+                place=self.target(),
+                put_down=self.put_down,
+                goal_tilt=math.radians(self.goal_tilt),
+                wrist_tilt=math.radians(self.wrist_tilt),
+                mu=self.mu,
+                fingers=None if self.fingers is None else names(self.fingers),
+                seed=self.seed,
+                tell=lambda line: say(err, escape(line)),
+            )
 
     def plan(self, hand: str, object: str) -> ManipulationPlan:
         """Plan with a spinner on stderr.
@@ -174,6 +222,15 @@ IN_BOTH = {
 ALONE = {f.name for f in fields(TaskOptions)} - IN_BOTH | {"best_of", "picture"}
 """Parameters of a plan alone."""
 
+TO_GOAL = {"goal", "put_down", "goal_tilt", "wrist_tilt", "pose"}
+"""Parameters of a goal rotation alone."""
+
+GOAL = TO_GOAL | {
+    *("hand", "object", "output", "as_json", "plan_only", "place", "seed", "mu", "fingers"),
+    *("mass", "repair", "strict"),
+}
+"""Parameters of a plan to a goal rotation."""
+
 EXECUTED = {f.name for f in fields(TurnExecution)} | {"output", "place", "as_json"}
 """Parameters that go with a plan that is read."""
 
@@ -218,8 +275,13 @@ def manipulate(
     stalls is tried again, once. An object that does not stand as it was turned, or that the hand
     could not let go of where it was moved to, is brought back in the hand before it is put down.
 
+    With --goal the object is brought to a rotation in the world and held there, by the wrist, and
+    where the palm may not tilt that far (--goal-tilt, --wrist-tilt) by setting it down on another
+    face or turning it in the fingers. Grasps of all its stable poses are kept for later goals.
+
     With --plan-only nothing is executed: a motion on one grasp (--rotate max: as far as it goes),
-    or with --gait a turn of any size, is written to motion.json or gait.json.
+    or with --gait a turn of any size, is written to motion.json or gait.json, and movements to a
+    --goal to goal.json.
 
     Exit code 1 if a phase failed, or if the hand collided with itself, the table or the
     stand.
@@ -241,6 +303,16 @@ def manipulate(
         return
     if hand is None or object is None:
         raise TaskError("give HAND and OBJECT, or a file: opposable manipulate --plan FILE")
+    if request.goal is not None:
+        kept = GOAL if plan_only else GOAL | EXECUTED
+        refuse_given(context, "--goal tells how the object is turned", kept=kept)
+        if plan_only:
+            _goal_only(request.plan_goal(hand, object), output or Path("goal.json"), as_json)
+            return
+        going = partial(request.plan_goal, hand, object)
+        _execute(going, request.mu, execution, output, as_json, told)
+        return
+    refuse_given(context, "there is no --goal", of=TO_GOAL - {"pose"})
     if plan_only:
         refuse_given(context, "--plan-only executes nothing", kept=IN_BOTH | ALONE)
         _plan_only(hand, object, request, execution, output, picture, as_json)
@@ -251,6 +323,18 @@ def manipulate(
     reckoned = execution.reckoned(request)
     make = lambda: reckoned.plan(hand, item)  # noqa: E731
     _execute(make, request.mu, execution, output, as_json, told)
+
+
+def _goal_only(plan: ManipulationPlan, file: Path, as_json: bool) -> None:
+    """Write the movements to a goal."""
+    from planner.files import write_manipulation
+    from planner.files.movements import movement_to_dict
+
+    write_manipulation(plan, file)
+    if as_json:
+        print_json(movement_to_dict(plan))
+    else:
+        tell(str(plan), f"written to {file}")
 
 
 def _plan_only(
@@ -338,7 +422,9 @@ def _execute(
     report = replace(report, command=command)
     if out_dir is not None:
         write_manipulation(plan, out_dir / "manipulation.json")
-        write_trajectory(plan.joint_trajectory(), out_dir / "trajectory.csv")
+        for n, part in enumerate(plan.chain, start=1):
+            name = "trajectory.csv" if n == 1 else f"trajectory-{n}.csv"
+            write_trajectory(part.joint_trajectory(), out_dir / name)
         write_report(report.to_dict(), out_dir / "report.json")
         report.save_html(out_dir / "report.html")
     if as_json:

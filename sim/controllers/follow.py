@@ -121,7 +121,7 @@ class MotionReference:
         self._turns, self._moves = abs(whole) > ROUNDING, bool(path.shift.any())
         self._sign = float(np.sign(whole))
         shift = float(np.linalg.norm(path.shift)) * (1.0 if back_from is None else back_from)
-        self._length = abs(whole) if self._turns else shift
+        self._length = max(abs(whole) if self._turns else shift, ROUNDING)  # of one that stays
         self._end = abs(self.goal) if self._turns else self._length
         self._fastest = rate if self._turns else SPEED
         self._acceleration = self._fastest / RAMP

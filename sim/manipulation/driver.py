@@ -71,7 +71,8 @@ class ManipulationDriver:
         self._plan, self._rate = plan, rate
         self._motion = out_of_the_way(plan)
         self.reference = self.begin_stroke(plan.angle)
-        self._opening = PostureServo(plan.grasp, plan.ending.release.q)
+        release = plan.ending.release
+        self._opening = PostureServo(plan.grasp, plan.grasp.q if release is None else release.q)
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -189,6 +190,7 @@ class BaseMover:
     def go(self, T_world_base: SE3, duration: float) -> None:
         """From where it was sent last to a pose, in a time (s) that is the phase's own."""
         self._way = np.vstack([self._way[-1], self._gantry.coordinates(T_world_base)])
+        self._way[:, 3:] = np.unwrap(self._way[:, 3:], axis=0)  # near half a turn either sign is
         self._smooth, self._duration = None, duration
 
     def go_along(self, poses: Sequence[SE3], duration: float) -> None:

@@ -2,7 +2,7 @@
 
     state      phases                                          passed            failed, with retry
     ---------  ----------------------------------------------  ----------------  ------------------
-    pick       stand, approach, close, squeeze, verify, lift,  turn              end
+    pick       stand, approach, close, squeeze, verify, lift,  turn, hold        end
                wrist
     turn       turn                                            regrasp, hold     regrasp, put down
     regrasp    regrasp, once for each finger                   turn              regrasp, put down
@@ -22,8 +22,10 @@ failure ends the run unless a retry is asked for and the hand still touches the 
   executes the rest of the turn anew;
 - else the run ends.
 
-"back" is run only where the ending says that the motion is made backwards, "wrist" and "wrist back"
-where the motion is made in another attitude of the hand than the grasp.
+"back" is run only where the ending says that the motion is made backwards, "wrist" where the motion
+is made in another attitude of the hand than the grasp, "wrist back" if it is not put down or held
+in that one, and "turn" if the object is moved in the fingers. Held at last, it is brought to its
+target, and "verify again" is the last phase.
 """
 
 from __future__ import annotations
@@ -133,7 +135,9 @@ class StateMachine:
             self._moved.append(about)
         if self._queue:
             return
-        if self.state in ("pick", "regrasp"):
+        if self.state == "pick" and self._plan.path.stays:
+            self._enter("hold", "hold")
+        elif self.state in ("pick", "regrasp"):
             self._turn()
         elif self.state == "turn":
             if self._turned:
@@ -142,7 +146,10 @@ class StateMachine:
                 self._moved = []
                 self._regrasp(self._cycle)
         elif self.state == "hold":
-            self._enter("place", "verify again", *self._back, "carry", *DOWN)
+            if self.ending.release is None:
+                self._enter("place", "carry", "verify again")
+            else:
+                self._enter("place", "verify again", *self._back, "carry", *DOWN)
         else:
             self.complete = self.state == "place"
             self.put_down = self.state == "put down"
@@ -175,7 +182,8 @@ class StateMachine:
     @property
     def _back(self) -> tuple[ManipulationPhase, ...]:
         back: tuple[ManipulationPhase, ...] = ("back",) if self.ending.back else ()
-        return (*back, "wrist back") if self._plan.path.turns_wrist else back
+        returns = self._plan.path.turns_wrist and not self.ending.turned
+        return (*back, "wrist back") if returns else back
 
     @property
     def _cycle(self) -> tuple[Relocation, ...]:

@@ -81,8 +81,7 @@ def manipulation_page(report: ManipulationReportFile, task: GraspTask | None = N
         stage = moving_stage(task, recording, obstacles_of(last.plan, task))
     fault = _fault_time(parts)
     return Page(
-        title=f"{report.hand} turns {without_folder(report.object)} by "
-        f"{shown(report.asked_deg, 'degrees')}",
+        title=_title(report),
         subtitle=f"Manipulation, seed {report.seed}, {shown(report.mass_kg, 'kg')}, "
         f"{report.controller}",
         verdict=_verdict(report, fault),
@@ -91,6 +90,18 @@ def manipulation_page(report: ManipulationReportFile, task: GraspTask | None = N
         data=report.model_dump(mode="json"),
         kind="report",
     )
+
+
+def _title(report: ManipulationReportFile) -> str:
+    item = without_folder(report.object)
+    if _goal_off(report) is not None:
+        return f"{report.hand} brings {item} to a goal rotation"
+    return f"{report.hand} turns {item} by {shown(report.asked_deg, 'degrees')}"
+
+
+def _goal_off(report: ManipulationReportFile) -> float | None:
+    """How far (degrees) the object is off its goal at last; None of a report without a goal."""
+    return report.numbers.get("goal_off_deg")
 
 
 def page_of_report(report: Any) -> Page:
@@ -111,11 +122,16 @@ def _verdict(report: ManipulationReportFile, fault: float | None) -> Verdict:
     good = report.complete and report.success
     if not report.complete:
         text, reason = "Failed", report.reason
-    elif report.earlier is not None:
+    elif report.earlier is not None and not report.earlier.complete:
         text, reason = "Put down half-way and begun again", report.earlier.reason
     elif not report.success:
         turned = shown(report.numbers["turned_deg"], "degrees")
         text, reason = "Put down, but not turned as asked", f"It was turned by {turned}."
+    elif (off := _goal_off(report)) is not None:
+        most = report.criteria["goal_deg"] or np.inf
+        good = good and off <= most
+        text = "Goal reached" if good else "Goal not reached"
+        reason = f"The object is {off:.1f} degrees off (at most {most:g}). {report.faults}".strip()
     elif not report.success_with_closure:
         text, reason = "Turned as asked and put down, but", report.faults
     else:

@@ -29,6 +29,7 @@ from sim.manipulation.timeline import (
     ManipulationTimeline,
     Measured,
     SuccessCriteria,
+    at_goal,
     off_target,
     placed,
     too_short,
@@ -326,7 +327,11 @@ class Phases:
         above = shifted(ending.T_world_target, [0.0, 0.0, self.height])
         self._sim.mover.go(self._sim.base_for(above), self._timeline.carry)
         fault = self._sim.run("carry", self._timeline.carry)
-        return fault, off_target(above, self._sim.simulation.T_world_object)
+        numbers = off_target(above, self._sim.simulation.T_world_object)
+        if not fault and ending.release is None:
+            fault, goal = at_goal(above, self._sim.simulation.T_world_object, self._criteria)
+            numbers |= goal
+        return fault, numbers
 
     def _lower(self, ending: Ending) -> Measured:
         target, duration = ending.T_world_target, self._timeline.lower * self._stretch

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner.arrays import finite
 from planner.motion.manipulation import ManipulationPlan
 from planner.quality import QualityReport
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, pose_from_wxyz, rotation_angle
 from sim.controllers.base import event_lines
 from sim.manipulation.log import FingerForce, ManipulationLog, finger_forces, mode_table, told_modes
 from sim.manipulation.report_file import ManipulationReportFile
@@ -113,10 +113,33 @@ class ManipulationReport(ExecutionReport):
         return int((~self.log.closed[self.log.during(*IN_THE_AIR)]).sum())
 
     @property
+    def goal_off(self) -> float:
+        """Rotation of the object off its goal at last, rad; NaN where a plan has none.
+
+        A plan whose hand ends in its attitude has the goal that its object is turned to.
+        """
+        states = self.recording.T_world_object
+        if not self.plan.ending.turned or not len(states):
+            return float("nan")
+        last = pose_from_wxyz(states[-1, :3], states[-1, 3:])
+        return rotation_angle(self.plan.ending.T_world_target.rotation.T @ last.rotation)
+
+    @property
+    def goal_reached(self) -> bool:
+        """Complete, not dropped, and within ``SuccessCriteria.goal_deg`` of the goal at last."""
+        return self.plan.ending.turned and self.success
+
+    @property
     def success(self) -> bool:
-        """Turned as far or further, moved as asked for, not put down half-way, and not dropped."""
-        if self.earlier is not None:
+        """Turned as far or further, moved as asked for, not put down half-way, and not dropped.
+
+        Of a plan with a goal: complete, near the goal, and not dropped.
+        """
+        if self.earlier is not None and not (self.earlier.complete and self.earlier.success):
             return False
+        if self.plan.ending.turned:
+            near = bool(np.rad2deg(self.goal_off) <= self.criteria.goal_deg)
+            return self.complete and near and not self.dropped
         held = self.log.during("hold")
         return bool(len(held)) and bool(self._reached()[held[-1]]) and not self.dropped
 
@@ -186,7 +209,7 @@ class ManipulationReport(ExecutionReport):
 
     def __str__(self) -> str:
         """Phase by phase, contact modes, and the verdict."""
-        lines = [] if self.earlier is None else [str(self.earlier), "", "begun again:"]
+        lines = [] if self.earlier is None else [str(self.earlier), "", self._begun]
         lines += [str(result) for result in self.results]
         if self.log.during("turn").size:
             turning = self.log.during("turn", "regrasp")
@@ -209,6 +232,11 @@ class ManipulationReport(ExecutionReport):
         lines += [f"controller: {line}" for line in event_lines(self.events)]
         lines += error_lines(self.error_model)
         verdict = "complete" if self.complete else f"failed in {self.reason}"
+        if np.isfinite(self.goal_off):
+            how = "held" if self.plan.ending.release is None else "standing"
+            off, most = np.rad2deg(self.goal_off), self.criteria.goal_deg
+            reached = "reached" if self.goal_reached else "not reached"
+            lines.append(f"goal {reached}: {off:.2f} degrees off (at most {most:g}), {how}")
         return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])
 
     def __repr__(self) -> str:
@@ -223,10 +251,17 @@ class ManipulationReport(ExecutionReport):
             return "success with closure"
         if self.success:
             return f"success, but {self.faults}"
-        told = "put down half-way" if self.earlier is not None else "not as asked"
+        again = self.earlier is not None and not self.earlier.complete
+        told = "put down half-way" if again else "not as asked"
         if self.collision is not None:
             told += f"; {self.collision.reason}: {self.collision.detail}"
         return told
+
+    @property
+    def _begun(self) -> str:
+        """Why there are two runs."""
+        planned = self.earlier is not None and self.earlier.complete
+        return "from where it stands now, as planned:" if planned else "begun again:"
 
     def _moved(self) -> list[str]:
         """How far it was moved in the hand, if that was asked for; and why it was brought back."""
@@ -265,6 +300,7 @@ class ManipulationReport(ExecutionReport):
             "largest_collision_N": float(self.log.collision_N.max(initial=0.0)),
             "largest_force_N": max(force.sustained for force in self.forces),
             "force_limit_N": self.force_limit,
+            "goal_off_deg": float(np.rad2deg(self.goal_off)),
             "duration_s": self.results[-1].end if self.results else 0.0,
         }
 

@@ -22,7 +22,7 @@ from planner.motion.ending import backwards, find_release, object_at_target, sta
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
 from planner.motion.verify import ASKED_SHARE
-from planner.spatial import SE3, signed_twist
+from planner.spatial import SE3, pose_from_wxyz, signed_twist
 from sim.manipulation.in_hand import GuidedController, in_hand_controller
 from sim.manipulation.log import (
     ManipulationLog,
@@ -40,7 +40,7 @@ from sim.manipulation.simulation import (
     ManipulationSim,
 )
 from sim.manipulation.standing import rests
-from sim.manipulation.timeline import TURNING, PhaseResult
+from sim.manipulation.timeline import TURNING, UP, PhaseResult
 from sim.show.picture import Drawn, check_video, draw_tape
 from sim.simulation import Simulation
 
@@ -257,7 +257,8 @@ def manipulate(
         video: Write a film here: ``.mp4``, ``.webp`` or ``.gif``.
         arrows: Draw the measured contact forces into both.
         retry: Whether a turn that fails is made up for, once; the push is not repeated. The way of
-            the hand from where it let go to where it begins anew is not simulated.
+            the hand from where it let go to where it begins anew is not simulated, nor where a plan
+            follows on another (``plan.then``). Parts of such a chain are not tried again.
         view: Show it in MuJoCo's viewer, in real time.
         changes: Fields of ``ManipulationOptions`` by name: ``controller="impedance"``,
             ``true_task``, ``physics``, ``timeline``, ``criteria``, ``push``, ``error_model``,
@@ -270,10 +271,15 @@ def manipulate(
     """
     plan = given_manipulation(plan)
     options = (options or ManipulationOptions()).with_changes(**changes)
-    fresh = copy.deepcopy(options.controller) if retry else None  # as it is before the first run
+    retry = retry and not plan.ending.turned
+    more = retry or plan.then is not None
+    fresh = copy.deepcopy(options.controller) if more else None  # as it is before the first run
     run = ManipulationRun(plan, options)
     run.sim.simulation.on_step = on_step
     report = run.perform(pictures=pictures, video=video, arrows=arrows, retry=retry, view=view)
+    if report.complete and plan.then is not None:
+        later = options.with_changes(controller=fresh)
+        return _followed(plan.then, later, report, on_step=on_step, view=view)
     if not report.put_down:
         return report
     standing = run.sim.simulation.T_world_object
@@ -287,6 +293,31 @@ def manipulate(
     again = ManipulationRun(rest, options, controller=fresh, true_task=there, push=None)
     again.sim.simulation.on_step = on_step
     return replace(again.perform(view=view), earlier=report)
+
+
+def _followed(
+    plan: ManipulationPlan,
+    options: ManipulationOptions,
+    before: ManipulationReport,
+    *,
+    on_step: Callable[[Simulation], None] | None,
+    view: bool,
+) -> ManipulationReport:
+    """Execute a chain from where the run before has put the object down."""
+    states = before.recording.T_world_object[-1]
+    now, target = pose_from_wxyz(states[:3], states[3:]), plan.task.T_world_object
+    heading = signed_twist(now.rotation @ target.rotation.T, UP)
+    x, y = now.translation[:2].tolist()
+    there = options.true_task or plan.task
+    pose = object_at_target(plan.task, UP, heading, (x, y))
+    there = replace(there, finger_names=plan.task.finger_names, T_world_object=pose)
+    fresh = copy.deepcopy(options.controller)
+    run = ManipulationRun(plan, options, controller=fresh, true_task=there, push=None)
+    run.sim.simulation.on_step = on_step
+    report = replace(run.perform(view=view), earlier=before)
+    if not report.complete or plan.then is None:
+        return report
+    return _followed(plan.then, options, report, on_step=on_step, view=view)
 
 
 def _rest_of(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) -> ManipulationPlan:

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from planner.arrays import check_fields
 from planner.motion.plan import WRIST_RATE
-from planner.spatial import SE3, FloatArray, signed_twist
+from planner.spatial import SE3, FloatArray, rotation_angle, signed_twist
 from sim.controllers import Phase
 from sim.verdict import COLLISION_N
 
@@ -142,6 +142,7 @@ class SuccessCriteria:
         shift_mm: How far from where it was to be moved in the hand the object may be, mm; asked
             only where it was to be moved.
         place_mm: How far from the target the object may stand at last, mm.
+        goal_deg: How far from a goal rotation the object may be at last, degrees.
         fingers: Fewest fingers that must touch in the air for a success with closure.
         collision_N: Normal force of the hand on itself, table or obstacle from which on it has
             collided, N, as in trials of grasps.
@@ -156,6 +157,7 @@ class SuccessCriteria:
     tilt_deg: float = 15.0
     shift_mm: float = 3.0
     place_mm: float = 10.0
+    goal_deg: float = 5.0
     fingers: int = 3
     collision_N: float = COLLISION_N
     normal_N: float | None = None
@@ -267,6 +269,14 @@ def placed(target: SE3, now: SE3, criteria: SuccessCriteria) -> Measured:
             f"{numbers['tilt_deg']:.1f}"
         )
     return reason, numbers
+
+
+def at_goal(target: SE3, now: SE3, criteria: SuccessCriteria) -> Measured:
+    """Whether an object is turned to its goal."""
+    off = float(np.rad2deg(rotation_angle(target.rotation.T @ now.rotation)))
+    far = off > criteria.goal_deg
+    told = f"the object is {off:.1f} degrees off its goal (at most {criteria.goal_deg:g})"
+    return told if far else "", {"goal_off_deg": off}
 
 
 def where_it_stands(target: SE3, now: SE3) -> SE3:
