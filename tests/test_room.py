@@ -57,8 +57,8 @@ def test_margins_grow_by_standard_deviations_of_a_tip(allegro: Hand, error: floa
     assert roomy.clear_object == pytest.approx(0.002 + room)
     assert roomy.clear_fingers == pytest.approx(0.001 + room)
     assert roomy.clear_table == pytest.approx(0.004 + 2.0 * room)  # a tip on the table ends a trial
-    before = {"clear_object": 0.002, "clear_fingers": 0.001, "clear_table": 0.004}
-    assert replace(roomy, **before) == options
+    before = replace(roomy, clear_object=0.002, clear_fingers=0.001, clear_table=0.004)
+    assert before == options
     assert (roomy is options) == (room == 0.0)
 
 
