@@ -47,6 +47,8 @@ from sim.cli.options import (
     numbers,
     option,
 )
+from sim.cli.palm import KEPT as WITH_PALM
+from sim.cli.palm import PalmOptions, turn_in_palm
 from sim.cli.tasks import TaskOptions, object_of
 
 if TYPE_CHECKING:
@@ -198,6 +200,7 @@ def manipulate(
     demo: Annotated[bool, flag("--demo", "A cylinder is turned by 90 degrees.")] = False,
     *,
     request: TurnOptions,
+    palm: PalmOptions,
     execution: TurnExecution,
     output: Annotated[
         Path | None,
@@ -217,6 +220,9 @@ def manipulate(
     Where one stroke is not enough, fingers move on one at a time while the others hold. A turn that
     stalls is tried again, once. An object that does not stand as it was turned, or that the hand
     could not let go of where it was moved to, is brought back in the hand before it is put down.
+
+    With --in-palm nothing is grasped: the object lies on palm and fingers, palm up, and is turned
+    there by contact-implicit control.
 
     With --plan-only nothing is executed: a motion on one grasp (--rotate max: as far as it goes),
     or with --gait a turn of any size, is written to motion.json or gait.json.
@@ -241,11 +247,17 @@ def manipulate(
         return
     if hand is None or object is None:
         raise TaskError("give HAND and OBJECT, or a file: opposable manipulate --plan FILE")
+    if palm.in_palm:
+        refuse_given(context, "--in-palm grasps nothing", kept=WITH_PALM)
+        parts = (request, palm, execution, output, picture)
+        turn_in_palm(hand, object, *parts, as_json, told, request.seed)
+        return
     if plan_only:
         refuse_given(context, "--plan-only executes nothing", kept=IN_BOTH | ALONE)
         _plan_only(hand, object, request, execution, output, picture, as_json)
         return
     refuse_given(context, "a manipulation takes fewer options than --plan-only", of=ALONE)
+    refuse_given(context, "these go with --in-palm", of={"turn_to", "tilt"})
     item = object
     execution.check_policy(hand, lambda: parse_object(item, mass=request.mass), request.upright)
     reckoned = execution.reckoned(request)
