@@ -25,6 +25,7 @@ NAMES = (
     "metrics",
     "trials",
     "tools",
+    "palm",
     "refine",
     "audit",
     "forces",

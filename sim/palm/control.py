@@ -2,9 +2,9 @@
 
 Over a horizon of steps of ``ContactStep`` it minimises, in the increments of the servos' commands,
 
-    sum_k share_k (c_p |p_k - p*|^2 + c_r |r_k - r*|^2) + c_t sum_tips |tip_k - p_k|^2 + c_u |du_k|^2
+    sum_k s_k (c_p |p_k - p*|^2 + c_r |r_k - r*|^2) + c_t sum_tips |tip_k - p_k|^2 + c_u |du_k|^2
 
-with share 1 at the end and less before, increments and commands in their ranges. All terms are
+with s_k = 1 at the end and less before, increments and commands in their ranges. All terms are
 squares of what is linear in the state, and only the forces bend: so Gauss-Newton steps with exact
 derivatives, each a QP in horizon x servos unknowns (DAQP), warm-started from the last solve and
 halved until the cost falls, do it (a real-time iteration; Diehl, Bock and Schloeder 2005).

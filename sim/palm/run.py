@@ -135,7 +135,7 @@ def reorient_in_palm(
     begin = time.perf_counter()
     scene, q, nest = palm_scene(hand, object, tilt=tilt, physics=physics, cradle=cradle)
     plant, data = plant_of(scene), mujoco.MjData(scene.model)
-    lay_down(plant, data, asked, q, first, nest + moved)
+    lay_down(plant, data, asked, scene.task.hand.neutral, first, nest + moved)
     tape = Tape(scene.model, scene.subject) if picture or video else None
     rate = max(1, round(1.0 / (FORMATS[".mp4"].rate * scene.model.opt.timestep)))
     taken = [0]
@@ -145,7 +145,7 @@ def reorient_in_palm(
             tape.keep(float(data.time), data.qpos)
         taken[0] += 1
 
-    _settle(plant, data, scene.task.object.name, keep)
+    _settle(plant, data, q, scene.task.object.name, keep)
     place = data.xpos[plant.object_body] + [AHEAD, 0.0, LIFT]
     place[:2] -= moved
     log = turn(
@@ -247,7 +247,7 @@ def lay_down(
     rotation: FloatArray,
     place: FloatArray,
 ) -> None:
-    """Put the hand at joints q (nq,) and the object just above it, over a place (2,), m.
+    """Put the open hand's joints at q (nq,), and the object just above it, over a place (2,), m.
 
     Raises:
         TaskError: There is no room for it above the palm.
@@ -271,14 +271,17 @@ def lay_down(
     mujoco.mj_forward(plant.model, data)
 
 
-def _settle(plant: Plant, data: Any, name: str, keep: Any) -> None:
-    """Let the object come to rest.
+def _settle(plant: Plant, data: Any, q: FloatArray, name: str, keep: Any) -> None:
+    """Let the object come to rest while the fingers curl about it, to joints q (nq,).
 
     Raises:
         TaskError: It has left the palm.
     """
     first = float(data.xpos[plant.object_body][2])
-    for _ in range(round(SETTLE_S / plant.model.opt.timestep)):
+    open_, curled = data.ctrl[plant.ctrl].copy(), plant.moment @ q
+    steps = round(SETTLE_S / plant.model.opt.timestep)
+    for k in range(steps):
+        data.ctrl[plant.ctrl] = open_ + min(1.0, 2.0 * k / steps) * (curled - open_)
         mujoco.mj_step(plant.model, data)
         keep()
     fallen = first - float(data.xpos[plant.object_body][2])
