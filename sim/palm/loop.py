@@ -109,7 +109,8 @@ def turn(
     low = float(data.xpos[plant.object_body][2]) - SINK
     steps = max(1, round(settings.period_s / model.opt.timestep))
     share = settings.period_s / settings.step_s
-    away, held, phase = begun, 0.0, "turn"
+    away, held = begun, 0.0
+    phase = strategy.next(0.0, angle_deg(plant, data, goal))
     while data.time - began_at < longest_s:
         command = data.ctrl[plant.ctrl].copy()
         if phase == "turn":

@@ -77,9 +77,9 @@ class PalmSettings:
     still_deg: float = 2.5
     sweeps: int = 2
     progress_deg: float = 3.0
-    stall_s: float = 2.0
+    stall_s: float = 0.8
     open_s: float = 0.5
-    scatter_rad: float = 0.15
+    scatter_rad: float = 0.3
 
     def __post_init__(self) -> None:
         """Check every number.
