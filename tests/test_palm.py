@@ -203,7 +203,7 @@ def test_a_mirror_is_no_goal() -> None:
 
 
 def test_a_hand_without_a_palm_up_pose_is_named() -> None:
-    with pytest.raises(NotFoundError, match="palm-up pose of a hand.*shadow_hand"):
+    with pytest.raises(NotFoundError, match=r"palm-up pose of a hand.*shadow_hand"):
         reorient_in_palm("shadow_hand", CUBE, QUARTER)
 
 

@@ -84,7 +84,7 @@ def turn_in_palm(
         PlannerError: Bad input.
         Exit: It did not get there.
     """
-    from sim.palm import reorient_in_palm
+    from sim.palm.run import TILT, reorient_in_palm
     from sim.report_file import write_report
 
     goal = asked.goal
@@ -93,13 +93,13 @@ def turn_in_palm(
     if folder is not None:
         make_folder(folder)
         picture = picture or folder / "turned.png"
-    tilt = {} if asked.tilt is None else {"tilt": math.radians(asked.tilt)}
+    tilt = TILT if asked.tilt is None else math.radians(asked.tilt)
     with err.status("turning in the palm ..."):
         report = reorient_in_palm(
             hand,
             item,
             goal,
-            **tilt,
+            tilt=tilt,
             physics=physics_of(execution.physics, execution.sim_mu),
             seed=seed,
             picture=picture,
