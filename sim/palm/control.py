@@ -47,7 +47,9 @@ class PalmController:
         bounded = plant.model.actuator_forcelimited[plant.ctrl].astype(bool)
         lead = np.where(bounded, force / self.model.kp, np.inf)
         self._lead = np.minimum(lead, settings.lead_rad)
-        self._sums: FloatArray = np.kron(np.tril(np.ones((steps, steps))), np.eye(nu))
+        self._sums = np.asarray(
+            np.kron(np.tril(np.ones((steps, steps))), np.eye(nu)), dtype=np.float64
+        )
         self.predicted = np.zeros(FREE + len(plant.qpos))
         self.forget()
 
