@@ -114,11 +114,12 @@ def turn(
     while data.time - began_at < longest_s:
         command = data.ctrl[plant.ctrl].copy()
         if phase == "turn":
+            # from where the servos are: a squeeze that is stored throws the object out
+            command = plant.moment @ data.qpos[plant.qpos]
             start = time.thread_time()
-            aim = controller.command(data.qpos, command, goal, place)
+            new = controller.command(data.qpos, command, goal, place)
             log.solve_s.append(time.thread_time() - start)
-            new = command + share * (aim - command)
-            new = controller.held_back(new, plant.moment @ data.qpos[plant.qpos])
+            new = command = controller.held_back(new, command)
         elif phase == "open":
             most = share * settings.command_rad
             new = command + np.clip(away - command, -most, most)

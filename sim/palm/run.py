@@ -69,7 +69,7 @@ CRADLES: Mapping[str, tuple[tuple[float, float], Mapping[str, float]]] = Mapping
 )
 """Hand -> where an object lies on its palm (x, y), m, and joints (rad) that curl about it there."""
 
-AHEAD, LIFT = 0.04, 0.02
+AHEAD, LIFT = 0.02, 0.012
 """How far (m) towards the fingers and above where it lies the centre is wanted: off the palm, which
 rubs, and where all fingertips reach."""
 

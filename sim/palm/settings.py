@@ -40,7 +40,8 @@ class PalmSettings:
             that seeks contact.
         effort_cost: On the squared change of each command in a step, 1/rad^2.
         command_rad: Largest change of a command in a step, rad.
-        lead_rad: Largest distance of a command from its joint, rad: bounds the force.
+        lead_rad: Largest distance of a command from its joint, rad: bounds the force. Commands begin
+            where the joints are, so that no squeeze is stored.
         goal_rad: Largest turn asked for at a time, rad: the goal moves on along the shortest way,
             since contacts are frozen over the horizon.
         slow_deg: Angle to the goal (degrees) below which commands become slower in proportion.
@@ -55,31 +56,31 @@ class PalmSettings:
 
     horizon: int = 4
     step_s: float = 0.1
-    period_s: float = 0.05
+    period_s: float = 0.1
     reach_m: float = 0.03
     contacts: int = 32
     mu: float = 0.5
-    object_stiffness: float = 63.0
-    turn_stiffness: float = 0.115
+    object_stiffness: float = 50.0
+    turn_stiffness: float = 0.1
     contact_stiffness: float = 0.5
     smoothing_m: float = 0.005
     weight_share: float = 0.1
-    position_cost: float = 900.0
-    rotation_cost: float = 6.0
+    position_cost: float = 1000.0
+    rotation_cost: float = 12.5
     running_share: float = 0.1
     tip_cost: float = 1.0
     effort_cost: float = 0.1
     command_rad: float = 0.2
-    lead_rad: float = 0.25
+    lead_rad: float = 0.2
     goal_rad: float = 0.6
     slow_deg: float = 20.0
     slowest: float = 0.3
-    still_deg: float = 2.5
+    still_deg: float = 3.5
     sweeps: int = 2
     progress_deg: float = 3.0
-    stall_s: float = 0.8
+    stall_s: float = 2.0
     open_s: float = 0.5
-    scatter_rad: float = 0.3
+    scatter_rad: float = 0.15
 
     def __post_init__(self) -> None:
         """Check every number.
