@@ -40,7 +40,7 @@ class PalmSettings:
             that seeks contact.
         effort_cost: On the squared change of each command in a step, 1/rad^2.
         command_rad: Largest change of a command in a step, rad.
-        lead_rad: Largest distance of a command from its joint, rad: bounds the force. Commands begin
+        lead_rad: Largest distance of a command from its joint, rad: bounds the force. They begin
             where the joints are, so that no squeeze is stored.
         goal_rad: Largest turn asked for at a time, rad: the goal moves on along the shortest way,
             since contacts are frozen over the horizon.
