@@ -26,6 +26,7 @@ NAMES = (
     "trials",
     "tools",
     "goals",
+    "palm",
     "refine",
     "audit",
     "forces",

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from sim.controllers import Controller, GraspController, ObjectImpedance, Observation
     from sim.handover import HandoverTimeline, hand_over
     from sim.manipulation import ManipulationReport, ManipulationTimeline, manipulate
+    from sim.palm import PalmReport, PalmSettings, reorient_in_palm
     from sim.protocols import ProtocolReport, run_protocol
     from sim.report import TrialReport
     from sim.scene.build import Scene
@@ -39,6 +40,8 @@ __all__ = [
     "ManipulationTimeline",
     "ObjectImpedance",
     "Observation",
+    "PalmReport",
+    "PalmSettings",
     "PhysicsOptions",
     "ProtocolReport",
     "Scene",
@@ -53,6 +56,7 @@ __all__ = [
     "hand_over",
     "manipulate",
     "plan_tool",
+    "reorient_in_palm",
     "run_protocol",
     "simulate",
     "use_tool",
@@ -67,7 +71,10 @@ _HOMES = {
     "ObjectImpedance": "sim.controllers",
     "Observation": "sim.controllers",
     "PhysicsOptions": "sim.scene.physics",
+    "PalmReport": "sim.palm",
+    "PalmSettings": "sim.palm",
     "ProtocolReport": "sim.protocols",
+    "reorient_in_palm": "sim.palm",
     "ErrorModel": "sim.sensing.errors",
     "Scene": "sim.scene.build",
     "Simulation": "sim.simulation",
@@ -97,6 +104,7 @@ register_page(
 register_page(
     "TrialReport", "sim.show.trial_page:page_of_report", "sim.report_file:write_report_of"
 )
+register_page("PalmReport", "sim.palm.report:palm_page", "sim.report_file:write_report_of")
 register_page("ManipulationReportFile", "sim.manipulation.page:manipulation_page")
 register_page("ReportFile", "sim.show.trial_page:trial_page")
 register_notebook("ManipulationReport", "sim.show.notebook:manipulation_html")

@@ -40,6 +40,7 @@ from sim.learning.training import Course
 from sim.learning.trials import Conditions, TurnTask
 from sim.manipulation.simulation import ManipulationOptions, Push
 from sim.manipulation.timeline import ManipulationTimeline, SuccessCriteria
+from sim.palm import PalmSettings
 from sim.protocols.disturbance import Settings
 from sim.protocols.shake_pushes import Push as PushOfProtocol
 from sim.real_hand import CommandLimits, Safety
@@ -125,6 +126,14 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
             **dict.fromkeys(("noslip_iterations", "mu", "mu_torsion", "mu_rolling"), NOT_NEGATIVE),
             "solref": POSITIVE,
             "solimp": POSITIVE,
+            "": POSITIVE,
+        },
+    ),
+    (
+        PalmSettings(),
+        {
+            **dict.fromkeys(("mu", "weight_share", "running_share", "tip_cost"), NOT_NEGATIVE),
+            **dict.fromkeys(("still_deg", "scatter_rad"), NOT_NEGATIVE),
             "": POSITIVE,
         },
     ),

@@ -48,6 +48,8 @@ from sim.cli.options import (
     numbers,
     option,
 )
+from sim.cli.palm import KEPT as WITH_PALM
+from sim.cli.palm import PalmOptions, turn_in_palm
 from sim.cli.tasks import TaskOptions, object_of
 
 if TYPE_CHECKING:
@@ -255,6 +257,7 @@ def manipulate(
     demo: Annotated[bool, flag("--demo", "A cylinder is turned by 90 degrees.")] = False,
     *,
     request: TurnOptions,
+    palm: PalmOptions,
     execution: TurnExecution,
     output: Annotated[
         Path | None,
@@ -278,6 +281,9 @@ def manipulate(
     With --goal the object is brought to a rotation in the world and held there, by the wrist, and
     where the palm may not tilt that far (--goal-tilt, --wrist-tilt) by setting it down on another
     face or turning it in the fingers. Grasps of all its stable poses are kept for later goals.
+
+    With --in-palm nothing is grasped: the object lies on palm and fingers, palm up, and is turned
+    there by contact-implicit control.
 
     With --plan-only nothing is executed: a motion on one grasp (--rotate max: as far as it goes),
     or with --gait a turn of any size, is written to motion.json or gait.json, and movements to a
@@ -313,11 +319,17 @@ def manipulate(
         _execute(going, request.mu, execution, output, as_json, told)
         return
     refuse_given(context, "there is no --goal", of=TO_GOAL - {"pose"})
+    if palm.in_palm:
+        refuse_given(context, "--in-palm grasps nothing", kept=WITH_PALM)
+        parts = (request, palm, execution, output, picture)
+        turn_in_palm(hand, object, *parts, as_json, told, request.seed)
+        return
     if plan_only:
         refuse_given(context, "--plan-only executes nothing", kept=IN_BOTH | ALONE)
         _plan_only(hand, object, request, execution, output, picture, as_json)
         return
     refuse_given(context, "a manipulation takes fewer options than --plan-only", of=ALONE)
+    refuse_given(context, "these go with --in-palm", of={"turn_to", "tilt"})
     item = object
     execution.check_policy(hand, lambda: parse_object(item, mass=request.mass), request.upright)
     reckoned = execution.reckoned(request)

@@ -1,0 +1,119 @@
+"""``manipulate --in-palm``: an object that lies in the palm is turned there, executed, reported."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sim.cli.common import EXIT_NO, check_films, err, make_folder, print_json, tell
+from sim.cli.execution import ExecutionOptions, physics_of
+from sim.cli.options import MOVEMENT, flag, numbers, option
+from sim.cli.tasks import TaskOptions, object_of
+
+if TYPE_CHECKING:
+    from planner.spatial import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class PalmOptions:
+    """How an object in the palm is turned."""
+
+    in_palm: Annotated[
+        bool,
+        flag("--in-palm", "Palm up: the object lies in the palm and is turned there.", MOVEMENT),
+    ] = False
+    turn_to: Annotated[
+        str,
+        option(
+            "With --in-palm: roll, pitch, yaw of the object in degrees, from how it lies; z is out "
+            "of the palm, x to the fingers.",
+            "R,P,Y",
+            MOVEMENT,
+        ),
+    ] = "0,0,90"
+    tilt: Annotated[
+        float | None,
+        option(
+            "With --in-palm: how far the palm leans to the fingers, degrees; 20 if not given.",
+            "DEG",
+            MOVEMENT,
+            min=0.0,
+        ),
+    ] = None
+
+    @property
+    def goal(self) -> FloatArray:
+        """Rotation (3, 3): R = Rz(yaw) Ry(pitch) Rx(roll).
+
+        Raises:
+            TaskError: It is not three numbers.
+        """
+        import pinocchio as pin
+
+        angles = (math.radians(v) for v in numbers("--turn-to", self.turn_to, 3))
+        goal: FloatArray = pin.rpy.rpyToMatrix(*angles)
+        return goal
+
+
+KEPT = {
+    *("hand", "object", "in_palm", "turn_to", "tilt", "output", "as_json", "video", "picture"),
+    *("seed", "mass", "repair", "strict", "physics", "sim_mu"),
+}
+"""Parameters of ``manipulate`` that go with --in-palm."""
+
+
+def turn_in_palm(
+    hand: str,
+    object: str,
+    request: TaskOptions,
+    asked: PalmOptions,
+    execution: ExecutionOptions,
+    folder: Path | None,
+    picture: Path | None,
+    as_json: bool,
+    command: str,
+    seed: int,
+) -> None:
+    """Turn an object in the palm and report.
+
+    Raises:
+        PlannerError: Bad input.
+        Exit: It did not get there.
+    """
+    from sim.palm.run import TILT, reorient_in_palm
+    from sim.report_file import write_report
+
+    goal = asked.goal
+    check_films(picture, execution.video)
+    item = object_of(object, mass=request.mass, repair=request.repair, strict=request.strict)
+    if folder is not None:
+        make_folder(folder)
+        picture = picture or folder / "turned.png"
+    tilt = TILT if asked.tilt is None else math.radians(asked.tilt)
+    with err.status("turning in the palm ..."):
+        report = reorient_in_palm(
+            hand,
+            item,
+            goal,
+            tilt=tilt,
+            physics=physics_of(execution.physics, execution.sim_mu),
+            seed=seed,
+            picture=picture,
+            video=execution.video,
+        )
+    report = replace(report, command=command)
+    if folder is not None:
+        write_report(report.to_dict(), folder / "report.json")
+        report.save_html(folder / "report.html")
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        tell(str(report), *filter(None, [report.drawn]))
+        if folder is not None:
+            tell(f"open in a browser: {folder / 'report.html'} (beside report.json)")
+    if not report.success:
+        raise typer.Exit(EXIT_NO)

@@ -1,0 +1,322 @@
+"""``reorient_in_palm``: an object lies on palm and fingers, and is turned there to a rotation.
+
+Everything is expressed in the frame of the hand as it stands: z out of the palm, x to the fingers,
+the origin at the palm's. The weight leans by ``tilt`` towards the fingers, as of a hand that an arm
+holds so: what slides, slides to where fingers reach it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from planner.arrays import checked_number, finite_array
+from planner.bridge import compile_spec
+from planner.errors import NotFoundError, TaskError
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.objects import GraspObject
+from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
+from sim.palm.loop import TurnLog, turn
+from sim.palm.model import PalmModel, Plant, plant_of
+from sim.palm.report import PalmReport
+from sim.palm.settings import PalmSettings
+from sim.scene.build import Scene, add_looks, index_scene, scene_spec
+from sim.scene.physics import PRESETS, AnyPhysics
+from sim.show.picture import FORMATS, Tape, check_video, draw_tape, moments_of
+
+GRAVITY = 9.81
+"""m/s2."""
+
+TILT = np.radians(20.0)
+"""How far (rad) the palm leans to the fingers: less than the friction angle, 31 degrees at 0.6."""
+
+TOLERANCE_DEG, HOLD_S, LONGEST_S = 5.0, 0.5, 60.0
+"""Success: so near (degrees), for so long (s), before so long (s)."""
+
+SETTLE_S = 0.6
+"""Time (s) in which the object comes to rest on the palm before it is turned."""
+
+HIGHEST, RISE = 0.25, 0.001
+"""Height (m) up to which the object is lifted, in such steps, until it is clear of the hand."""
+
+ORTHONORMAL = 1e-6
+"""Largest error (-) of a rotation matrix."""
+
+CRADLES: Mapping[str, tuple[tuple[float, float], Mapping[str, float]]] = MappingProxyType(
+    {
+        "allegro_hand": (
+            (-0.03, -0.01),
+            MappingProxyType(
+                {
+                    **{"index_0": 0.12, "index_1": 1.13, "index_2": 1.45, "index_3": 1.24},
+                    **{"middle_0": -0.02, "middle_1": 0.45, "middle_2": 1.17, "middle_3": 1.5},
+                    **{"ring_0": -0.46, "ring_1": 1.54, "ring_2": 1.11, "ring_3": 1.23},
+                    **{"thumb_0": 0.64, "thumb_1": 1.39, "thumb_2": 1.5, "thumb_3": 1.26},
+                }
+            ),
+        ),
+    }
+)
+"""Hand -> where an object lies on its palm (x, y), m, and joints (rad) that curl about it there."""
+
+AHEAD, LIFT = 0.02, 0.012
+"""How far (m) towards the fingers and above where it lies the centre is wanted: off the palm, which
+rubs, and where all fingertips reach."""
+
+
+def reorient_in_palm(
+    hand: Hand | str,
+    object: GraspObject | str,
+    goal_rotation: FloatArray,
+    *,
+    start_rotation: FloatArray | None = None,
+    shift: Sequence[float] = (0.0, 0.0),
+    cradle: tuple[Sequence[float], Mapping[str, float]] | None = None,
+    tilt: float = TILT,
+    settings: PalmSettings | None = None,
+    physics: AnyPhysics | None = None,
+    tolerance_deg: float = TOLERANCE_DEG,
+    hold_s: float = HOLD_S,
+    longest_s: float = LONGEST_S,
+    seed: int = 0,
+    picture: Path | str | None = None,
+    video: Path | str | None = None,
+) -> PalmReport:
+    """Turn an object that lies in the palm, in MuJoCo, and judge.
+
+    Args:
+        hand: A hand or its name.
+        object: An object or its specification.
+        goal_rotation: Rotation (3, 3) that it is to have, in the frame of the hand (z out of the
+            palm, x to the fingers).
+        start_rotation: The one in which it is laid down (3, 3); identity if None.
+        shift: Where it is laid down (2,), m, from where objects lie on this hand.
+        cradle: Where an object lies on the palm (x, y), m, and joints (rad) by name that curl
+            about it; those of ``CRADLES`` if None.
+        tilt: How far the palm leans to the fingers, rad.
+        settings: Of the controller; defaults if None.
+        physics: How MuJoCo computes, or a preset's name; defaults if None.
+        tolerance_deg: Largest angle to the goal that counts as there, degrees.
+        hold_s: How long it has to stay there, s.
+        longest_s: Simulated time after which it has failed, s.
+        seed: Of the postures to which stuck fingers open.
+        picture: Write a picture of the end here (PNG).
+        video: Write a film here.
+
+    Raises:
+        NotFoundError: No such hand, or one without a cradle.
+        TaskError: A goal that is no rotation, a hand on an arm, servos that hold no position, or
+            an object that rolls off at once.
+    """
+    goal = checked_rotation("goal_rotation", goal_rotation)
+    first = checked_rotation(
+        "start_rotation", np.eye(3) if start_rotation is None else start_rotation
+    )
+    moved = finite_array("shift", shift, (2,), error=TaskError)
+    tilt = checked_number("tilt", tilt, least=0.0, most=np.pi / 2, unit="rad", error=TaskError)
+    for name, value in (
+        ("tolerance_deg", tolerance_deg),
+        ("hold_s", hold_s),
+        ("longest_s", longest_s),
+    ):
+        checked_number(name, value, above=0.0, most=1e4, error=TaskError)
+    check_video(None if video is None else Path(video))
+    asked = settings or PalmSettings()
+    begin = time.perf_counter()
+    scene, q, nest = palm_scene(hand, object, tilt=tilt, physics=physics, cradle=cradle)
+    plant, data = plant_of(scene), mujoco.MjData(scene.model)
+    lay_down(plant, data, asked, scene.task.hand.neutral, first, nest + moved)
+    tape = Tape(scene.model, scene.subject) if picture or video else None
+    rate = max(1, round(1.0 / (FORMATS[".mp4"].rate * scene.model.opt.timestep)))
+    taken = [0]
+
+    def keep() -> None:
+        if tape is not None and taken[0] % rate == 0:
+            tape.keep(float(data.time), data.qpos)
+        taken[0] += 1
+
+    _settle(plant, data, q, scene.task.object.name, keep)
+    place = data.xpos[plant.object_body] + [AHEAD, 0.0, LIFT]
+    place[:2] -= moved
+    log = turn(
+        plant,
+        data,
+        goal,
+        place,
+        settings=asked,
+        tolerance_deg=tolerance_deg,
+        hold_s=hold_s,
+        longest_s=longest_s,
+        seed=seed,
+        on_step=keep,
+    )
+    drawn = ""
+    if tape is not None:
+        stills = moments_of(picture, None)
+        drawn = str(draw_tape(tape, pictures=stills, video=None if video is None else Path(video)))
+    return _report(scene, log, goal, locals())
+
+
+def checked_rotation(name: str, given: Any) -> FloatArray:
+    """A rotation matrix (3, 3).
+
+    Raises:
+        TaskError: It is none.
+    """
+    matrix = finite_array(name, given, (3, 3), error=TaskError)
+    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if off > ORTHONORMAL or np.linalg.det(matrix) < 0:
+        raise TaskError(
+            f"{name} is no rotation (R R' is off by {off:.2g}, its determinant is "
+            f"{np.linalg.det(matrix):.2g}); give orthonormal columns that are no mirror"
+        )
+    return matrix
+
+
+def palm_scene(
+    hand: Hand | str,
+    object: GraspObject | str,
+    *,
+    tilt: float = TILT,
+    physics: AnyPhysics | None = None,
+    cradle: tuple[Sequence[float], Mapping[str, float]] | None = None,
+) -> tuple[Scene, FloatArray, FloatArray]:
+    """A hand that stands palm up with a free object, its joints (nq,) and the place (2,), m.
+
+    Raises:
+        NotFoundError: No such hand, or one without a cradle.
+        TaskError: The hand is two, or on an arm.
+    """
+    task = GraspTask.create(
+        hand,
+        object,
+        table_height=None,
+        gravity=GRAVITY * np.array([np.sin(tilt), 0.0, -np.cos(tilt)]),
+    )
+    hand = task.hand
+    hand.require_one("turning in the palm")
+    if hand.arm is not None:
+        raise TaskError(f"{hand.name} is on an arm; name the hand alone: the palm stands still")
+    if cradle is None:
+        if hand.name not in CRADLES:
+            hint = "Give cradle=((x, y), {joint: rad}): where an object lies, and curled fingers."
+            raise NotFoundError("palm-up pose of a hand", hand.name, CRADLES, hint)
+        cradle = CRADLES[hand.name]
+    nest = finite_array("the cradle's place", cradle[0], (2,), error=TaskError)
+    q = np.array(hand.neutral)
+    for joint, angle in cradle[1].items():
+        q[hand.joint_index(joint)] = angle
+    q = np.clip(q, hand.q_lower, hand.q_upper)
+    palm = HandState(hand, q).T_base_palm
+    ahead = _ahead(hand, palm)
+    turn_up = np.array([ahead, np.cross(hand.palm_normal, ahead), hand.palm_normal])
+    T_world_base = SE3(turn_up, np.zeros(3)) * palm.inverse()
+    chosen = PRESETS.given(physics)
+    spec = scene_spec(task, T_world_base, chosen, with_gantry=False)
+    add_looks(spec, task, T_world_base, q)
+    model = compile_spec(spec, f"the scene of {spec.modelname}")
+    return index_scene(task, chosen, T_world_base, model, None, task.object.shape), q, nest
+
+
+def _ahead(hand: Hand, palm: SE3) -> FloatArray:
+    """Direction to the fingers (3,), unit, in the palm's frame, across its normal."""
+    state = HandState(hand, hand.neutral)
+    tips = np.array([palm.actInv(state.pad_center(f)) for f in hand.fingers.values()])
+    way = tips.mean(axis=0)
+    way -= hand.palm_normal * (hand.palm_normal @ way)
+    # along the axis of the palm's frame that is nearest: fingers spread, and a thumb stands aside
+    axis = int(np.abs(way).argmax())
+    return np.asarray(np.sign(way[axis]) * np.eye(3)[axis])
+
+
+def lay_down(
+    plant: Plant,
+    data: Any,
+    settings: PalmSettings,
+    q: FloatArray,
+    rotation: FloatArray,
+    place: FloatArray,
+) -> None:
+    """Put the open hand's joints at q (nq,), and the object just above it, over a place (2,), m.
+
+    Raises:
+        TaskError: There is no room for it above the palm.
+    """
+    data.eq_active[:] = plant.model.eq_active0
+    if plant.model.neq:
+        data.eq_active[plant.model.eq_obj1id == plant.object_body] = 0
+    x, y, z, w = pin.Quaternion(rotation).coeffs()
+    data.qpos[plant.qpos] = q
+    data.ctrl[plant.ctrl] = plant.moment @ q
+    model = PalmModel(plant, settings)
+    for height in np.arange(0.0, HIGHEST, RISE):
+        data.qpos[plant.object_qpos] = [*place, height, w, x, y, z]
+        if model.gap(data.qpos) > 0.5 * RISE and height > 0.5 * RISE:
+            break
+    else:
+        raise TaskError(
+            f"the object touches the hand up to {HIGHEST:g} m above the palm; it is too large for "
+            "this hand"
+        )
+    mujoco.mj_forward(plant.model, data)
+
+
+def _settle(plant: Plant, data: Any, q: FloatArray, name: str, keep: Any) -> None:
+    """Let the object come to rest while the fingers curl about it, to joints q (nq,).
+
+    Raises:
+        TaskError: It has left the palm.
+    """
+    first = float(data.xpos[plant.object_body][2])
+    open_, curled = data.ctrl[plant.ctrl].copy(), plant.moment @ q
+    steps = round(SETTLE_S / plant.model.opt.timestep)
+    for k in range(steps):
+        data.ctrl[plant.ctrl] = open_ + min(1.0, 2.0 * k / steps) * (curled - open_)
+        mujoco.mj_step(plant.model, data)
+        keep()
+    fallen = first - float(data.xpos[plant.object_body][2])
+    if not np.isfinite(fallen) or fallen > HIGHEST / 5:
+        raise TaskError(
+            f"{name} rolls off the palm at once ({1e3 * fallen:.0f} mm down in {SETTLE_S:g} s); "
+            "lay it down another way (start_rotation, shift), or lean the palm less (tilt)"
+        )
+
+
+def _report(scene: Scene, log: TurnLog, goal: FloatArray, given: Mapping[str, Any]) -> PalmReport:
+    """What happened, from the log and the arguments of ``reorient_in_palm``."""
+    states = np.array(log.qpos)
+    poses = states[:, scene.object_qpos]
+    return PalmReport(
+        hand=scene.task.hand.name,
+        object=scene.task.object.shape.spec,
+        mass_kg=scene.task.object.mass,
+        seed=given["seed"],
+        goal=goal,
+        tilt_deg=float(np.degrees(given["tilt"])),
+        tolerance_deg=given["tolerance_deg"],
+        hold_s=given["hold_s"],
+        longest_s=given["longest_s"],
+        outcome=log.outcome,
+        time=np.array(log.time),
+        error_deg=np.array(log.error_deg),
+        phase=tuple(log.phase),
+        T_world_object=poses,
+        q=states[:, scene.hand_qpos],
+        solve_ms=1e3 * np.array(log.solve_s),
+        settings=asdict(given["asked"]),
+        physics={"name": scene.physics.name, "mu": scene.physics.mu},
+        wall_s=time.perf_counter() - given["begin"],
+        task=scene.task,
+        T_world_base=scene.T_world_base,
+        drawn=given["drawn"],
+    )

@@ -1,0 +1,231 @@
+"""Objects in the palm: the contact step on paper, its derivative, the controller, the report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+import qpsolvers
+
+from planner.errors import NotFoundError, TaskError
+from planner.spatial import FloatArray
+from sim.palm import PalmReport, PalmSettings, reorient_in_palm
+from sim.palm.control import PalmController, _Problem
+from sim.palm.loop import _Strategy, turn
+from sim.palm.model import ContactStep, PalmModel, Plant, plant_of
+from sim.palm.run import lay_down, palm_scene
+
+CUBE = "box:0.05x0.05x0.05"
+QUARTER = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
+
+
+def block(push: float, mu: float = 0.5, stiffness: float = 1e4) -> ContactStep:
+    """A block of 100 N/m on a plane, in x and z, pressed down by 1 N and pushed by some N."""
+    jacobian = np.array([[mu, 1.0], [-mu, 1.0]])
+    return ContactStep(
+        keep=np.eye(2),
+        drive=np.zeros((2, 1)),
+        rest=np.array([push, -1.0]) / 100.0,
+        compliance=np.eye(2) / 100.0,
+        jacobian=jacobian,
+        gaps=np.zeros(2),
+        stiffness=stiffness,
+        smoothing=1e-9,
+    )
+
+
+def exact(step: ContactStep) -> FloatArray:
+    """The displacement by the programme itself, solved as a QP."""
+    q = np.linalg.inv(step.compliance)
+    found = qpsolvers.solve_qp(q, -q @ step.rest, -step.jacobian, step.gaps, solver="daqp")
+    return np.asarray(found)
+
+
+def test_one_edge_has_the_force_of_the_programme() -> None:
+    """With one row the dual's Hessian is a number: with its inverse as K the two agree."""
+    step = replace(block(0.3), jacobian=np.array([[0.5, 1.0]]), gaps=np.zeros(1))
+    k = 1.0 / float((step.jacobian @ step.compliance @ step.jacobian.T)[0, 0])
+    step = replace(step, stiffness=k)
+    assert step.step(np.zeros(2), np.zeros(1)) == pytest.approx(exact(step), abs=1e-9)
+
+
+@pytest.mark.parametrize("push", [0.0, 0.2, 0.45, 0.8, 2.0])
+def test_a_pressed_block_sticks_in_the_cone_and_slides_beyond(push: float) -> None:
+    """Edges of one contact, K by hand: the normal motion of the programme, and its sign in x.
+
+    The edges couple by 1 - mu^2; a diagonal K of 1 / (2 / 100) bears the weight exactly.
+    """
+    step = block(push, stiffness=50.0)
+    moved, wanted = step.step(np.zeros(2), np.zeros(1)), exact(step)
+    forces = step.forces(np.zeros(2), np.zeros(1))[0]
+    assert (forces >= 0).all()
+    if push <= 0.5:  # in the cone: the programme sticks, ours creeps by 1 - mu^2 of the free motion
+        assert wanted == pytest.approx(np.zeros(2), abs=1e-9)
+        assert moved[1] == pytest.approx(0.0, abs=1e-8)
+        assert moved[0] == pytest.approx((1 - 0.5**2) * push / 100.0, abs=1e-8)
+    else:
+        assert wanted[0] > 0.0
+        assert 0.0 < moved[0] <= push / 100.0
+        assert (forces.max() > 2 * forces.min()) == (push > 0.7)
+
+
+def test_no_contact_no_force() -> None:
+    step = replace(block(0.3), gaps=np.full(2, 0.1))
+    assert step.step(np.zeros(2), np.zeros(1)) == pytest.approx(step.rest)
+
+
+@pytest.fixture(scope="module")
+def lying() -> tuple[Any, Plant, Any, FloatArray]:
+    """Scene, plant, data with a cube at rest in curled fingers, and their joints."""
+    scene, q, nest = palm_scene("allegro_hand", CUBE)
+    plant, data = plant_of(scene), mujoco.MjData(scene.model)
+    lay_down(plant, data, PalmSettings(), scene.task.hand.neutral, np.eye(3), nest)
+    data.ctrl[plant.ctrl] = plant.moment @ q
+    for _ in range(300):
+        mujoco.mj_step(scene.model, data)
+    return scene, plant, data, q
+
+
+def test_derivatives_agree_with_finite_differences(lying: Any) -> None:
+    _, plant, data, _ = lying
+    asked = PalmSettings()
+    model = PalmModel(plant, asked)
+    step = model.read(data.qpos)
+    assert len(step.gaps) >= 16
+    target = np.array([0.01, 0.0, 0.01, 0.1, 0.2, 0.3])
+    problem = _Problem(step, asked, data.ctrl[plant.ctrl], target, model.tips())
+    x = np.random.default_rng(3).uniform(-0.1, 0.1, asked.horizon * len(plant.ctrl))
+    residuals, jacobian = problem.linearised(x)
+    assert residuals == pytest.approx(problem.residuals(x), abs=1e-12)
+    for k in range(0, len(x), 7):
+        h = 1e-6 * np.eye(len(x))[k]
+        slope = (problem.residuals(x + h) - problem.residuals(x - h)) / 2e-6
+        assert jacobian[:, k] == pytest.approx(slope, abs=1e-6)
+
+
+def test_a_contact_row_is_the_rate_of_the_gap(lying: Any) -> None:
+    """Moving the object along world axes changes the nearest gap as the mean of its edges says."""
+    _, plant, data, _ = lying
+    model = PalmModel(plant, PalmSettings(contacts=1))
+    qpos = data.qpos.copy()
+    first = model.read(qpos)
+    normal = first.jacobian[:4].mean(axis=0)
+    for axis in range(3):
+        moved = qpos.copy()
+        moved[plant.object_qpos[axis]] += 1e-5
+        change = model.read(moved).gaps[0] - first.gaps[0]
+        assert change == pytest.approx(1e-5 * normal[axis], abs=2e-7)
+
+
+def ipopt(step: ContactStep, asked: PalmSettings, ctrl: Any, target: Any, tips: Any) -> float:
+    """Least cost of a horizon by IPOPT with CasADi's derivatives: the same terms, written again."""
+    nu, steps = len(ctrl), asked.horizon
+    u = ca.MX.sym("u", nu, steps)
+    x, command, cost = ca.MX.zeros(step.keep.shape[0]), ca.DM(ctrl), 0
+    places, jacobians = tips
+    for k in range(steps):
+        command = command + u[:, k]
+        free = step.keep @ x + step.drive @ command + step.rest
+        z = -(step.gaps + step.jacobian @ free) / step.smoothing
+        force = step.stiffness * step.smoothing * ca.log(1 + ca.exp(z))
+        x = free + step.compliance @ (step.jacobian.T @ force)
+        share = 1.0 if k == steps - 1 else asked.running_share
+        cost += share * asked.position_cost * ca.sumsqr(x[:3] - target[:3])
+        cost += share * asked.rotation_cost * ca.sumsqr(x[3:6] - target[3:])
+        cost += asked.effort_cost * ca.sumsqr(u[:, k])
+        for place, jacobian in zip(places, jacobians, strict=True):
+            cost += asked.tip_cost * ca.sumsqr(place + jacobian @ x[6:] - x[:3])
+    quiet = {"ipopt.print_level": 0, "print_time": False}
+    solver = ca.nlpsol("palm", "ipopt", {"x": ca.vec(u), "f": cost}, quiet)
+    most = asked.command_rad
+    return float(solver(x0=np.zeros(nu * steps), lbx=-most, ubx=most)["f"])
+
+
+def test_the_solve_is_as_good_as_ipopt(lying: Any) -> None:
+    """More sweeps than a real-time iteration makes reach IPOPT's cost, and two come near it."""
+    _, plant, data, _ = lying
+    costs = {}
+    for sweeps in (2, 30):
+        asked = PalmSettings(sweeps=sweeps, goal_rad=1.0)
+        controller = PalmController(plant, asked)
+        controller._range = np.array([[-np.inf], [np.inf]]) * np.ones(len(plant.ctrl))
+        ctrl = data.ctrl[plant.ctrl].copy()
+        place = data.xpos[plant.object_body] + [0.01, 0.0, 0.01]
+        controller.command(data.qpos, ctrl, pin.exp3(np.array([0.0, 0.0, 0.8])), place)
+        step = controller.model.read(data.qpos)
+        rotation = data.xmat[plant.object_body].reshape(3, 3)
+        turned = pin.log3(pin.exp3(np.array([0.0, 0.0, 0.8])) @ rotation.T)
+        target = np.concatenate([place - data.xpos[plant.object_body], turned])
+        given = (step, asked, ctrl, target, controller.model.tips())
+        residuals = _Problem(*given).residuals(controller._increments.ravel())
+        costs[sweeps], least = float(residuals @ residuals), ipopt(*given)
+        assert costs[sweeps] >= 0.999 * least
+    assert costs[30] <= 1.01 * least
+    assert costs[2] <= 1.1 * least
+
+
+def test_an_object_at_its_goal_is_left_alone(lying: Any) -> None:
+    _, plant, data, _ = lying
+    now = mujoco.MjData(plant.model)
+    now.qpos[:], now.ctrl[:], now.eq_active[:] = data.qpos, data.ctrl, data.eq_active
+    mujoco.mj_forward(plant.model, now)
+    goal = now.xmat[plant.object_body].reshape(3, 3).copy()
+    place = now.xpos[plant.object_body].copy()
+    asked = {"tolerance_deg": 5.0, "hold_s": 0.5, "longest_s": 2.0, "seed": 0}
+    log = turn(plant, now, goal, place, settings=PalmSettings(), **asked)
+    assert log.outcome == "reached"
+    assert set(log.phase[1:]) == {"still"}
+    assert max(log.error_deg) < 2.0
+
+
+def test_stuck_fingers_open_and_begin_anew() -> None:
+    asked = PalmSettings(stall_s=1.0, open_s=0.3)
+    strategy, phases = _Strategy(asked, 5.0), []
+    for k in range(60):
+        phases.append(strategy.next(0.05 * k, 40.0))
+    assert phases[:20] == ["turn"] * 20
+    opened = phases.index("open")
+    assert 1.0 <= 0.05 * opened <= 1.1
+    assert phases[opened : opened + 6] == ["open"] * 6
+    assert phases[opened + 7] == "turn"
+    assert strategy.next(4.0, 1.0) == "still"
+
+
+def test_a_mirror_is_no_goal() -> None:
+    with pytest.raises(TaskError, match="goal_rotation is no rotation"):
+        reorient_in_palm("allegro_hand", CUBE, np.diag([1.0, 1.0, -1.0]))
+
+
+def test_a_hand_without_a_palm_up_pose_is_named() -> None:
+    with pytest.raises(NotFoundError, match=r"palm-up pose of a hand.*shadow_hand"):
+        reorient_in_palm("shadow_hand", CUBE, QUARTER)
+
+
+def test_an_object_that_rolls_off_is_told_at_once() -> None:
+    with pytest.raises(TaskError, match="rolls off the palm at once"):
+        reorient_in_palm("allegro_hand", CUBE, QUARTER, shift=(-0.09, 0.0))
+
+
+def test_a_setting_that_cannot_be_is_refused() -> None:
+    with pytest.raises(TaskError, match="period_s"):
+        PalmSettings(period_s=0.2)
+
+
+@pytest.mark.slow
+def test_a_short_turn_is_executed_and_reported(tmp_path: Path) -> None:
+    report = reorient_in_palm("allegro_hand", CUBE, QUARTER.T, longest_s=8.0)
+    assert isinstance(report, PalmReport)
+    assert report.error_deg.min() < 0.7 * report.error_deg[0]
+    there = report.error_deg[-5:] <= report.tolerance_deg  # 0.5 s
+    assert report.success == bool(there.all())
+    assert report.to_dict()["outcome"] == report.outcome
+    report.save_html(tmp_path / "report.html")
+    assert "Contact-implicit control" in (tmp_path / "report.html").read_text()
+    again = reorient_in_palm("allegro_hand", CUBE, QUARTER.T, longest_s=8.0)
+    assert again.error_deg.tolist() == report.error_deg.tolist()
