@@ -22,6 +22,7 @@ from planner.spatial import SE3, FloatArray, pose_change, pose_to_wxyz
 from planner.system.process import interrupts_wait
 from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import ContactHistory, ContactRows
+from sim.controllers import Phase
 from sim.recording import PALM, Recording, Samples
 from sim.report import FingerComparison
 from sim.simulation import Simulation
@@ -178,14 +179,18 @@ class Recorder(SampleRecorder):
         simulation = self._simulation
         row = {
             "time": simulation.time,
-            "phase": simulation.phase,
+            "phase": self._phase(),
             "saturated": simulation.saturated_actuators(),
         }
         with interrupts_wait():
-            self._take(simulation.phase, row)
+            self._take(row["phase"], row)
             self._poses.append(simulation.T_world_object)
             self._in_palm.append((self._reference, self._held_at()))
             self._samples = None
+
+    def _phase(self) -> Phase:
+        """What a sample of now belongs to."""
+        return self._simulation.phase
 
     def samples(self) -> Samples:
         """Everything recorded so far; made once."""

@@ -158,7 +158,7 @@ class UseCarrier:
         data.ctrl[gantry.ctrl] = gantry.command(data, target, velocity)
 
 
-class _UseRecorder(Recorder):
+class UseRecorder(Recorder):
     """Takes what the use measures with every sample."""
 
     def __init__(self, simulation: Simulation, every: float, use: Use) -> None:
@@ -208,7 +208,7 @@ class UseTrial(Trial):
             PlannerError: As ``Trial``.
         """
         asked = replace(options or TrialOptions(), **changes)
-        needs_gantry(plan)
+        needs_gantry(plan.task)
         self.use = use_of(tool)
         self.use.yaw = yaw_of_plan(plan, self.use)
         self.use.friction = checked_number(
@@ -232,7 +232,7 @@ class UseTrial(Trial):
         assert gantry is not None
         self.carrier = UseCarrier(self, gantry, timeline)
         self.simulation.carrier = self.carrier
-        self.recorder: _UseRecorder = _UseRecorder(self.simulation, asked.record_every, self.use)
+        self.recorder: UseRecorder = UseRecorder(self.simulation, asked.record_every, self.use)
 
     def _surroundings(self) -> Callable[[Any], None]:
         """Adds the fixture to the scene."""
