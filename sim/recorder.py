@@ -176,14 +176,14 @@ class Recorder(SampleRecorder):
 
     def record(self) -> None:
         """Take a sample of now: all of it, also where Ctrl-C comes meanwhile."""
-        simulation = self._simulation
+        simulation, phase = self._simulation, self._phase()
         row = {
             "time": simulation.time,
-            "phase": self._phase(),
+            "phase": phase,
             "saturated": simulation.saturated_actuators(),
         }
         with interrupts_wait():
-            self._take(row["phase"], row)
+            self._take(phase, row)
             self._poses.append(simulation.T_world_object)
             self._in_palm.append((self._reference, self._held_at()))
             self._samples = None

@@ -18,17 +18,20 @@ from itertools import combinations
 import numpy as np
 
 from planner.approach.pregrasp import Approach
+from planner.collision.idle_fingers import idle_joints
 from planner.collision.pad_contact import pad_contact_queries
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, ObjectError
 from planner.failure import Failure
 from planner.motion.gait import MAX_ATTEMPTS, plan_gait
-from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
+from planner.motion.plan import Ending, ManipulationPlan, MovementPlan, Stroke
 from planner.shapes import Mesh
 from planner.shapes.cylinder import Cylinder
+from planner.spatial import FloatArray
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL
 from planner.tools import Tool
+from planner.verification.grasp import verify_grasp
 
 ROUND = 2e-4
 """Largest difference (m) of the distances of a handle's points from the axis: that of a polygon of
@@ -40,7 +43,7 @@ FEWEST = 4
 SEEDS_APART = 1000
 """Distance between the seeds of searches for one use, so that a caller's next seeds are others."""
 
-ROUNDS = 3
+ROUNDS = 6
 """How often the sets of fingers are searched again, where all postures collide or none is found."""
 
 
@@ -108,7 +111,9 @@ def plan_tool_gait(
             attempts += max_attempts
             continue
         attempts += gait.record.attempts
-        blocked = posture_blocked(gait, replace(gait.task, object=tool))
+        true = replace(gait.task, object=tool)
+        gait = idle_fingers_apart(gait, true)
+        blocked = posture_blocked(gait, true)
         if blocked is not None:
             why.append(str(blocked))
             continue
@@ -139,16 +144,67 @@ def _searches(task: GraspTask) -> Iterator[GraspTask]:
             yield task.with_fingers(one)
 
 
+IDLE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares (-) of the way from where idle fingers are planned to straight ones that are tried."""
+
+
+def idle_fingers_apart(gait: MovementPlan, task: GraspTask) -> MovementPlan:
+    """The gait with idle fingers still, straightened as far as leaves all links most room.
+
+    Fingers that move on pass by them: a little finger pressed on an idle ring finger with 5 N.
+
+    Args:
+        gait: The gait.
+        task: With the true object and what stands around.
+    """
+    hand = task.hand
+    index = idle_joints(hand, task.finger_names)
+    if not len(index):
+        return gait
+    planned, grasp = gait.knots[0].q[index], gait.grasp
+    lower, upper = hand.q_lower[index], hand.q_upper[index]
+    straight = np.clip(hand.neutral[index], lower, upper)
+    world, pads = CollisionWorld(task), pad_contact_queries(task).names
+
+    def at(share: float, q: FloatArray) -> FloatArray:
+        out = q.copy()
+        out[..., index] = planned + share * (straight - planned)
+        return out
+
+    def room(share: float) -> float:
+        return min(
+            world.closest(gait.T_world_base, at(share, q), 1, may_touch=pads)[0].distance
+            for q in _postures(gait)
+        )
+
+    best = max(IDLE_SHARES, key=room)
+    q = at(best, grasp.q)
+    found = verify_grasp(gait.task, grasp.T_world_base, q, record=grasp.record)
+    if isinstance(found, Failure):
+        return gait
+    phases = tuple(
+        replace(phase, knots=tuple(replace(knot, q=at(best, knot.q)) for knot in phase.knots))
+        if isinstance(phase, Stroke)
+        else replace(phase, postures=at(best, phase.postures))
+        for phase in gait.phases
+    )
+    return replace(gait, grasp=found, phases=phases)
+
+
+def _postures(gait: MovementPlan) -> list[FloatArray]:
+    """Joints (nq,) of the first stroke and of the swings after it; one cycle stands for all."""
+    return [k.q for k in gait.knots] + [q for r in gait.regrasps for q in r.postures]
+
+
 def posture_blocked(gait: MovementPlan, task: GraspTask) -> Failure | None:
     """What the hand comes into in a posture of a gait, the palm where it grasps; None if nothing.
 
     Args:
-        gait: The gait; one cycle stands for all.
+        gait: The gait.
         task: With the true object and what stands around.
     """
     world, pads = CollisionWorld(task), pad_contact_queries(task).names
-    postures = [k.q for k in gait.knots] + [q for r in gait.regrasps for q in r.postures]
-    for q in postures:
+    for q in _postures(gait):
         (near, *_) = world.closest(gait.T_world_base, q, 1, may_touch=pads)
         if near.distance < -PENETRATION_TOL:
             return Failure(

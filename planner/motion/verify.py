@@ -398,7 +398,6 @@ class MovementVerifier:
             verification=verification,
         )
 
-
     @staticmethod
     def _needs_alike(task: GraspTask, one: SE3, other: SE3) -> bool:
         """Whether needed wrenches are the same, world, with the object at two poses."""

@@ -42,6 +42,7 @@ from sim.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from planner.motion.plan import ManipulationPlan
     from planner.plan import GraspPlan
     from planner.search.grasp import Attempt
     from planner.tools import Tool
@@ -53,6 +54,7 @@ ToolArgument = Annotated[str, argument("screwdriver, key, lid, hammer, or NAME.t
 class UseOptions:
     """What ``use`` is asked for beside hand and tool."""
 
+    by: Annotated[str, option("wrist; or fingers: the palm stands still.", "HOW", GRIP)] = "wrist"
     seed: SeedOption = 0
     scale: Annotated[float, option("How many times larger the tool is.", "K", GRIP)] = 1.0
     margin: Annotated[
@@ -68,11 +70,16 @@ class UseOptions:
     video: VideoOption = None
     verbose: VerboseOption = False
 
-    def plan(self, hand: str, tool: Tool) -> GraspPlan:
+    def plan(self, hand: str, tool: Tool) -> GraspPlan | ManipulationPlan:
         """Plan with a spinner that counts attempts, on stderr."""
-        from sim.tools import plan_tool
+        from sim.tools import plan_fingers, plan_tool
+        from sim.tools.fingers import checked_by
 
         margin: dict[str, Any] = {} if self.margin is None else {"needed_margin": self.margin}
+        margin["mu"] = self.mu
+        if checked_by(self.by) == "fingers":
+            with err.status(f"planning: {hand} turns {tool.name} by strokes and regrasps"):
+                return plan_fingers(hand, tool, seed=self.seed, **margin)
         with heeding_ctrl_c() as check, err.status(f"planning: {hand}, {tool.name}") as status:
 
             def show(attempt: Attempt[GraspPlan]) -> bool:
@@ -86,7 +93,6 @@ class UseOptions:
                 tool,
                 seed=self.seed,
                 progress=show,
-                mu=self.mu,
                 **margin,
             )
 
@@ -110,10 +116,11 @@ def use(
     """
     from rich.progress import Progress
 
-    from planner.files import plain_name, read_json, write_plan
+    from planner.files import plain_name, read_json, write_manipulation, write_plan
+    from planner.plan import GraspPlan
     from planner.tools import load_tool
     from sim.report_file import write_report
-    from sim.tools import UseTrial
+    from sim.tools import FingersTrial, UseTrial
 
     loaded = load_tool(tool, scale=request.scale)
     parts: dict[str, Any] = {
@@ -129,10 +136,15 @@ def use(
     make_folder(folder)
     for old in ("report.json", "report.html", "used.png", "used-end.png"):  # of an earlier plan
         (folder / old).unlink(missing_ok=True)
-    write_plan(plan, folder / "plan.json")
+    trial: UseTrial
+    if isinstance(plan, GraspPlan):
+        write_plan(plan, folder / "plan.json")
+        trial = UseTrial(plan, loaded, friction=request.resist, **parts)
+    else:
+        write_manipulation(plan, folder / "plan.json")
+        trial = FingersTrial(plan, loaded, friction=request.resist, **parts)
     if request.verbose and not as_json:
         tell(str(plan))
-    trial = UseTrial(plan, loaded, friction=request.resist, **parts)
     with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
         bar = progress.add_task("using", total=1.0)
         report = trial.run(

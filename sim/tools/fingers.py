@@ -1,4 +1,4 @@
-"""``FingersTrial``: a tool is turned by the fingers alone, by strokes and regrasps.
+"""``FingersTrial``: a tool is turned by the fingers alone; ``use_tool``: by fingers or wrist.
 
 The palm stands still above the tool, whose tip is in its fixture from the beginning. The movement
 is a gait (``planner.motion.tool_gait``), executed by the phases and the state machine of a
@@ -15,11 +15,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Literal, TypeAlias, Unpack
 
 import numpy as np
 
-from planner.errors import TaskError
+from planner.errors import NotFoundError, TaskError
 from planner.failure import Failure
 from planner.motion.gait import MAX_ATTEMPTS, Relocation, plan_others
 from planner.motion.plan import Ending, ManipulationPlan
@@ -30,16 +30,22 @@ from planner.spatial import FloatArray
 from planner.tools import Tool, load_tool, use_data
 from sim.controllers import Observation
 from sim.controllers.object_impedance import ObjectImpedance
+from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.log import force_limit
 from sim.manipulation.machine import StateMachine
 from sim.manipulation.phases import Phases
 from sim.manipulation.simulation import ManipulationOptions, ManipulationSim
-from sim.report import FingerComparison
-from sim.tools.trial import UseRecorder, UseTrial, task_of_use
+from sim.report import FingerComparison, TrialReport
+from sim.tools.trial import UseRecorder, UseTrial, plan_tool, task_of_use
 from sim.tools.turn import HINGE, Turn
 from sim.tools.use import joint_value, needs_gantry, use_of
 from sim.trial import TrialKeywords, TrialOptions
 from sim.verdict import Verdict
+
+By: TypeAlias = Literal["wrist", "fingers"]
+"""What drives a tool."""
+
+BY: tuple[By, ...] = By.__args__  # type: ignore[attr-defined]
 
 LASH = np.deg2rad(10.0)
 """Turn (rad) planned beyond the asked one: a blade of 9 mm with 0.3 mm of play on either side turns
@@ -86,8 +92,9 @@ class FingersRecorder(UseRecorder):
 
     def record(self) -> None:
         """Take a sample of now."""
-        holding = self._simulation.controller.holding
-        self._reference = holding.T_palm_wanted
+        driver = self._simulation.controller
+        assert isinstance(driver, ManipulationDriver)
+        self._reference = driver.holding.T_palm_wanted
         super().record()
 
     def _phase(self) -> Any:
@@ -178,7 +185,8 @@ class FingersTrial(UseTrial):
     @property
     def left(self) -> float:
         """Turn of the fixture that is still to be made, rad."""
-        return abs(self._goal) - np.sign(self._goal) * joint_value(self.simulation, HINGE)
+        turned = joint_value(self.simulation, HINGE)
+        return float(np.sign(self._goal) * (self._goal - turned))
 
     @property
     def touched(self) -> bool:
@@ -241,3 +249,42 @@ def plan_fingers(
     angle = np.deg2rad(use.numbers["angle_deg"])
     turn = -float(angle + np.sign(angle) * LASH)  # > 0 is clockwise seen from above
     return plan_tool_gait(task, angle=turn, seed=seed, max_attempts=max_attempts)
+
+
+def use_tool(
+    hand: Any,
+    tool: Tool | str | Path,
+    options: TrialOptions | None = None,
+    *,
+    by: By = "wrist",
+    seed: int = 0,
+    **changes: Unpack[TrialKeywords],
+) -> TrialReport:
+    """Plan the use of a tool, use it, and judge; the trials make pictures and films.
+
+    Args:
+        hand: A hand, its name, or the path of its description.
+        tool: A tool, its name, or the path of its file.
+        options: Under which conditions; defaults if None.
+        by: "wrist": the hand turns or swings with the tool; "fingers": the palm stands still.
+        seed: Same seed, same plan.
+        changes: Fields of ``TrialOptions`` by name; a timeline is a ``UseTimeline``.
+
+    Raises:
+        PlannerError: See ``plan_tool``, ``plan_fingers`` and ``UseTrial``; or ``by`` is neither.
+    """
+    tool = load_tool(tool)
+    if checked_by(by) == "fingers":
+        return FingersTrial(plan_fingers(hand, tool, seed=seed), tool, options, **changes).run()
+    return UseTrial(plan_tool(hand, tool, seed=seed), tool, options, **changes).run()
+
+
+def checked_by(by: str) -> By:
+    """What drives a tool, as it was given.
+
+    Raises:
+        NotFoundError: It is neither "wrist" nor "fingers".
+    """
+    if by not in BY:
+        raise NotFoundError("way to drive a tool", by, BY)
+    return by
