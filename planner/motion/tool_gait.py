@@ -17,12 +17,12 @@ from itertools import combinations
 
 import numpy as np
 
-from planner.approach.pregrasp import Approach
 from planner.collision.idle_fingers import idle_joints
 from planner.collision.pad_contact import pad_contact_queries
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, ObjectError
 from planner.failure import Failure
+from planner.motion.ending import find_release, object_at_target
 from planner.motion.gait import MAX_ATTEMPTS, plan_gait
 from planner.motion.plan import Ending, ManipulationPlan, MovementPlan, Stroke
 from planner.shapes import Mesh
@@ -118,13 +118,12 @@ def plan_tool_gait(
             why.append(str(blocked))
             continue
         gait = replace(gait, record=replace(gait.record, attempts=attempts))
-        grasp = gait.grasp
-        opened = Approach(
-            q=grasp.q_pregrasp,
-            pregrasp_distance=grasp.pregrasp_distance,
-            T_world_base_start=grasp.T_world_base_start,
-        )
-        ending = Ending(T_world_target=task.T_world_object, release=opened, back="")
+        release = find_release(gait)
+        if isinstance(release, Failure):
+            why.append(str(release))
+            continue
+        target = object_at_target(gait.task, gait.path.axis, angle, None)
+        ending = Ending(T_world_target=target, release=release, back="")
         return ManipulationPlan.of(gait, ending, angle=angle, shift=np.zeros(3))
     raise NoGraspFoundError(
         f"no gait of {tool.name} with {task.hand.name} in {attempts} attempts; the last search: "

@@ -38,7 +38,7 @@ from sim.manipulation.simulation import ManipulationOptions, ManipulationSim
 from sim.report import FingerComparison, TrialReport
 from sim.tools.trial import UseRecorder, UseTrial, plan_tool, task_of_use
 from sim.tools.turn import HINGE, Turn
-from sim.tools.use import joint_value, needs_gantry, use_of
+from sim.tools.use import DOWN, joint_value, needs_gantry, use_of
 from sim.trial import TrialKeywords, TrialOptions
 from sim.verdict import Verdict
 
@@ -69,9 +69,9 @@ class StrokeController(ObjectImpedance):
         """
         super().__init__(plan, max_normal=max_normal)
         needed = sum((-plan.task.needed_load(one) for one in plan.task.needed), np.zeros(6))
-        self._push, torque = needed.reshape(2, 3) @ plan.T_world_base.rotation  # base axes
-        self._torque = float(np.linalg.norm(torque))
-        self._about = torque / self._torque
+        turn = plan.T_world_base.rotation  # base axes below
+        self._push, self._about = turn.T @ needed[:3], turn.T @ -DOWN
+        self._torque = float(needed[3:] @ -DOWN)
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
