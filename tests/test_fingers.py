@@ -120,9 +120,8 @@ def test_postures_are_checked_against_the_true_tool_and_its_workpiece(
     task = replace(gait.task, object=standing(screwdriver()))
     assert posture_blocked(gait, task) is None
     block = task.obstacles[0]
-    higher = replace(
-        block, T_world_obstacle=SE3(np.eye(3), gait.T_world_base.translation), name="in the way"
-    )
+    at = gait.T_world_base.translation + [0.0, 0.0, 0.02]
+    higher = replace(block, T_world_obstacle=SE3(np.eye(3), at), name="in the way")
     blocked = posture_blocked(gait, replace(task, obstacles=(higher,)))
     assert blocked is not None
     assert "in the way" in blocked.text
