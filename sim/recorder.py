@@ -22,7 +22,6 @@ from planner.spatial import SE3, FloatArray, pose_change, pose_to_wxyz
 from planner.system.process import interrupts_wait
 from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import ContactHistory, ContactRows
-from sim.controllers import Phase
 from sim.recording import PALM, Recording, Samples
 from sim.report import FingerComparison
 from sim.simulation import Simulation
@@ -188,7 +187,7 @@ class Recorder(SampleRecorder):
             self._in_palm.append((self._reference, self._held_at()))
             self._samples = None
 
-    def _phase(self) -> Phase:
+    def _phase(self) -> str:
         """What a sample of now belongs to."""
         return self._simulation.phase
 

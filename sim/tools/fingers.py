@@ -97,7 +97,7 @@ class FingersRecorder(UseRecorder):
         self._reference = driver.holding.T_palm_wanted
         super().record()
 
-    def _phase(self) -> Any:
+    def _phase(self) -> str:
         return "use" if self.strokes else super()._phase()
 
 
