@@ -100,7 +100,7 @@ def plan_tool_gait(
     assert isinstance(tool, Tool)
     rounded = replace(task, object=handle_cylinder(tool))
     why: list[str] = []
-    attempts = 0
+    attempts, cpu_s = 0, 0.0
     for number, one in enumerate(_searches(rounded)):
         try:
             gait = plan_gait(
@@ -108,16 +108,17 @@ def plan_tool_gait(
             )
         except NoGraspFoundError as error:
             why.append(str(error))
-            attempts += max_attempts
+            attempts += len(error.attempts)
+            cpu_s += sum(one.cpu_s for one in error.attempts)
             continue
-        attempts += gait.record.attempts
+        attempts, cpu_s = attempts + gait.record.attempts, cpu_s + gait.record.cpu_s
         true = replace(gait.task, object=tool)
         gait = idle_fingers_apart(gait, true)
         blocked = posture_blocked(gait, true)
         if blocked is not None:
             why.append(str(blocked))
             continue
-        gait = replace(gait, record=replace(gait.record, attempts=attempts))
+        gait = replace(gait, record=replace(gait.record, attempts=attempts, cpu_s=cpu_s))
         release = find_release(gait)
         if isinstance(release, Failure):
             why.append(str(release))
