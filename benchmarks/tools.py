@@ -17,11 +17,13 @@ import typer
 from benchmarks.bench import HandOptions
 from benchmarks.common import checked_hand
 from benchmarks.summary import counted, of, share, summary
+from planner.attempt import SearchRecord
 from planner.errors import NoGraspFoundError
 from planner.tools import load_tool
 from sim.scene.physics import PhysicsOptions
 from sim.tables import Row
-from sim.tools import UseTrial, plan_tool
+from sim.tools import FingersTrial, UseTrial, plan_fingers, plan_tool
+from sim.tools.fingers import checked_by
 
 MU = (0.55, 0.8)
 """Friction (-) between hand and tool; planning relies on 0.5."""
@@ -44,15 +46,17 @@ class Options(HandOptions):
     """Seeds count from ``--seed``."""
 
     tools: Annotated[str, typer.Option(help="Names or files.")] = "screwdriver,key,lid,hammer"
+    by: Annotated[str, typer.Option(help="wrist, or fingers.")] = "wrist"
 
 
 def cases(options: Options) -> Iterator[Row]:
     """Hands x tools x seeds."""
+    by = {} if checked_by(options.by) == "wrist" else {"by": options.by}
     for hand in options.hand_names:
         checked_hand(hand)
         for tool in options.tools.split(","):
             for seed in range(options.seed, options.seed + options.n):
-                yield {"hand": hand, "tool": tool, "seed": seed}
+                yield {"hand": hand, "tool": tool, "seed": seed, **by}
 
 
 def measure(case: Row) -> Row:
@@ -63,13 +67,22 @@ def measure(case: Row) -> Row:
     scale = 1.0 if case["tool"] in SHAPED else scale
     drawn = {"mu": mu, "fixture": friction, "scale": scale, "yaw": yaw}
     tool = load_tool(case["tool"], scale=scale)
+    physics = PhysicsOptions(name="drawn", mu=mu)
+    planning = {"hand": case["hand"], "tool": tool, "seed": case["seed"], "yaw": yaw}
+    trial: UseTrial
     try:
-        plan = plan_tool(case["hand"], tool, seed=case["seed"], yaw=yaw)
+        if "by" in case:
+            gait = plan_fingers(**planning)
+            record: SearchRecord = gait.record
+            trial = FingersTrial(gait, tool, friction=friction, physics=physics)
+        else:
+            plan = plan_tool(**planning)
+            record = plan.record
+            trial = UseTrial(plan, tool, friction=friction, physics=physics)
     except NoGraspFoundError as error:
         return {**drawn, "done": False, "reason": f"no plan: {str(error)[:200]}"}
-    physics = PhysicsOptions(name="drawn", mu=mu)
-    report = UseTrial(plan, tool, friction=friction, physics=physics).run()
-    best, use = plan.record.best, report.use
+    report = trial.run()
+    best, use = getattr(record, "best", None), report.use
     slip = report.largest_slip
     return {
         **drawn,
@@ -78,8 +91,8 @@ def measure(case: Row) -> Row:
         "detail": report.verdict.detail,
         "summary": "" if use is None else use["summary"],
         "margin": None if best is None else best.value,
-        "attempts": plan.record.attempts,
-        "plan_s": plan.record.cpu_s,
+        "attempts": record.attempts,
+        "plan_s": record.cpu_s,
         "slip_mm": slip[0],
         "slip_deg": slip[1],
     }

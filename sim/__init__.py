@@ -28,12 +28,13 @@ if TYPE_CHECKING:
     from sim.scene.physics import PhysicsOptions
     from sim.sensing.errors import ErrorModel
     from sim.simulation import Simulation
-    from sim.tools import UseTimeline, UseTrial, plan_tool, use_tool
+    from sim.tools import FingersTrial, UseTimeline, UseTrial, plan_fingers, plan_tool, use_tool
     from sim.trial import Trial, TrialOptions, simulate
 
 __all__ = [
     "Controller",
     "ErrorModel",
+    "FingersTrial",
     "GraspController",
     "HandoverTimeline",
     "ManipulationReport",
@@ -55,6 +56,7 @@ __all__ = [
     "contacts_from_mujoco",
     "hand_over",
     "manipulate",
+    "plan_fingers",
     "plan_tool",
     "reorient_in_palm",
     "run_protocol",
@@ -76,6 +78,7 @@ _HOMES = {
     "ProtocolReport": "sim.protocols",
     "reorient_in_palm": "sim.palm",
     "ErrorModel": "sim.sensing.errors",
+    "FingersTrial": "sim.tools",
     "Scene": "sim.scene.build",
     "Simulation": "sim.simulation",
     "Timeline": "sim.scene.carrier",
@@ -87,6 +90,7 @@ _HOMES = {
     "contacts_from_mujoco": "sim.contacts",
     "hand_over": "sim.handover",
     "manipulate": "sim.manipulation",
+    "plan_fingers": "sim.tools",
     "plan_tool": "sim.tools",
     "run_protocol": "sim.protocols",
     "simulate": "sim.trial",

@@ -175,17 +175,21 @@ class Recorder(SampleRecorder):
 
     def record(self) -> None:
         """Take a sample of now: all of it, also where Ctrl-C comes meanwhile."""
-        simulation = self._simulation
+        simulation, phase = self._simulation, self._phase()
         row = {
             "time": simulation.time,
-            "phase": simulation.phase,
+            "phase": phase,
             "saturated": simulation.saturated_actuators(),
         }
         with interrupts_wait():
-            self._take(simulation.phase, row)
+            self._take(phase, row)
             self._poses.append(simulation.T_world_object)
             self._in_palm.append((self._reference, self._held_at()))
             self._samples = None
+
+    def _phase(self) -> str:
+        """What a sample of now belongs to."""
+        return self._simulation.phase
 
     def samples(self) -> Samples:
         """Everything recorded so far; made once."""

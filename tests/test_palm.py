@@ -127,14 +127,14 @@ def ipopt(step: ContactStep, asked: PalmSettings, ctrl: Any, target: Any, tips: 
     """Least cost of a horizon by IPOPT with CasADi's derivatives: the same terms, written again."""
     nu, steps = len(ctrl), asked.horizon
     u = ca.MX.sym("u", nu, steps)
-    x, command, cost = ca.MX.zeros(step.keep.shape[0]), ca.DM(ctrl), 0
+    x, command, cost = ca.MX.zeros(step.keep.shape[0]), ca.MX(ca.DM(ctrl)), 0
     places, jacobians = tips
     for k in range(steps):
         command = command + u[:, k]
         free = step.keep @ x + step.drive @ command + step.rest
         z = -(step.gaps + step.jacobian @ free) / step.smoothing
         force = step.stiffness * step.smoothing * ca.log(1 + ca.exp(z))
-        x = free + step.compliance @ (step.jacobian.T @ force)
+        x = ca.MX(free + step.compliance @ (step.jacobian.T @ force))
         share = 1.0 if k == steps - 1 else asked.running_share
         cost += share * asked.position_cost * ca.sumsqr(x[:3] - target[:3])
         cost += share * asked.rotation_cost * ca.sumsqr(x[3:6] - target[3:])
@@ -177,7 +177,7 @@ def test_an_object_at_its_goal_is_left_alone(lying: Any) -> None:
     mujoco.mj_forward(plant.model, now)
     goal = now.xmat[plant.object_body].reshape(3, 3).copy()
     place = now.xpos[plant.object_body].copy()
-    asked = {"tolerance_deg": 5.0, "hold_s": 0.5, "longest_s": 2.0, "seed": 0}
+    asked: dict[str, Any] = {"tolerance_deg": 5.0, "hold_s": 0.5, "longest_s": 2.0, "seed": 0}
     log = turn(plant, now, goal, place, settings=PalmSettings(), **asked)
     assert log.outcome == "reached"
     assert set(log.phase[1:]) == {"still"}

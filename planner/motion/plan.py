@@ -100,6 +100,7 @@ class Knot:
         between: Largest pad gap, m, half-way from the knot before, joints interpolated linearly.
         on_the_way: The distributions while the wrist turns from the path's attitude back to that
             of the grasp, at its ``wrist_shares`` from the last but one to the first; () without.
+        needed: The distributions that produce each wrench that the task needs, with its margin.
     """
 
     path_parameter: float
@@ -113,6 +114,7 @@ class Knot:
     slips: FloatArray
     between: float
     on_the_way: tuple[ForceSolution, ...] = ()
+    needed: tuple[ForceSolution, ...] = ()
 
     def __post_init__(self) -> None:
         """Keep copies that nobody changes."""

@@ -4,7 +4,8 @@ The solver's knots are up to 30 degrees apart. Between them the object continues
 the pads roll over its surface (``planner.motion.trajectory``); these waypoints become knots too.
 The first knot is verified as a grasp on the table with its approach. All knots pass the same
 checks: contact, penetration, couplings and limits, force closure with a margin, forces that bear
-the weight.
+the weight, and such that produce each wrench that the task needs, on the object as it is there.
+During relocations no needed wrench is produced.
 
 Where the stroke is repeated, relocations come between (``planner.motion.regrasp``). Later strokes
 are verified like the first, with the object at its pose of that cycle. So are the swings of the
@@ -40,8 +41,10 @@ from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
 from planner.verification.geometry import contacts_of, verify_geometry
 from planner.verification.grasp import (
+    needed_forces,
     no_closure,
     no_forces,
+    no_needed,
     plan_forces,
     project_onto_surface,
     verify_grasp,
@@ -67,6 +70,10 @@ TURN_TOL = 1e-3
 SAME_POINT, SAME_NORMAL = 1e-5, 1e-3
 """Largest difference of contacts (m) and normals (-) of a later stroke from the first that counts
 as none: far below the tolerance of a contact."""
+
+SAME_LOAD = 1e-9
+"""Largest difference (N, N m) of needed wrenches of a later stroke from the first that counts as
+none."""
 
 PATH_SLACK = 2e-4
 """Excess (m) over the path tolerance that a knot may have: the solver's accuracy."""
@@ -246,6 +253,13 @@ class MovementVerifier:
         for share, forces in zip(np.linspace(1.0, 0.0, len(borne)), borne, strict=True):
             if not forces.found or (len(borne) > 1 and pressed(forces) > MOST_PRESS):
                 return _falls(task, forces, share, borne)
+        needed: tuple[ForceSolution, ...] = ()
+        if task.needed:  # on the object as it is turned here
+            turned_task = replace(task, T_world_object=T_world_object)
+            needed = needed_forces(turned_task, contacts, T_world_base, waypoint.q)
+            for one, found in zip(task.needed, needed, strict=True):
+                if not found.found:
+                    return no_needed(task, one, found)
         off, turned = _off_path(T_world_object, wanted)
         slid, gap, within = np.zeros(len(touches)), 0.0, None
         if before is not None:
@@ -265,6 +279,7 @@ class MovementVerifier:
             contacts=borne[0].contacts,
             forces=borne[0],
             on_the_way=tuple(borne[1:]),
+            needed=needed,
             closure=closure,
             verification=verification,
             off_path=off,
@@ -385,6 +400,8 @@ class MovementVerifier:
         contacts = contacts_of(task, touches).transformed(
             T_world_object * task.T_world_object.inverse()
         )
+        if task.needed and not self._needs_alike(task, knot.T_world_object, T_world_object):
+            return None
         apart = np.abs(contacts.positions - knot.contacts.positions).max()
         turned = np.abs(contacts.normals - knot.contacts.normals).max()
         if apart > SAME_POINT or turned > SAME_NORMAL:
@@ -399,6 +416,15 @@ class MovementVerifier:
             contacts=replace(knot.contacts, center=knot.contacts.center + moved),
             verification=verification,
         )
+
+    @staticmethod
+    def _needs_alike(task: GraspTask, one: SE3, other: SE3) -> bool:
+        """Whether needed wrenches are the same, world, with the object at two poses."""
+        loads = [
+            np.array([replace(task, T_world_object=pose).needed_load(w) for w in task.needed])
+            for pose in (one, other)
+        ]
+        return bool(np.abs(loads[0] - loads[1]).max() < SAME_LOAD)
 
 
 def _falls(

@@ -58,6 +58,7 @@ from sim.cli.search import BestOptions, numbered, plans_table
 from sim.cli.tasks import is_cloud, object_of
 
 if TYPE_CHECKING:
+    from planner.motion.plan import ManipulationPlan
     from planner.plan import GraspPlan
     from planner.search.grasp import Attempt
     from planner.tools import Tool
@@ -209,6 +210,7 @@ ToolArgument = Annotated[str, argument("screwdriver, key, lid, hammer, or NAME.t
 class UseOptions:
     """What ``use`` is asked for beside hand and tool."""
 
+    by: Annotated[str, option("wrist; or fingers: the palm stands still.", "HOW", GRIP)] = "wrist"
     seed: SeedOption = 0
     scale: Annotated[float, option("How many times larger the tool is.", "K", GRIP)] = 1.0
     margin: Annotated[
@@ -224,11 +226,16 @@ class UseOptions:
     video: VideoOption = None
     verbose: VerboseOption = False
 
-    def plan(self, hand: str, tool: Tool) -> GraspPlan:
+    def plan(self, hand: str, tool: Tool) -> GraspPlan | ManipulationPlan:
         """Plan with a spinner that counts attempts, on stderr."""
-        from sim.tools import plan_tool
+        from sim.tools import plan_fingers, plan_tool
+        from sim.tools.fingers import checked_by
 
         margin: dict[str, Any] = {} if self.margin is None else {"needed_margin": self.margin}
+        margin["mu"] = self.mu
+        if checked_by(self.by) == "fingers":
+            with err.status(f"planning: {hand} turns {tool.name} by strokes and regrasps"):
+                return plan_fingers(hand, tool, seed=self.seed, **margin)
         with heeding_ctrl_c() as check, err.status(f"planning: {hand}, {tool.name}") as status:
 
             def show(attempt: Attempt[GraspPlan]) -> bool:
@@ -242,7 +249,6 @@ class UseOptions:
                 tool,
                 seed=self.seed,
                 progress=show,
-                mu=self.mu,
                 **margin,
             )
 
@@ -262,9 +268,10 @@ def use(
     Files: plan.json, report.json, used.png, and report.html, to open in any browser: the motion,
     the forces, and what the tool did over time.
     """
-    from planner.files import write_plan
+    from planner.files import write_manipulation, write_plan
+    from planner.plan import GraspPlan
     from planner.tools import load_tool
-    from sim.tools import UseTrial
+    from sim.tools import FingersTrial, UseTrial
 
     loaded = load_tool(tool, scale=request.scale)
     parts: dict[str, Any] = {
@@ -276,10 +283,15 @@ def use(
         make_folder(out_dir)
     plan = request.plan(hand, loaded)
     folder = _begun(out_dir, plan.task.hand.name, loaded.name, request.seed, "used")
-    write_plan(plan, folder / "plan.json")
+    trial: UseTrial
+    if isinstance(plan, GraspPlan):
+        write_plan(plan, folder / "plan.json")
+        trial = UseTrial(plan, loaded, friction=request.resist, **parts)
+    else:
+        write_manipulation(plan, folder / "plan.json")
+        trial = FingersTrial(plan, loaded, friction=request.resist, **parts)
     if request.verbose and not as_json:
         tell(str(plan))
-    trial = UseTrial(plan, loaded, friction=request.resist, **parts)
     with share_bar("using") as progress:
         report = trial.run(
             progress=progress,

@@ -227,7 +227,7 @@ class ObjectImpedance:
         reference is dropped.
         """
         self.reference = None
-        self._torques.latch()
+        self._torques.latch(wrist=False)
         if self._grip > 1.0:
             self._grip = 1.0
             self._mu[:] = self._first_mu

@@ -128,10 +128,16 @@ class HoldingTorques:
         for i, (joint, center) in enumerate(self._pads):
             self.centers[i] = self._loads.at(joint, center)
 
-    def latch(self, finger: int | None = None) -> None:
-        """Keep the posture and the fingertips as they are now; of one finger, or of all."""
+    def latch(self, finger: int | None = None, *, wrist: bool = True) -> None:
+        """Keep the posture and the fingertips as they are now; of one finger, or of all.
+
+        Without ``wrist`` joints that are no finger's are kept where they were to be before: a wrist
+        that yields to a load would yield further each time.
+        """
         if finger is None:
-            self._q_ref, self._tips = self._q.copy(), self._in_palm(self.centers)
+            kept = self._driven | wrist
+            self._q_ref = np.where(kept, self._q, self._q_ref)
+            self._tips = self._in_palm(self.centers)
             return
         own = self._own[finger]
         self._q_ref[own] = self._q[own]

@@ -259,7 +259,7 @@ def force_limit(plan: ManipulationPlan) -> float:
 
     It follows from the plan's own largest force at any knot and while any finger moves on.
     """
-    solved = [one for knot in plan.knots for one in (knot.forces, *knot.on_the_way)]
+    solved = [one for knot in plan.knots for one in (knot.forces, *knot.on_the_way, *knot.needed)]
     planned = [forces.contacts.forces[:, 0] for forces in solved]
     for move in plan.relocations:
         planned += [contacts.forces[:, 0] for contacts in (move.before, move.during, move.after)]

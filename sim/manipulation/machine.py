@@ -108,8 +108,18 @@ class StateMachine:
         put_down: Whether it was put down half-way.
     """
 
-    def __init__(self, plan: ManipulationPlan, situation: Situation, *, retry: bool) -> None:
-        """Begin with picking."""
+    def __init__(
+        self, plan: ManipulationPlan, situation: Situation, *, retry: bool, lifts: bool = True
+    ) -> None:
+        """Begin with picking.
+
+        Args:
+            plan: What is executed.
+            situation: Asked when a transition is chosen.
+            retry: Whether failures of the turn are made up for.
+            lifts: Whether the object is lifted and put down; else it stays where it is grasped, and
+                the run ends with "hold".
+        """
         self.state: State = "pick"
         self.ending = plan.ending
         self.complete = self.put_down = False
@@ -118,7 +128,9 @@ class StateMachine:
         self._went_back = False
         self._moved: list[str] = []
         self._queue: deque[tuple[ManipulationPhase, str, Relocation | None]] = deque()
-        self._enter("pick", *PICK, *(("wrist",) if plan.path.turns_wrist else ()))
+        self._lifts = lifts
+        pick = PICK if lifts else PICK[:-1]
+        self._enter("pick", *pick, *(("wrist",) if plan.path.turns_wrist else ()))
 
     @property
     def next(self) -> PhaseCall | None:
@@ -145,13 +157,13 @@ class StateMachine:
             else:
                 self._moved = []
                 self._regrasp(self._cycle)
-        elif self.state == "hold":
+        elif self.state == "hold" and self._lifts:
             if self.ending.release is None:
                 self._enter("place", "carry", "verify again")
             else:
                 self._enter("place", "verify again", *self._back, "carry", *DOWN)
         else:
-            self.complete = self.state == "place"
+            self.complete = self.state in ("place", "hold")
             self.put_down = self.state == "put down"
             self._enter("end")
 

@@ -145,6 +145,7 @@ class ManipulationSim:
         plan: ManipulationPlan,
         holding: InHandController,
         options: ManipulationOptions,
+        simulation: Simulation | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
 
@@ -152,12 +153,13 @@ class ManipulationSim:
             plan: What is executed.
             holding: What holds and turns the object: the controller of the options, made.
             options: Under which conditions.
+            simulation: Of another scene with the plan's hand, which is then driven; built if None.
         """
         grasp = plan.grasp
         there = options.true_task or grasp.task
         there = replace(there, obstacles=(*there.obstacles, *plan.under_target))
         self.driver = ManipulationDriver(plan, holding, rate=options.timeline.turn_rate)
-        self.simulation = Simulation(
+        self.simulation = simulation or Simulation(
             replace(grasp, task=there),
             physics=options.physics,
             controller=self.driver,
@@ -166,7 +168,7 @@ class ManipulationSim:
             hinges=_hinges(plan.path.wrist_turn) if plan.path.turns_wrist else None,
         )
         self.mover = mover_of(grasp, self.simulation.scene)
-        self.simulation.carrier = self.mover
+        self.simulation.controller, self.simulation.carrier = self.driver, self.mover
         axis = self.driver.reference.axis
         self.recorder = ManipulationRecorder(self.simulation, axis)
         self.reading = Reading(self.simulation, self.recorder, axis)

@@ -7,8 +7,9 @@ A kind of use is one file and one registration: a subclass of ``Use`` (``sim.too
     print(use_tool("shadow_hand", "screwdriver").success)
 """
 
+from sim.tools.fingers import FingersTrial, plan_fingers, use_tool
 from sim.tools.strike import Strike
-from sim.tools.trial import UseTimeline, UseTrial, plan_tool, use_tool
+from sim.tools.trial import UseTimeline, UseTrial, plan_tool
 from sim.tools.turn import Turn
 from sim.tools.use import USES, Use, register_use
 
@@ -17,9 +18,11 @@ register_use("strike", Strike)
 
 __all__ = [
     "USES",
+    "FingersTrial",
     "Use",
     "UseTimeline",
     "UseTrial",
+    "plan_fingers",
     "plan_tool",
     "register_use",
     "use_tool",

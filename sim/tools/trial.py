@@ -1,4 +1,4 @@
-"""``UseTrial``: grasp a tool, use it, put it back in the air, and judge; ``use_tool`` plans it too.
+"""``UseTrial``: grasp a tool, use it, put it back in the air, and judge.
 
 The same trial as of any grasp up to the squeeze. Then the support releases the tool; the hand
 brings its tip to the fixture ("engage"), uses it ("use"), takes it away ("withdraw") and holds it.
@@ -47,7 +47,7 @@ from sim.verdict import (
     tipped,
 )
 
-__all__ = ["UseTimeline", "UseTrial", "plan_tool", "use_tool"]
+__all__ = ["UseTimeline", "UseTrial", "plan_tool"]
 
 MOST_RESIST = 100.0
 """Largest factor on a fixture's friction (-): more is a fixture that never moves."""
@@ -158,7 +158,7 @@ class UseCarrier:
         data.ctrl[gantry.ctrl] = gantry.command(data, target, velocity)
 
 
-class _UseRecorder(Recorder):
+class UseRecorder(Recorder):
     """Takes what the use measures with every sample."""
 
     def __init__(self, simulation: Simulation, every: float, use: Use) -> None:
@@ -208,7 +208,7 @@ class UseTrial(Trial):
             PlannerError: As ``Trial``.
         """
         asked = replace(options or TrialOptions(), **changes)
-        needs_gantry(plan)
+        needs_gantry(plan.task)
         self.use = use_of(tool)
         self.use.yaw = yaw_of_plan(plan, self.use)
         self.use.friction = checked_number(
@@ -232,7 +232,7 @@ class UseTrial(Trial):
         assert gantry is not None
         self.carrier = UseCarrier(self, gantry, timeline)
         self.simulation.carrier = self.carrier
-        self.recorder: _UseRecorder = _UseRecorder(self.simulation, asked.record_every, self.use)
+        self.recorder: UseRecorder = UseRecorder(self.simulation, asked.record_every, self.use)
 
     def _surroundings(self) -> Callable[[Any], None]:
         """Adds the fixture to the scene."""
@@ -433,27 +433,3 @@ def plan_tool(
     """
     task, use = task_of_use(hand, load_tool(tool), yaw=yaw, **changes)
     return plan_use(task, use.way, seed=seed, max_attempts=max_attempts, progress=progress)
-
-
-def use_tool(
-    hand: Any,
-    tool: Tool | str | Path,
-    options: TrialOptions | None = None,
-    *,
-    seed: int = 0,
-    **changes: Unpack[TrialKeywords],
-) -> TrialReport:
-    """Plan the grasp of a tool, use it, and judge; ``UseTrial`` makes pictures and films.
-
-    Args:
-        hand: A hand, its name, or the path of its description.
-        tool: A tool, its name, or the path of its file.
-        options: Under which conditions; defaults if None.
-        seed: Same seed, same plan.
-        changes: Fields of ``TrialOptions`` by name; a timeline is a ``UseTimeline``.
-
-    Raises:
-        PlannerError: See ``plan_tool`` and ``UseTrial``.
-    """
-    tool = load_tool(tool)
-    return UseTrial(plan_tool(hand, tool, seed=seed), tool, options, **changes).run()

@@ -21,7 +21,7 @@ from planner.errors import ObjectError, TaskError
 from planner.plan import GraspPlan
 from planner.registry import Registry
 from planner.spatial import SE3, FloatArray, shifted
-from planner.task import Obstacle
+from planner.task import GraspTask, Obstacle
 from planner.tools import Tool, use_data, use_numbers
 from sim.controllers import Phase
 from sim.scene.build import OBSTACLE_PREFIX, WORLD_BIT
@@ -272,14 +272,14 @@ def sensed_object(simulation: Simulation) -> SE3:
     return simulation.T_world_object if seen is None else seen.T_world_object
 
 
-def needs_gantry(plan: GraspPlan) -> None:
+def needs_gantry(task: GraspTask) -> None:
     """Refuse a hand on an arm.
 
     Raises:
         TaskError: It is on one.
     """
-    if plan.task.hand.arm is not None:
+    if task.hand.arm is not None:
         raise TaskError(
-            f"{plan.task.hand.name} is on an arm; tools are used with a hand that the gantry "
+            f"{task.hand.name} is on an arm; tools are used with a hand that the gantry "
             "carries: name the hand alone"
         )

@@ -1,0 +1,187 @@
+"""A tool turned in its fixture by the fingers alone: plan, verifier, machine, errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planner.errors import PlannerError
+from planner.failure import Failure
+from planner.files import read_manipulation, write_manipulation
+from planner.motion.plan import Knot, ManipulationPlan
+from planner.motion.tool_gait import handle_cylinder, posture_blocked
+from planner.motion.verify import MovementVerifier, Waypoint
+from planner.objects import NeededWrench
+from planner.shapes import Cylinder
+from planner.spatial import SE3
+from planner.tools import Tool, load_tool
+from sim.cli import main
+from sim.manipulation.machine import StateMachine
+from sim.tools import FingersTrial, plan_fingers, use_tool
+from sim.tools.fingers import standing
+
+
+def screwdriver(angle_deg: float = 720.0) -> Tool:
+    """The screwdriver, turned by another angle."""
+    tool = load_tool("screwdriver")
+    assert tool.use is not None
+    numbers = {**tool.use.numbers, "angle_deg": angle_deg}
+    return replace(tool, use=tool.use.model_copy(update={"numbers": numbers}))
+
+
+@pytest.fixture(scope="module")
+def gait() -> ManipulationPlan:
+    return plan_fingers("allegro_hand", screwdriver(40.0), seed=0)
+
+
+def test_every_knot_produces_the_needed_wrench_and_bears_the_weight(
+    gait: ManipulationPlan,
+) -> None:
+    (needed,), times = gait.task.needed, gait.task.needed_margin
+    weight = gait.task.object.mass * 9.81
+    knots = [knot for stroke in gait.strokes for knot in stroke.knots]
+    assert gait.cycles >= 2
+    assert len(knots) > gait.cycles
+    for knot in knots:
+        (found,) = knot.needed
+        forces, turn = found.contacts.forces_in_axes(), knot.T_world_object.rotation
+        at = knot.contacts.positions - knot.T_world_object.translation
+        wanted = times * turn @ needed.force + [0, 0, weight]
+        assert np.allclose(forces.sum(axis=0), wanted, atol=1e-5)
+        torque = np.cross(at, forces).sum(axis=0)
+        assert np.allclose(torque, times * turn @ needed.torque, atol=1e-6)
+        assert torque[2] == pytest.approx(-2 * 0.05, abs=1e-6)  # with the turn, which is clockwise
+    assert gait.path.angle < 0
+
+
+def judged(gait: ManipulationPlan, needed: NeededWrench) -> tuple[Knot, ...] | Failure:
+    """The knots of a gait, judged again for another needed wrench."""
+    task = replace(gait.task, needed=(needed,))
+    waypoints = [
+        Waypoint(
+            path_parameter=k.path_parameter,
+            T_object_base=k.T_world_object.inverse() * gait.T_world_base,
+            q=k.q,
+        )
+        for k in gait.knots
+    ]
+    verifier = MovementVerifier(task)
+    return verifier.verify_knots(gait.T_world_base, waypoints, gait.path, gait.path_tolerance)
+
+
+def test_knots_that_cannot_produce_a_needed_wrench_are_refused(gait: ManipulationPlan) -> None:
+    (needed,) = gait.task.needed
+    assert not isinstance(judged(gait, needed), Failure)
+    much = replace(needed, torque=(0.0, 0.0, -0.6))
+    refused = judged(gait, much)
+    assert isinstance(refused, Failure)
+    assert refused.kind == "no_needed_wrench"
+    assert "of the path" in refused.text
+
+
+def test_a_needed_wrench_turns_with_the_object(gait: ManipulationPlan) -> None:
+    across = NeededWrench(name="across", force=(1.0, 0.0, 0.0))
+    knots = judged(gait, across)
+    assert isinstance(knots, tuple)
+    forces = [k.needed[0].contacts.forces_in_axes().sum(axis=0)[:2] for k in knots]
+    first, last = forces[0], forces[-1]
+    turned = np.arctan2(last[1], last[0]) - np.arctan2(first[1], first[0])
+    assert turned == pytest.approx(gait.path.angle, abs=1e-3)
+
+
+def test_a_torque_of_the_other_sign_takes_other_forces(gait: ManipulationPlan) -> None:
+    (needed,) = gait.task.needed
+    knots = judged(gait, replace(needed, torque=(0.0, 0.0, 0.05)))
+    assert isinstance(knots, tuple)
+    for knot in knots:
+        forces = knot.needed[0].contacts.forces_in_axes()
+        at = knot.contacts.positions - knot.T_world_object.translation
+        assert np.cross(at, forces).sum(axis=0)[2] == pytest.approx(0.1, abs=1e-6)
+
+
+def test_a_gait_of_a_tool_is_written_and_judged_again(
+    gait: ManipulationPlan, tmp_path: Path
+) -> None:
+    write_manipulation(gait, tmp_path / "plan.json")
+    again = read_manipulation(tmp_path / "plan.json")
+    assert again.cycles == gait.cycles
+    assert again.task.needed == gait.task.needed
+    assert np.allclose(
+        again.knots[1].needed[0].contacts.forces, gait.knots[1].needed[0].contacts.forces, atol=1e-3
+    )
+
+
+def test_postures_are_checked_against_the_true_tool_and_its_workpiece(
+    gait: ManipulationPlan,
+) -> None:
+    task = replace(gait.task, object=standing(screwdriver()))
+    assert posture_blocked(gait, task) is None
+    block = task.obstacles[0]
+    at = gait.T_world_base.translation + np.array([0.0, 0.0, 0.02])
+    higher = replace(block, T_world_obstacle=SE3(np.eye(3), at), name="in the way")
+    blocked = posture_blocked(gait, replace(task, obstacles=(higher,)))
+    assert blocked is not None
+    assert "in the way" in blocked.text
+
+
+def test_a_handle_that_is_round_is_planned_for_as_a_cylinder() -> None:
+    tool = screwdriver()
+    shape = handle_cylinder(tool).shape
+    assert isinstance(shape, Cylinder)
+    assert shape.radius == pytest.approx(0.015)
+    assert shape.height / 2 == pytest.approx(0.175 + tool.tip[2], abs=1e-6)  # its top
+
+
+@pytest.mark.parametrize(
+    ("hand", "tool", "complaint"),
+    [
+        ("allegro_hand", "hammer", r"hammer is for 'strike', which takes the whole hand"),
+        ("allegro_hand", "key", r"the handle of key is 7.0 to 16.6 mm from its axis; .*round"),
+        ("allegro_on_arm7", "screwdriver", "is on an arm"),
+    ],
+)
+def test_what_fingers_cannot_use_is_named(hand: str, tool: str, complaint: str) -> None:
+    with pytest.raises(PlannerError, match=complaint):
+        plan_fingers(hand, tool)
+
+
+def test_what_drives_a_tool_is_wrist_or_fingers(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    with pytest.raises(PlannerError, match=r"no way to drive a tool is called 'foot'"):
+        use_tool("allegro_hand", "screwdriver", by="foot")  # type: ignore[arg-type]
+    with pytest.raises(SystemExit) as ended:
+        main(["use", "allegro_hand", "hammer", "--by", "fingers", "--out", str(tmp_path / "out")])
+    assert ended.value.code == 3
+    assert "takes the whole hand" in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_a_tool_in_its_fixture_is_neither_lifted_nor_put_down(gait: ManipulationPlan) -> None:
+    trial = FingersTrial(gait, screwdriver(40.0))
+    trial._goal = 0.0  # turned as far as asked after one stroke
+    machine = StateMachine(gait, trial, retry=True, lifts=False)
+    phases = []
+    while (call := machine.next) is not None:
+        phases.append(call.phase)
+        machine.passed()
+    assert phases == ["stand", "approach", "close", "squeeze", "verify", "turn", "hold"]
+    assert machine.complete
+
+
+@pytest.mark.slow
+def test_fingers_turn_a_screw_by_strokes_and_regrasps(gait: ManipulationPlan) -> None:
+    tool = screwdriver(40.0)
+    report = FingersTrial(gait, tool).run()
+    assert report.success, str(report)
+    assert report.use is not None
+    angle = np.array(report.use["channels"]["angle_deg"])
+    used = np.array([phase == "use" for phase in report.samples.phase])
+    assert angle[used][-1] > 37.0
+    assert np.array(report.use["channels"]["depth_mm"])[used].min() > 3.0
+    assert np.abs(report.use["channels"]["torque_Nm"]).max() > 0.045  # against 0.05 N m
+    assert np.nanmax(report.samples.slip_deg[used]) < 10.0
+    fewest = (report.samples.contacts[used] > 0).sum(axis=1).min()
+    assert fewest == 3  # a finger moved on
