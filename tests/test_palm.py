@@ -109,6 +109,28 @@ def test_derivatives_agree_with_finite_differences(lying: Any) -> None:
         assert jacobian[:, k] == pytest.approx(slope, abs=1e-6)
 
 
+def test_a_contact_row_turns_about_the_axes_of_the_world(lying: Any) -> None:
+    """A cube on its corner: its own axes are not the world's."""
+    _, plant, data, _ = lying
+    model = PalmModel(plant, PalmSettings(contacts=1))
+    qpos = data.qpos.copy()
+    turned = pin.exp3(np.array([0.3, 0.5, -0.4]))
+
+    def at(rotation: Any) -> Any:
+        x, y, z, w = pin.Quaternion(rotation).coeffs()
+        out = qpos.copy()
+        out[plant.object_qpos[3:]] = w, x, y, z
+        out[plant.object_qpos[2]] += 0.02
+        return out
+
+    first = model.read(at(turned))
+    row = first.jacobian[:4].mean(axis=0)[3:6]
+    assert np.linalg.norm(row) > 0.005  # the corner is off the centre
+    for axis, one in zip(np.eye(3), row, strict=True):
+        change = model.read(at(pin.exp3(1e-5 * axis) @ turned)).gaps[0] - first.gaps[0]
+        assert change == pytest.approx(1e-5 * one, abs=3e-9)
+
+
 def test_a_contact_row_is_the_rate_of_the_gap(lying: Any) -> None:
     """Moving the object along world axes changes the nearest gap as the mean of its edges says."""
     _, plant, data, _ = lying

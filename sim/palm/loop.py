@@ -35,7 +35,7 @@ class TurnLog:
         error_deg: Angle to the goal.
         phase: "turn", "open" or "still".
         qpos: States (nqpos,) of the model.
-        solve_s: Wall time of each solve, s.
+        solve_s: CPU time of each solve, s.
         outcome: How it ended.
     """
 

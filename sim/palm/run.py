@@ -23,10 +23,11 @@ from planner.bridge import compile_spec
 from planner.errors import NotFoundError, TaskError
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
+from planner.motion.path import checked_rotation
 from planner.objects import GraspObject
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from sim.palm.loop import TurnLog, turn
+from sim.palm.loop import turn
 from sim.palm.model import PalmModel, Plant, plant_of
 from sim.palm.report import PalmReport
 from sim.palm.settings import PalmSettings
@@ -49,9 +50,6 @@ SETTLE_S = 0.6
 HIGHEST, RISE = 0.25, 0.001
 """Height (m) up to which the object is lifted, in such steps, until it is clear of the hand."""
 
-ORTHONORMAL = 1e-6
-"""Largest error (-) of a rotation matrix."""
-
 CRADLES: Mapping[str, tuple[tuple[float, float], Mapping[str, float]]] = MappingProxyType(
     {
         "allegro_hand": (
@@ -67,7 +65,8 @@ CRADLES: Mapping[str, tuple[tuple[float, float], Mapping[str, float]]] = Mapping
         ),
     }
 )
-"""Hand -> where an object lies on its palm (x, y), m, and joints (rad) that curl about it there."""
+"""Hand -> where an object lies on its palm (x, y), m, and joints (rad) that curl about it there.
+Those of the Allegro-type hand are near what the published scene begins with (arXiv 2408.07855)."""
 
 AHEAD, LIFT = 0.02, 0.012
 """How far (m) towards the fingers and above where it lies the centre is wanted: off the palm, which
@@ -118,10 +117,11 @@ def reorient_in_palm(
         TaskError: A goal that is no rotation, a hand on an arm, servos that hold no position, or
             an object that rolls off at once.
     """
-    goal = checked_rotation("goal_rotation", goal_rotation)
-    first = checked_rotation(
-        "start_rotation", np.eye(3) if start_rotation is None else start_rotation
-    )
+    wanted = "orthonormal columns with determinant 1, the frame of the hand from the object"
+    goal = checked_rotation("goal_rotation", goal_rotation, wanted)
+    first = np.eye(3)
+    if start_rotation is not None:
+        first = checked_rotation("start_rotation", start_rotation, wanted)
     moved = finite_array("shift", shift, (2,), error=TaskError)
     tilt = checked_number("tilt", tilt, least=0.0, most=np.pi / 2, unit="rad", error=TaskError)
     for name, value in (
@@ -164,23 +164,31 @@ def reorient_in_palm(
     if tape is not None:
         stills = moments_of(picture, None)
         drawn = str(draw_tape(tape, pictures=stills, video=None if video is None else Path(video)))
-    return _report(scene, log, goal, locals())
-
-
-def checked_rotation(name: str, given: Any) -> FloatArray:
-    """A rotation matrix (3, 3).
-
-    Raises:
-        TaskError: It is none.
-    """
-    matrix = finite_array(name, given, (3, 3), error=TaskError)
-    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    if off > ORTHONORMAL or np.linalg.det(matrix) < 0:
-        raise TaskError(
-            f"{name} is no rotation (R R' is off by {off:.2g}, its determinant is "
-            f"{np.linalg.det(matrix):.2g}); give orthonormal columns that are no mirror"
-        )
-    return matrix
+    states = np.array(log.qpos)
+    return PalmReport(
+        hand=scene.task.hand.name,
+        object=scene.task.object.shape.spec,
+        mass_kg=scene.task.object.mass,
+        seed=seed,
+        goal=goal,
+        tilt_deg=float(np.degrees(tilt)),
+        tolerance_deg=tolerance_deg,
+        hold_s=hold_s,
+        longest_s=longest_s,
+        outcome=log.outcome,
+        time=np.array(log.time),
+        error_deg=np.array(log.error_deg),
+        phase=tuple(log.phase),
+        T_world_object=states[:, scene.object_qpos],
+        q=states[:, scene.hand_qpos],
+        solve_ms=1e3 * np.array(log.solve_s),
+        settings=asdict(asked),
+        physics={"name": scene.physics.name, "mu": scene.physics.mu},
+        wall_s=time.perf_counter() - begin,
+        task=scene.task,
+        T_world_base=scene.T_world_base,
+        drawn=drawn,
+    )
 
 
 def palm_scene(
@@ -290,33 +298,3 @@ def _settle(plant: Plant, data: Any, q: FloatArray, name: str, keep: Any) -> Non
             f"{name} rolls off the palm at once ({1e3 * fallen:.0f} mm down in {SETTLE_S:g} s); "
             "lay it down another way (start_rotation, shift), or lean the palm less (tilt)"
         )
-
-
-def _report(scene: Scene, log: TurnLog, goal: FloatArray, given: Mapping[str, Any]) -> PalmReport:
-    """What happened, from the log and the arguments of ``reorient_in_palm``."""
-    states = np.array(log.qpos)
-    poses = states[:, scene.object_qpos]
-    return PalmReport(
-        hand=scene.task.hand.name,
-        object=scene.task.object.shape.spec,
-        mass_kg=scene.task.object.mass,
-        seed=given["seed"],
-        goal=goal,
-        tilt_deg=float(np.degrees(given["tilt"])),
-        tolerance_deg=given["tolerance_deg"],
-        hold_s=given["hold_s"],
-        longest_s=given["longest_s"],
-        outcome=log.outcome,
-        time=np.array(log.time),
-        error_deg=np.array(log.error_deg),
-        phase=tuple(log.phase),
-        T_world_object=poses,
-        q=states[:, scene.hand_qpos],
-        solve_ms=1e3 * np.array(log.solve_s),
-        settings=asdict(given["asked"]),
-        physics={"name": scene.physics.name, "mu": scene.physics.mu},
-        wall_s=time.perf_counter() - given["begin"],
-        task=scene.task,
-        T_world_base=scene.T_world_base,
-        drawn=given["drawn"],
-    )
