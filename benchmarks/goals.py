@@ -88,7 +88,7 @@ def measure(case: Row) -> Row:
         **row,
         "planned": True,
         "reached": report.goal_reached,
-        "strict": all(part.success_with_closure for part in parts),
+        "strict": report.success_with_closure,
         "dropped": any(part.dropped for part in parts),
         "reason": report.reason or ("reached" if report.goal_reached else "off the goal"),
         "faults": report.faults,

@@ -447,7 +447,7 @@ def simulate(
         video: File of a film.
         arrows: Draw the measured contact forces into both.
         tries: Most tries of a ``CloudPlan``, at least 1. For more than one each plan needs a
-            controller of its own: a name, class or function.
+            controller of its own: a name, class or function; with a made one there is one try.
         changes: Fields of ``TrialOptions`` by name: ``controller="impedance"``, ``physics``,
             ``timeline``, ``thresholds``, ``record_every``, ``error_model``, ``estimator``,
             ``truth``.
@@ -487,7 +487,7 @@ def simulate(
             return report
         again = trial.not_lifted if report.reason == "no contact" else ""
         told.append(f"not lifted, {again}" if again else report.reason or report.verdict.outcome)
-        if not again or len(told) >= tries:
+        if not again or len(told) >= tries or is_controller(asked.controller):
             return replace(report, tries=tuple(told))
         following, truth = trial.tried_again(found)
         if following is None:

@@ -162,7 +162,8 @@ def test_a_turn_is_an_episode_with_its_own_sentence(turned: ManipulationReport) 
 
 
 def test_a_turn_that_was_begun_again_is_an_episode_per_run(turned: ManipulationReport) -> None:
-    first, second = episodes_of(replace(turned, earlier=turned))
+    ended = replace(turned, complete=False)
+    first, second = episodes_of(replace(turned, earlier=ended))
     assert len(first) == len(second) == len(turned.recording)
     assert first.success == turned.success
     assert not second.success and second.reason  # the whole turn was not made in one go

@@ -370,7 +370,7 @@ def movement_from_dict(
     if file.ending is None:
         plan = replace(plan, angle=file.angle_rad, shift=np.array(file.shift_m))
     else:
-        plan = _whole(plan, file, file.ending)
+        plan = _whole(plan, file, file.ending, source)
     fault = _fault(plan, file.torque_reserve)
     if fault:
         raise FileFormatError(f"{source}: {fault}; it is damaged")
@@ -455,10 +455,23 @@ def _same(stored: FloatArray, true: FloatArray) -> bool:
     )
 
 
-def _whole(strokes: MovementPlan, file: MovementFile, ending: EndingData) -> ManipulationPlan:
-    """Strokes with the ending of a file, not judged yet."""
+def _whole(
+    strokes: MovementPlan, file: MovementFile, ending: EndingData, source: str
+) -> ManipulationPlan:
+    """Strokes with the ending of a file, not judged yet.
+
+    Raises:
+        FileFormatError: It has a part of a way out.
+    """
     hand, arm = strokes.task.hand, ending.arm_out
     release = None
+    if (ending.q_open_rad is None) != (ending.T_world_base_out is None) or (
+        ending.q_open_rad is None and not ending.turned
+    ):
+        raise FileFormatError(
+            f"{source}: its ending has a part of a way out only; q_open_rad and T_world_base_out are both "
+            "given, or both null where the object is held at its goal: it is damaged"
+        )
     if ending.q_open_rad is not None and ending.T_world_base_out is not None:
         release = Approach(
             q=hand.checked_q(ending.q_open_rad, "q_open_rad"),

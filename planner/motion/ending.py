@@ -181,6 +181,8 @@ def verify_turned(motion: MovementPlan, ending: Ending) -> Failure | None:
     if rotation_angle(turned.T @ target.rotation) > SAME_TURN:
         return Failure(kind="falls", text="the object is not turned to its target")
     if ending.release is None:
+        if abs(target.translation[2] - task.T_world_object.translation[2]) > ALIKE:
+            return Failure(kind="falls", text="it is held at another height than it was grasped at")
         return None
     table, shape = task.table_height, task.object.shape
     down = target.rotation[2]

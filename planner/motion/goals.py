@@ -36,7 +36,7 @@ from planner.motion.ending import FLAT
 from planner.motion.goal_moves import ROUNDING, GoalMoves, upright
 from planner.motion.path import check_place, checked_rotation
 from planner.motion.plan import ManipulationPlan
-from planner.motion.roadmap import ROADMAP_S, poses_of, roadmap_for
+from planner.motion.roadmap import LEAST_TILT_DEG, ROADMAP_S, poses_of, roadmap_for
 from planner.motion.single_stroke import GOOD_MARGIN
 from planner.motion.task import manipulation_task
 from planner.motion.verify import MOST_PRESS
@@ -104,7 +104,8 @@ def plan_reorientation(
         fingers: Finger names; the hand's default set, some of which may be spared, if None.
         table_height: Height of the table's top, m.
         seed: Same seed, same plan.
-        max_cpu_s: CPU time (s) after which building the roadmap ends, once per hand and object.
+        max_cpu_s: CPU time (s) after which building the roadmap ends, once per hand and object; one
+            that was cut short is not kept.
         tell: Called with one line where the roadmap is built.
 
     Returns:
@@ -164,8 +165,9 @@ def _standing(task: GraspTask, poses: Sequence[SE3]) -> int:
         raise TaskError(
             f"{task.object.name} does not stand on the table as it is given: it is turned by "
             f"{np.rad2deg(off[k]):.1f} degrees from its nearest stable pose, and its lowest point "
-            f"is at {1e3 * lowest:.1f} mm; give T_world_object in a stable pose, as resting_pose "
-            "of the object gives it"
+            f"is at {1e3 * lowest:.1f} mm; give T_world_object in one of its {len(poses)} poses "
+            f"that do not fall at a tilt of {LEAST_TILT_DEG:g} degrees, as resting_pose of the "
+            "object gives it"
         )
     return k
 

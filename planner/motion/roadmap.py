@@ -204,6 +204,8 @@ def _key(task: GraspTask, seed: int) -> str:
         touch,
     ]
     rest = [task.contact_model, *task.finger_names, task.may_spare_fingers, task.joint_error]
+    rest += [repr(task.obstacles), repr(task.needed), task.needed_margin]
+    numbers += [CLOSURE_MARGIN, CLOSURE_EDGES, MOST_POSES, LEAST_TILT_DEG, ALOFT]
     text = json.dumps([*named, *rest, *[float(n) for n in numbers]])
     return hashlib.sha256(text.encode()).hexdigest()
 

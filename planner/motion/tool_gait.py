@@ -37,6 +37,13 @@ ROUND = 2e-4
 """Largest difference (m) of the distances of a handle's points from the axis: that of a polygon of
 48 corners is 0.03 mm at a radius of 15 mm, and a contact is judged to 0.5 mm."""
 
+UPRIGHT = 0.9999
+"""Least cosine (-) between a tool's axis and z of its frame: an axis that is written with four
+digits, 0.8 degrees."""
+
+END = 0.7
+"""Cosine (-) between the normal of a face and z from which on it is an end of the handle."""
+
 FEWEST = 4
 """Fewest fingers of a gait of point contacts: three hold while one moves on."""
 
@@ -54,14 +61,14 @@ def handle_cylinder(tool: Tool) -> Tool:
         ObjectError: Its axis is not along z of its frame, or its handle is not round about it.
     """
     shape = tool.shape
-    if abs(tool.axis[2]) < 1.0 - ROUND or np.hypot(*tool.tip[:2]) > ROUND:
+    if abs(tool.axis[2]) < UPRIGHT or np.hypot(*tool.tip[:2]) > ROUND:
         raise ObjectError(
             f"{tool.name} does not turn about the vertical through its centre of mass; fingers "
             "turn a tool whose axis and tip are on z: give a tool of revolution"
         )
     if isinstance(shape, Cylinder):
         return tool
-    points = shape.vertices if isinstance(shape, Mesh) else np.zeros((0, 3))
+    points = _side(shape) if isinstance(shape, Mesh) else np.zeros((0, 3))
     assert tool.touch is not None  # a tool for a use has a handle
     handle = points[replace(tool.touch, forbidden=()).permits(points)] if len(points) else points
     away = np.linalg.norm(handle[:, :2], axis=1)
@@ -75,6 +82,19 @@ def handle_cylinder(tool: Tool) -> Tool:
     height = 2.0 * float(np.abs(handle[:, 2]).max())
     radius = round(float(away.max()), 9)  # as a file has it
     return replace(tool, shape=Cylinder(radius=radius, height=round(height, 9)))
+
+
+def _side(shape: Mesh) -> FloatArray:
+    """Corners and middles of edges (m, 3), m, of the faces of a mesh that are not ends of it.
+
+    Between corners, since all corners of a square bar are equally far from its axis.
+    """
+    corners = shape.vertices[shape.faces]  # (n, 3, 3)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normals, axis=1)
+    sides = corners[np.abs(normals[:, 2]) < END * size]
+    middles = 0.5 * (sides + np.roll(sides, 1, axis=1))
+    return np.concatenate([sides, middles]).reshape(-1, 3)
 
 
 def plan_tool_gait(

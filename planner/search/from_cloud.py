@@ -122,7 +122,7 @@ class CloudPlan:
         Felt places correct the object's place along the table, and are conditions of its surface
         from then on; hypotheses that they contradict lose weight. Every other plan is verified
         where the object is then, and tried on samples again. If none is left, grasps are planned
-        anew, with another seed; not for an arm.
+        anew, with another seed, the usual options and budget; not for an arm.
 
         Args:
             felt: In the object's frame as it was planned, with which they moved.
@@ -379,12 +379,20 @@ def _task(
 def _task_again(task: GraspTask, belief: Belief, moved: SE3, number: int) -> GraspTask:
     """A task with a hypothesis of another belief, moved since the task's object was planned on."""
     chosen, mesh = belief.of_hypothesis(number)
+    old, table = task.object, task.table_height
+    by_cloud = (
+        old.belief is not None
+        and isinstance(old.shape, Mesh)
+        and _stands_on(old.belief, old.shape) == table
+    )
+    if by_cloud:  # a height that was given stays
+        table = _stands_on(chosen, mesh)
     since = task.T_world_object * SE3(np.eye(3), -belief.offset)
     return replace(
         task,
         object=replace(task.object, shape=mesh, belief=chosen),
         T_world_object=moved * since * chosen.T_world_object,
-        table_height=None if task.table_height is None else _stands_on(chosen, mesh),
+        table_height=table,
     )
 
 

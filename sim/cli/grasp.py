@@ -210,14 +210,14 @@ ToolArgument = Annotated[str, argument("screwdriver, key, lid, hammer, or NAME.t
 class UseOptions:
     """What ``use`` is asked for beside hand and tool."""
 
-    by: Annotated[str, option("wrist; or fingers: the palm stands still.", "HOW", GRIP)] = "wrist"
+    by: Annotated[str, option("wrist or fingers.", "HOW", GRIP)] = "wrist"
     seed: SeedOption = 0
-    scale: Annotated[float, option("How many times larger the tool is.", "K", GRIP)] = 1.0
+    scale: Annotated[float, option("Factor on its size.", "K", GRIP)] = 1.0
     margin: Annotated[
         float | None, option("Margin of each needed wrench; 2.", "K", GRIP, min=1.0)
     ] = None
     mu: MuOption = DEFAULT_MU
-    resist: Annotated[float, option("Factor on the fixture's friction.", "K", TRIAL, min=0.0)] = 1.0
+    resist: Annotated[float, option("Fixture friction, factor.", "K", TRIAL, min=0.0)] = 1.0
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
     error_model: ErrorModelOption = "ideal"

@@ -267,8 +267,10 @@ class GraspController:
         return self._closing.busy
 
     def _come(self, elapsed: float, observation: Observation) -> None:
-        """On the way in: fingers that touch make way."""
-        self.q_ref = self._closing.make_way(elapsed, observation)
+        """On the way in: fingers that touch make way; else it holds what it was given to hold."""
+        opened = self._closing.make_way(elapsed, observation)
+        if (opened != self.plan.q_pregrasp).any():
+            self.q_ref = opened
 
     def _take(self, contacts: ContactSet) -> None:
         """Press by contacts in the object's frame, with their forces, from now on."""

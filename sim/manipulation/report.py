@@ -169,14 +169,16 @@ class ManipulationReport(ExecutionReport):
         """What a success with closure must not have, "" if nothing.
 
         In the air enough fingers and force closure at every sample; over the whole run no collision
-        of the hand, and no finger that presses harder than it may.
+        of the hand, and no finger that presses harder than it may. The same of the movements of a
+        chain before this one.
         """
-        faults = []
+        before = self.earlier if self.earlier is not None and self.earlier.complete else None
+        faults = [before.faults] if before is not None and before.faults else []
         if self.least_fingers < self.criteria.fingers:
             faults.append(f"only {self.least_fingers} fingers touched at times")
         if self.open_samples:
             faults.append(f"{self.open_samples} samples without force closure")
-        if self.collision is not None:
+        if self.collision is not None and (before is None or before.collision is None):
             detail, time = self.collision.detail, self.collision.time
             faults.append(f"the hand collided, {detail} at {time:.2f} s")
         hardest = max(self.forces, key=lambda force: force.sustained)

@@ -22,6 +22,9 @@ from sim.palm.model import Plant
 from sim.palm.report import Outcome
 from sim.palm.settings import PalmSettings
 
+STILL_SHARE = 0.7
+"""Largest share (-) of the tolerance at which the commands stay: 3.5 of 5 degrees."""
+
 SINK = 0.06
 """How far (m) below where it began an object is dropped: the thickness of a palm and a finger."""
 
@@ -58,7 +61,7 @@ class _Strategy:
     def next(self, now: float, error: float) -> str:
         """The phase from a time (s) on, at an error (degrees)."""
         asked = self._asked
-        within = asked.still_deg
+        within = min(asked.still_deg, STILL_SHARE * self._tolerance)
         if self.phase == "still":
             within = max(within, 0.5 * (within + self._tolerance))
         if now < self._opens_until:
@@ -116,10 +119,13 @@ def turn(
         if phase == "turn":
             # from where the servos are: a squeeze that is stored throws the object out
             command = plant.moment @ data.qpos[plant.qpos]
+            command[plant.idle] = begun[plant.idle]  # a wrist that sags would sag further
             start = time.thread_time()
             new = controller.command(data.qpos, command, goal, place)
             log.solve_s.append(time.thread_time() - start)
-            new = command = controller.held_back(new, command)
+            new = controller.held_back(new, command)
+            new[plant.idle] = begun[plant.idle]
+            command = new
         elif phase == "open":
             most = share * settings.command_rad
             new = command + np.clip(away - command, -most, most)

@@ -139,7 +139,7 @@ class PalmReport(Report, Shown):
         times = {0: "", 1: ", fingers opened once"}.get(
             self.openings, f", fingers opened {self.openings} times"
         )
-        return f"{end} (least {self.error_deg.min():.1f}, limit {self.tolerance_deg:g}){times}"
+        return f"{end} (least {np.nanmin(self.error_deg):.1f}, limit {self.tolerance_deg:g}){times}"
 
 
 _PLAIN = (

@@ -44,6 +44,9 @@ TILT = np.radians(20.0)
 TOLERANCE_DEG, HOLD_S, LONGEST_S = 5.0, 0.5, 60.0
 """Success: so near (degrees), for so long (s), before so long (s)."""
 
+BELIEVED = 5 / 6
+"""Share of the friction that there is that the controller believes in (-): 0.5 of 0.6."""
+
 SETTLE_S = 0.6
 """Time (s) in which the object comes to rest on the palm before it is turned."""
 
@@ -103,7 +106,7 @@ def reorient_in_palm(
         cradle: Where an object lies on the palm (x, y), m, and joints (rad) by name that curl
             about it; those of ``CRADLES`` if None.
         tilt: How far the palm leans to the fingers, rad.
-        settings: Of the controller; defaults if None.
+        settings: Of the controller; defaults if None, with ``BELIEVED`` of the friction there is.
         physics: How MuJoCo computes, or a preset's name; defaults if None.
         tolerance_deg: Largest angle to the goal that counts as there, degrees.
         hold_s: How long it has to stay there, s.
@@ -131,9 +134,9 @@ def reorient_in_palm(
     ):
         checked_number(name, value, above=0.0, most=1e4, error=TaskError)
     check_video(None if video is None else Path(video))
-    asked = settings or PalmSettings()
     begin = time.perf_counter()
     scene, q, nest = palm_scene(hand, object, tilt=tilt, physics=physics, cradle=cradle)
+    asked = settings or PalmSettings(mu=BELIEVED * scene.physics.mu)
     plant, data = plant_of(scene), mujoco.MjData(scene.model)
     lay_down(plant, data, asked, scene.task.hand.neutral, first, nest + moved)
     tape = Tape(scene.model, scene.subject) if picture or video else None

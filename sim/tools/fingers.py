@@ -23,9 +23,10 @@ from planner.errors import NotFoundError, TaskError
 from planner.failure import Failure
 from planner.motion.gait import MAX_ATTEMPTS, Relocation, plan_others
 from planner.motion.plan import Ending, ManipulationPlan
-from planner.motion.tool_gait import plan_tool_gait
+from planner.motion.tool_gait import handle_cylinder, plan_tool_gait
 from planner.motion.verify import ASKED_SHARE
 from planner.plan import GraspPlan
+from planner.shapes.registry import shape_key
 from planner.spatial import FloatArray
 from planner.tools import Tool, load_tool, use_data
 from sim.controllers import Observation
@@ -40,7 +41,7 @@ from sim.tools.trial import UseRecorder, UseTrial, plan_tool, task_of_use
 from sim.tools.turn import HINGE, Turn
 from sim.tools.use import DOWN, joint_value, needs_gantry, use_of
 from sim.trial import TrialKeywords, TrialOptions
-from sim.verdict import Verdict
+from sim.verdict import Verdict, fault_at
 
 By: TypeAlias = Literal["wrist", "fingers"]
 """What drives a tool."""
@@ -68,7 +69,8 @@ class StrokeController(ObjectImpedance):
             max_normal: Largest normal force that a pad is asked for, N.
         """
         super().__init__(plan, max_normal=max_normal)
-        needed = sum((-plan.task.needed_load(one) for one in plan.task.needed), np.zeros(6))
+        each = [-plan.task.needed_load(one) for one in plan.task.needed]
+        needed = max(each, key=lambda wrench: abs(float(wrench[3:] @ DOWN)))  # the one that turns
         turn = plan.T_world_base.rotation  # base axes below
         self._push, self._about = turn.T @ needed[:3], turn.T @ -DOWN
         self._torque = float(needed[3:] @ -DOWN)
@@ -129,9 +131,23 @@ class FingersTrial(UseTrial):
             changes: Fields of ``TrialOptions`` by name that are to be others.
 
         Raises:
+            TaskError: The gait is of another tool, or a timeline is given: that of a manipulation
+                is used.
             PlannerError: As ``UseTrial``.
         """
         grasp, tool = movement.grasp, standing(tool)
+        if changes.get("timeline") is not None or (options and options.timeline is not None):
+            raise TaskError("strokes have the timeline of a manipulation; give no timeline")
+        planned, rounded = grasp.task.object, handle_cylinder(tool)
+        if (planned.name, shape_key(planned.shape), grasp.task.needed) != (
+            rounded.name,
+            shape_key(rounded.shape),
+            rounded.needed,
+        ):
+            raise TaskError(
+                f"the gait is of a {planned.name} with another handle or other needed wrenches "
+                f"than this {tool.name} has; give a gait of plan_fingers for this tool"
+            )
         self.movement = movement
         true = replace(grasp, task=replace(grasp.task, object=tool))
         super().__init__(true, tool, options, friction=friction, **changes)
@@ -141,7 +157,7 @@ class FingersTrial(UseTrial):
         self.recorder = FingersRecorder(self.simulation, self.recorder.every, self.use)
         self._phases = Phases(movement, self.sim, conditions.timeline, conditions.criteria)
         self._goal = np.deg2rad(self.use.numbers["angle_deg"])
-        self._ended = ""
+        self._ended, self._complete = "", False
 
     def perform(self) -> None:
         """Run all phases, or up to one that fails."""
@@ -165,13 +181,18 @@ class FingersTrial(UseTrial):
                 self._ended = f"{call.phase} {call.about}: {fault}"
                 machine.failed()
             else:
+                self._ended = ""
                 machine.passed()
+        self._complete = machine.complete
         recorder.record()
 
     def _verdict(self, compared: tuple[FingerComparison, ...], interrupted: bool) -> Verdict:
         """As of every use, with what ended the strokes."""
         found = super()._verdict(compared, interrupted)
         fault = found.fault
+        if fault is None and not self._complete:
+            samples = self.recorder.samples()
+            return Verdict(fault_at(samples, len(samples) - 1, "use not done", self._ended))
         if fault is None or not self._ended:
             return found
         return Verdict(replace(fault, detail=f"{fault.detail}; {self._ended}"))

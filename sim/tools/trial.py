@@ -114,10 +114,11 @@ class UseController(ObjectImpedance):
         """Commands (nu,) for the hand's actuators."""
         if observation.phase in USING:
             self.grip = self._firm
+            turn = observation.T_world_base.rotation  # the load is in base axes, and the base turns
             if observation.phase == "use" and self._before_use is None:
-                self._before_use = self.law.load.copy()
+                self._before_use = self.law.load.reshape(2, 3) @ turn.T
             if observation.phase == "withdraw" and self._before_use is not None:
-                self.law.load, self._before_use = self._before_use, None
+                self.law.load, self._before_use = (self._before_use @ turn).ravel(), None
             observation = observation.altered(phase="hold")
         return super().step(observation)
 
