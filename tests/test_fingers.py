@@ -14,14 +14,15 @@ from planner.files import read_manipulation, write_manipulation
 from planner.motion.plan import Knot, ManipulationPlan
 from planner.motion.tool_gait import handle_cylinder, posture_blocked
 from planner.motion.verify import MovementVerifier, Waypoint
-from planner.objects import NeededWrench
+from planner.objects import NeededWrench, TouchRegion
 from planner.shapes import Cylinder
 from planner.spatial import SE3
-from planner.tools import Tool, load_tool
+from planner.tools import SectionData, Tool, load_tool, sections_mesh
 from sim.cli import main
 from sim.manipulation.machine import StateMachine
-from sim.tools import FingersTrial, plan_fingers, use_tool
+from sim.tools import FingersTrial, UseTimeline, UseTrial, plan_fingers, use_tool
 from sim.tools.fingers import standing
+from sim.verdict import Verdict
 
 
 def screwdriver(angle_deg: float = 720.0) -> Tool:
@@ -133,6 +134,36 @@ def test_a_handle_that_is_round_is_planned_for_as_a_cylinder() -> None:
     assert isinstance(shape, Cylinder)
     assert shape.radius == pytest.approx(0.015)
     assert shape.height / 2 == pytest.approx(0.175 + tool.tip[2], abs=1e-6)  # its top
+
+
+def test_a_bar_with_corners_equally_far_from_its_axis_is_not_round() -> None:
+    """A square of 30 mm across its corners is 21 mm thick between them."""
+    half = 0.015 / np.sqrt(2)
+    square = [SectionData(z_m=z, size_m=(2 * half, 2 * half)) for z in (0.085, 0.175)]
+    tool = screwdriver()
+    bar = sections_mesh("bar", square)
+    with pytest.raises(PlannerError, match=r"handle of screwdriver is 10.6 to 15.0 mm from"):
+        handle_cylinder(replace(tool, shape=bar, touch=TouchRegion()))
+
+
+def test_a_gait_is_used_with_its_own_tool_and_timeline(gait: ManipulationPlan) -> None:
+    thicker = load_tool("screwdriver", scale=1.2)
+    with pytest.raises(PlannerError, match="the gait is of a screwdriver with another handle"):
+        FingersTrial(gait, thicker)
+    with pytest.raises(PlannerError, match="give no timeline"):
+        FingersTrial(gait, screwdriver(40.0), timeline=UseTimeline())
+
+
+def test_a_phase_that_fails_ends_a_use_by_fingers(
+    gait: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though nothing was dropped and nothing slipped."""
+    trial = FingersTrial(gait, screwdriver(40.0))
+    monkeypatch.setattr(trial._phases, "perform", lambda call: ("it did not close", {}))
+    monkeypatch.setattr(UseTrial, "_verdict", lambda *_: Verdict())
+    verdict = trial.run().verdict
+    assert verdict.fault is not None and verdict.fault.reason == "use not done"
+    assert "stand : it did not close" in verdict.fault.detail
 
 
 @pytest.mark.parametrize(

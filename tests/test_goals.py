@@ -226,6 +226,14 @@ def test_a_chain_is_written_and_read(road: Roadmap, tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="begins elsewhere"):
         manipulation_from_dict(data, "it")
     data = movement_to_dict(plan)
+    data["ending"]["q_open_rad"] = None
+    with pytest.raises(FileFormatError, match="a part of a way out only"):
+        manipulation_from_dict(data, "it")
+    data = movement_to_dict(plan.chain[-1])
+    data["ending"]["T_world_target"]["position_m"][2] -= 3.0
+    with pytest.raises(FileFormatError, match="held at another height"):
+        manipulation_from_dict(data, "it")
+    data = movement_to_dict(plan)
     data["ending"]["T_world_target"]["position_m"][2] -= 0.01
     with pytest.raises(FileFormatError, match="does not stand"):
         manipulation_from_dict(data, "it")

@@ -420,6 +420,10 @@ def test_a_lost_contact_or_an_open_sample_has_no_closure(
     opened = with_log(report, closed=closed)
     assert opened.success
     assert not opened.success_with_closure
+    chain = replace(report, earlier=two)  # planned so: what was before counts too
+    assert chain.success
+    assert not chain.success_with_closure
+    assert chain.faults == two.faults == "only 2 fingers touched at times"
     touching[air] = 0
     gone = with_log(report, touching=touching)
     assert gone.dropped

@@ -206,6 +206,12 @@ def test_an_object_at_its_goal_is_left_alone(lying: Any) -> None:
     assert max(log.error_deg) < 2.0
 
 
+def test_it_stays_only_within_the_tolerance_that_is_asked_for() -> None:
+    """3 degrees are still within 5, and not within 1."""
+    for tolerance, phase in ((5.0, "still"), (1.0, "turn")):
+        assert _Strategy(PalmSettings(), tolerance).next(0.0, 3.0) == phase
+
+
 def test_stuck_fingers_open_and_begin_anew() -> None:
     asked = PalmSettings(stall_s=1.0, open_s=0.3)
     strategy, phases = _Strategy(asked, 5.0), []

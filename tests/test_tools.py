@@ -10,6 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from planner import GraspObject, GraspPlan, GraspTask, NeededWrench, load_tool, plan_use, use_task
@@ -35,13 +36,14 @@ from planner.verification.grasp import verify_grasp
 from sim import UseTrial, plan_tool
 from sim.cli import main
 from sim.cli.grasp import UseOptions
+from sim.controllers.object_impedance import ObjectImpedance
 from sim.report_file import ReportFile, read_report, write_report_of
 from sim.scene.physics import PhysicsOptions
 from sim.show.trial_page import trial_page
 from sim.simulation import Simulation
 from sim.tools import USES
 from sim.tools.strike import Strike, _Blow
-from sim.tools.trial import yaw_of_plan
+from sim.tools.trial import UseController, yaw_of_plan
 from sim.tools.turn import HINGE, MADE, RAMP, RATE, SLIDE, Turn
 from sim.tools.use import FIXTURE, Motion, use_of
 
@@ -278,6 +280,21 @@ def test_a_key_is_turned_and_the_report_tells_it(tmp_path: Path) -> None:
     scene = trial_page(again).scene
     assert scene is not None
     assert {p.unit for p in scene.plots if p.title == "Angle of the socket"} == {"degrees"}
+
+
+def test_the_load_before_a_use_stays_in_the_world(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The base turns by 90 degrees in between, and the load is in its axes."""
+    monkeypatch.setattr(ObjectImpedance, "step", lambda *_: np.zeros(1))
+    controller = UseController(plan)
+    before = np.array([1.0, 0.0, 0.0, 0.0, 0.02, 0.0])
+    for phase, angle in (("use", 0.0), ("withdraw", np.pi / 2)):
+        controller.law.load = before.copy()
+        base = SE3(pin.exp3(np.array([0.0, 0.0, angle])), np.zeros(3))
+        seen: Any = SimpleNamespace(phase=phase, T_world_base=base, altered=lambda **_: None)
+        controller.step(seen)
+    assert controller.law.load == pytest.approx([0.0, -1.0, 0.0, 0.02, 0.0, 0.0])
 
 
 @pytest.mark.slow

@@ -469,8 +469,8 @@ def _whole(
         ending.q_open_rad is None and not ending.turned
     ):
         raise FileFormatError(
-            f"{source}: its ending has a part of a way out only; q_open_rad and T_world_base_out are both "
-            "given, or both null where the object is held at its goal: it is damaged"
+            f"{source}: its ending has a part of a way out only; q_open_rad and T_world_base_out "
+            "are both given, or both null where the object is held at its goal: it is damaged"
         )
     if ending.q_open_rad is not None and ending.T_world_base_out is not None:
         release = Approach(

@@ -245,5 +245,6 @@ class ObjectPath:
         told = " and ".join(parts) or "held as it is"
         if not self.turns_wrist:
             return told
-        wrist = ", ".join(f"{v:.0f}" for v in np.rad2deg(self.wrist_turn) + 0.0)
-        return f"{told}, hand turned by ({wrist}) degrees"
+        wrist, size = self.wrist_turn, float(np.linalg.norm(self.wrist_turn))
+        about = ", ".join(f"{v:.2f}" for v in wrist / size + 0.0)
+        return f"{told}, hand turned by {np.rad2deg(size):.0f} degrees about ({about})"

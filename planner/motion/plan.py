@@ -690,15 +690,29 @@ class ManipulationPlan(MovementPlan):
         """The movement and the ending."""
         target = ", ".join(f"{v:.3f}" for v in self.ending.T_world_target.translation)
         shift = ", ".join(f"{v:.1f}" for v in 1e3 * self.shift + 0.0)
+        requested = f"requested: {np.rad2deg(self.angle):.1f} degrees, ({shift}) mm; put down"
+        if self.ending.turned:
+            rpy = (
+                np.rint(np.rad2deg(pin.rpy.matrixToRpy(self.ending.T_world_target.rotation))) + 0.0
+            )
+            told = ", ".join(f"{v:g}" for v in rpy)
+            held = "held" if self.ending.release is None else "set down"
+            requested = f"to roll, pitch, yaw ({told}) degrees, {held}"
+        if self.ending.release is None:  # as high as it is lifted
+            target = ", ".join(f"{v:.3f}" for v in self.ending.T_world_target.translation[:2])
         lines = [
             super().__str__(),
-            f"  requested: {np.rad2deg(self.angle):.1f} degrees, ({shift}) mm; "
-            f"{'held' if self.ending.release is None else 'put down'} at ({target}) m",
+            f"  {requested} at ({target}) m",
             f"  the most loaded actuator keeps {100 * self.reserve:.0f} % of its limit",
         ]
         if self.ending.back:
             lines.append(f"  made backwards before it is put down: {self.ending.back}")
-        return "\n".join([*lines, *([] if self.then is None else ["then", str(self.then)])])
+        return "\n".join(
+            [
+                *lines,
+                *([] if self.then is None else ["then, from where it stands:", str(self.then)]),
+            ]
+        )
 
 
 MotionPlan: TypeAlias = MovementPlan

@@ -194,9 +194,15 @@ def truth_of(scan: str | Path, *, needed: bool) -> Truth | None:
     truth = scanned_truth(scan)
     if truth is None and needed:
         raise TaskError(f"{scan} does not say what there was; give a cloud of opposable scan")
-    there = "what was planned on" if truth is None else f"{truth.object.shape.spec}, which it is of"
-    say(err, escape(f"{scan}: executed on {there}"))
+    tell_truth(scan, truth)
     return truth
+
+
+def tell_truth(scan: str | Path, truth: Truth | None) -> None:
+    """Say on stderr what a plan of a cloud is executed on."""
+    there = "the planned surface itself" if truth is None else f"a {truth.object.shape.spec}"
+    why = "it does not say what was scanned" if truth is None else "what was scanned"
+    say(err, escape(f"{scan}: executed on {there}, {why}"))
 
 
 def print_report(report: TrialReport, verbose: bool) -> None:

@@ -29,7 +29,7 @@ from sim.cli.execution import (
     physics_of,
     print_report,
     share_bar,
-    truth_of,
+    tell_truth,
 )
 from sim.cli.options import (
     GRIP,
@@ -130,11 +130,12 @@ def run(
     the forces over time, the numbers.
     """
     from planner.files import write_plan
+    from sim.scan import scanned_truth
 
     if out_dir is not None:
         make_folder(out_dir)
     cloud = is_cloud(object)
-    truth = truth_of(object, needed=False) if cloud else None
+    truth = scanned_truth(object) if cloud else None
     execute = trial.trial(truth, handover=handover_to is not None)
     trial.check_policy(hand, lambda: object_of(object, **request.told_of_object()), None)
     request, write = trial.reckoned(request), cast(Any, write_plan)
@@ -147,6 +148,9 @@ def run(
         found, write = request.handover(hand, object, handover_to), write_handover
         plan = found
     item = _folder_name(plan.task.object)
+    if cloud:
+        tell_truth(object, truth)
+        item = Path(object).stem
     folder = _begun(out_dir, plan.task.hand.name, item, request.seed, "held")
     write(plan, folder / "plan.json")
     if not as_json and trial.verbose:

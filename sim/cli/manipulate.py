@@ -91,10 +91,21 @@ class TurnOptions(TaskOptions):
     ] = False
     goal_tilt: Annotated[
         float,
-        option("With --goal: most tilt of the palm from straight down there.", "DEG", MOVEMENT),
+        option(
+            "With --goal: most tilt of the palm from straight down there.",
+            *("DEG", MOVEMENT),
+            min=0.0,
+            max=180.0,
+        ),
     ] = 180.0
     wrist_tilt: Annotated[
-        float, option("With --goal: the same wherever the wrist turns.", "DEG", MOVEMENT)
+        float,
+        option(
+            "With --goal: the same wherever the wrist turns.",
+            *("DEG", MOVEMENT),
+            min=0.0,
+            max=180.0,
+        ),
     ] = 180.0
     seed: SeedOption = 0
     mu: MuOption = MU

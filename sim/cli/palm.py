@@ -42,6 +42,7 @@ class PalmOptions:
             "DEG",
             MOVEMENT,
             min=0.0,
+            max=90.0,
         ),
     ] = None
 

@@ -287,10 +287,15 @@ def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
     elif stage.note:
         blocks.append(Sentence(text=stage.note, kind="warning"))
     if len(parts) > 1:
+        planned = all(part.report.complete for part in parts)
         text = (
-            "The object was put down half-way and all was begun again: both runs are shown, one "
-            "after the other. The numbers below are those of the last run."
+            "The goal takes several movements, each from where the one before has set the object "
+            "down; pictures and film are of the first."
+            if planned
+            else "The object was put down half-way and all was begun again: both runs are shown, "
+            "one after the other."
         )
+        text += " The numbers below are those of the last one."
         blocks.append(Sentence(text=text))
     if report.made_backwards_because:
         text = f"Made backwards before it was put down: {report.made_backwards_because}."

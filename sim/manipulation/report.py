@@ -238,7 +238,8 @@ class ManipulationReport(ExecutionReport):
             how = "held" if self.plan.ending.release is None else "standing"
             off, most = np.rad2deg(self.goal_off), self.criteria.goal_deg
             reached = "reached" if self.goal_reached else "not reached"
-            lines.append(f"goal {reached}: {off:.2f} degrees off (at most {most:g}), {how}")
+            what = "goal" if self.plan.then is None else "the pose between"
+            lines.append(f"{what} {reached}: {off:.2f} degrees off (at most {most:g}), {how}")
         return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])
 
     def __repr__(self) -> str:

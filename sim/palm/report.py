@@ -126,6 +126,9 @@ class PalmReport(Report, Shown):
         yield Text.assemble(
             f"{self.hand}, {self.object}: ", (self.outcome, style), f": {self.summary}"
         )
+        if not len(self.solve_ms):
+            yield Text("it lay at its goal from the beginning: nothing was solved")
+            return
         yield Text(
             f"solves: median {self.solve_ms_median:.1f} ms, 95 % below {self.solve_ms_95:.1f} ms "
             f"of CPU, one per {1e3 * self.settings['period_s']:.0f} ms; the palm leans by "

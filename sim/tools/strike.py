@@ -95,6 +95,9 @@ class _Blow:
 class Strike(Use):
     """The face of the tool drives a nail."""
 
+    _is_in = False
+    """Whether the nail is in, so that it is not struck again."""
+
     lasting: ClassVar[bool] = False
     stub: ClassVar[float] = 0.04
     defaults: ClassVar[Mapping[str, float]] = MappingProxyType(
@@ -216,6 +219,7 @@ class Strike(Use):
         t = since - blow * whole
         if blow != self._blow:
             if joint_value(simulation, SLIDE) > self._most - NAIL_IN:
+                self._is_in = True
                 return Motion(T_world_base=self._lowered(1.0)[0] if blow else self._base, done=True)
             over = tip_now(simulation, self.tool) - self._head(simulation)
             self._base, self._shift = self._lowered(1.0) if blow else (self._base, self._shift)
@@ -285,8 +289,9 @@ class Strike(Use):
     def summary(self, seen: Mapping[str, FloatArray]) -> str:
         """How deep the nail is, and how fast the blows were."""
         n, (blows, speed, force) = self.numbers, self._hardest()
+        how = "in, " if self._is_in else ""
         return (
             f"{blows} of {n['blows']:.0f} blows, at up to {speed:.2f} m/s and {force:.0f} N, drove "
-            f"the nail {seen['driven_mm'][-1]:.1f} mm ({1e3 * n['depth_m']:.0f} wanted) against "
-            f"{self.friction * n['friction_N']:g} N"
+            f"the nail {how}{seen['driven_mm'][-1]:.1f} mm ({1e3 * n['depth_m']:.0f} wanted) "
+            f"against {self.friction * n['friction_N']:g} N"
         )
