@@ -519,7 +519,7 @@ def test_the_face_swings_about_an_elbow(plan: GraspPlan) -> None:
 @pytest.mark.slow
 def test_a_hammer_drives_its_nail_and_stays_in_the_hand() -> None:
     hammer = load_tool("hammer")
-    report = UseTrial(plan_tool("shadow_hand", hammer, seed=1), hammer).run()
+    report = UseTrial(plan_tool("allegro_hand", hammer, seed=1), hammer).run()
     assert report.success, str(report)
     assert report.use is not None
     assert max(report.use["channels"]["speed_mps"]) > 0.8

@@ -125,6 +125,11 @@ class ManipulationReport(ExecutionReport):
         return rotation_angle(self.plan.ending.T_world_target.rotation.T @ last.rotation)
 
     @property
+    def _goal_number(self) -> dict[str, float]:
+        """``goal_off`` in degrees, of a plan that has a goal."""
+        return {"goal_off_deg": float(np.rad2deg(self.goal_off))} if self.plan.ending.turned else {}
+
+    @property
     def goal_reached(self) -> bool:
         """Complete, not dropped, and within ``SuccessCriteria.goal_deg`` of the goal at last."""
         return self.plan.ending.turned and self.success
@@ -303,7 +308,7 @@ class ManipulationReport(ExecutionReport):
             "largest_collision_N": float(self.log.collision_N.max(initial=0.0)),
             "largest_force_N": max(force.sustained for force in self.forces),
             "force_limit_N": self.force_limit,
-            "goal_off_deg": float(np.rad2deg(self.goal_off)),
+            **self._goal_number,
             "duration_s": self.results[-1].end if self.results else 0.0,
         }
 
