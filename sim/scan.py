@@ -45,8 +45,8 @@ from planner.clouds.files import DepthView, cloud_of_views, file_comments
 from planner.errors import FileFormatError, ObjectError, TaskError, shown
 from planner.objects import GraspObject, parse_object
 from planner.shapes import Mesh
-from planner.shapes.decomposition.pieces import solid_geoms
 from planner.shapes.mesh import surface_triangles
+from planner.shapes.solid import solid_geoms
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from sim.scene.build import Truth
 

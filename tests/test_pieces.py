@@ -19,12 +19,11 @@ from planner.shapes.decomposition.pieces import (
     convex_pieces,
     deviation,
     pieces_fit,
-    solid_deviation,
-    solid_geoms,
 )
 from planner.shapes.hulls import clip, crossing_points, hull_of
 from planner.shapes.made import LBracket, Mug, Torus
 from planner.shapes.meshes.triangles import cover
+from planner.shapes.solid import solid_deviation, solid_geoms
 from planner.spatial import FloatArray
 from planner.system.disk_cache import CACHE_VARIABLE, read_arrays, write_arrays
 

@@ -355,10 +355,8 @@ class Mesh(Shape):
         return convex_geometry(self.hull_vertices)
 
     def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
-        """None fits: see ``planner.shapes.decomposition.pieces``."""
-        raise ObjectError(
-            "a mesh is no single MuJoCo geom; use planner.shapes.decomposition.pieces.solid_geoms"
-        )
+        """None fits: see ``planner.shapes.solid``."""
+        raise ObjectError("a mesh is no single MuJoCo geom; use planner.shapes.solid.solid_geoms")
 
     def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See ``Shape``; on the surface, the normal of the face, edge or vertex."""

@@ -31,8 +31,8 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.objects import GraspObject
 from planner.shapes import Shape
-from planner.shapes.decomposition.pieces import solid_deviation, solid_geoms
 from planner.shapes.mesh import surface_triangles
+from planner.shapes.solid import solid_deviation, solid_geoms
 from planner.spatial import FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.scene.gantry import GANTRY, Gantry, add_gantry, tuned_gantry
