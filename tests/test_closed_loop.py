@@ -405,7 +405,8 @@ def test_what_cannot_be_held_is_said(plan: GraspPlan) -> None:
     assert "cannot be exerted; the nearest forces are given" in first.detail
     assert first.time - begun[0] < 0.05
     assert controller.gave_up
-    assert controller.events[-1].detail == controller.gave_up
+    told = [e for e in controller.events if e.kind in ("gave up", "feasible again")]
+    assert told[-1].detail == controller.gave_up
     times = [e.time for e in controller.events]
     assert times == sorted(times)
     assert report.events == controller.events

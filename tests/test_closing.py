@@ -112,7 +112,22 @@ def test_a_held_finger_follows_an_object_that_moves_off(plan: GraspPlan) -> None
     assert moved[0] == pytest.approx(SEARCH_SPEED * 0.2, rel=0.4)
 
 
+def loose(plan: GraspPlan) -> GraspPlan:
+    """The plan of a task whose joints may be off by 3 degrees."""
+    return replace(plan, task=replace(plan.task, joint_error=np.deg2rad(3.0)))
+
+
+def test_exact_joints_make_no_way(plan: GraspPlan) -> None:
+    """What they feel on the way in is what effort feels where a joint begins to move."""
+    controller = GraspController(plan)
+    for k in range(1, 60):
+        caught = np.full(len(plan.task.fingers), 0.5)
+        controller.step(replace(observe(plan, "approach", 1.0, force=caught), time=DT * k))
+    assert controller.q_ref.tobytes() == plan.q_pregrasp.tobytes()
+
+
 def test_a_finger_that_touches_on_the_way_in_opens_until_it_is_free(plan: GraspPlan) -> None:
+    plan = loose(plan)
     controller = GraspController(plan)
     opened = pads(plan, plan.q_pregrasp)
     caught = np.zeros(len(plan.task.fingers))
@@ -133,6 +148,7 @@ def test_a_finger_that_touches_on_the_way_in_opens_until_it_is_free(plan: GraspP
 
 
 def test_a_finger_that_touches_before_it_closes_is_not_held_there(plan: GraspPlan) -> None:
+    plan = loose(plan)
     closing = GuardedClosing(plan)
     close(closing, plan, range(10), touching=(0,), q=plan.q_pregrasp)
     assert not closing.careful

@@ -3,7 +3,7 @@
 Called by ``GraspController`` in the phase "close". A finger goes from pre-grasp to grasp; where it
 touches it stays, and one that arrives without touching goes on along its contact normal. One that
 touches before it closes, as a link that comes down on the object's rim, opens further until it is
-free.
+free, where the task says that joints may be off.
 
 Joints that are off bring one finger to the object millimetres before the others. What cannot be the
 object's place, a touch more than ``EARLY`` before the planned one, tells of that, and from then on
@@ -160,6 +160,8 @@ class GuardedClosing:
     def _early(self, observation: Observation) -> NDArray[np.bool_]:
         """Which fingers (n,) touch before they close, and can open further."""
         touching = observation.normal_forces >= TOUCH_FORCE
+        if self._plan.task.joint_error == 0.0:  # a link is where it is planned: it met nothing
+            return np.zeros(len(touching), dtype=bool)
         waits = self._searches & (self._share == 0.0) & (self._way < MOST_WAY)
         return np.asarray(touching & waits & ~self._touched)
 
