@@ -277,7 +277,9 @@ def test_a_key_is_turned_and_the_report_tells_it(tmp_path: Path) -> None:
     again = read_report(tmp_path / "report.json")
     assert again.use is not None
     assert again.use.kind == "turn"
-    scene = trial_page(again).scene
+    page = trial_page(again)
+    assert any(again.use.summary in getattr(block, "text", "") for block in page.summary)
+    scene = page.scene
     assert scene is not None
     assert {p.unit for p in scene.plots if p.title == "Angle of the socket"} == {"degrees"}
 

@@ -308,6 +308,8 @@ def force_of(contact: ContactData) -> FloatArray:
 
 def _summary(report: ReportFile, plan: PlanFile | None, stage: Moving | None) -> tuple[Block, ...]:
     blocks: list[Block] = []
+    if report.use is not None:
+        blocks.append(Sentence(text=f"Use: {report.use.summary}."))
     if report.recording is None:
         blocks.append(Sentence(text=NO_STATES, kind="warning"))
     elif stage is None and report.recording.time_s:

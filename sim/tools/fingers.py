@@ -197,10 +197,6 @@ class FingersTrial(UseTrial):
             return found
         return Verdict(replace(fault, detail=f"{fault.detail}; {self._ended}"))
 
-    def _comparison(self) -> tuple[FingerComparison, ...]:
-        """None: the contacts that a gait ends with are not those of its grasp."""
-        return ()
-
     # ---- the situation, for the state machine
 
     @property

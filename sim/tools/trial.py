@@ -258,6 +258,10 @@ class UseTrial(Trial):
             if not self._run(phase):
                 return
 
+    def _comparison(self) -> tuple[FingerComparison, ...]:
+        """None: the fingers press as the needed wrenches ask, not as the plan does to hold."""
+        return ()
+
     def _moment(self, report: TrialReport) -> float | None:
         """Where it went wrong, or the end of the use: afterwards the tool is in the air."""
         samples, wrong = report.samples, super()._moment(report)
