@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
@@ -22,6 +23,7 @@ from planner.objects import parse_object
 from planner.search.from_cloud import CLEAR, CONE_SHARE, TABLE_MU, CloudPlan, _hits, _tips, _tried
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
+from sim.cli import main
 from sim.scan import scan
 
 CAMERA = np.array([0.42, 0.05, 0.36])
@@ -534,3 +536,15 @@ def test_what_was_seen_beside_the_object_is_in_the_way() -> None:
         replace(grasp.plan, task=replace(grasp.plan.task, object=item)), (0.0, 0.0), 0, 0.0
     )
     assert grasp.clearance >= CLEAR and blocked.clearance < CLEAR and blocked.survival == 0.0
+
+
+def test_a_cloud_that_shows_a_table_is_not_planned_on_without_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its table would be part of the object, and the hand beneath it."""
+    np.save(tmp_path / "cloud.npy", scanned(next(iter(SOLIDS))).points)
+    with pytest.raises(SystemExit) as ended:
+        main(["plan", "allegro_hand", str(tmp_path / "cloud.npy"), "--table", "none"])
+    assert ended.value.code == 3
+    told = " ".join(capsys.readouterr().err.split())
+    assert "shows a table at z =" in told and "leave --table out" in told

@@ -128,14 +128,7 @@ def read_cloud(
     found = READERS[path.suffix.lower()](path, content)
     if noise is not None:
         found["noise"] = noise
-    told = found.pop("table", None)
-    if table is None and isinstance(told, int | float):
-        raise ObjectError(
-            f"{path.name} says that its table is at z = {told:g} m, and table is none: its points "
-            "would be planned on as part of the object. Leave table out, or take these points and "
-            "the file's word of a table away"
-        )
-    known = told if table == "find" else table
+    known = found.pop("table", None) if table == "find" else table
     cloud = PointCloud.create(**found, table=None)
     return cloud if table is None else levelled(cloud, known)
 

@@ -229,6 +229,7 @@ class BestOptions(PlanOptions):
             ObjectError: A cloud that is not usable.
             UncertainError: No grasp survives enough of what may be true.
         """
+        from planner.clouds.cloud import find_table
         from planner.clouds.files import read_cloud
         from planner.errors import TaskError
         from planner.hand_loading import load_hand
@@ -247,10 +248,17 @@ class BestOptions(PlanOptions):
         plain = self.objective == "epsilon" and self.rounds is None and not self.task_wrench
         shift, turn = error_of("--cloud-error", self.cloud_error)
         more = {} if self.max_attempts is None else {"max_attempts": self.max_attempts}
+        cloud = read_cloud(file, table="find" if found else table_of(self.table))
+        if cloud.table is None and not found and (height := find_table(cloud.points)) is not None:
+            raise TaskError(
+                f"{file} shows a table at z = {1e3 * height:.0f} mm, and --table is none: its "
+                "points would be planned on as part of the object; leave --table out, or take "
+                "these points away"
+            )
         with err.status(f"planning: {loaded.name}, {file} ..."):
             plan = plan_from_cloud(
                 loaded,
-                read_cloud(file, table="find" if found else table_of(self.table)),
+                cloud,
                 seed=self.seed,
                 mass=DEFAULT_MASS if self.mass is None else self.mass,
                 name=Path(file).stem,
