@@ -112,7 +112,7 @@ class Installed:
 
 
 def install(home: Path, benchmark: str, meshes: str | None) -> Installed:
-    """Make what is not there yet: ``HOME/env``, ``HOME/checkout`` at ``COMMIT``, the meshes.
+    """Make what is missing: ``HOME/env``, ``HOME/checkout`` at ``COMMIT``, the meshes.
 
     Args:
         home: Folder for all of it.

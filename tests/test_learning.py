@@ -556,14 +556,14 @@ def test_an_interrupted_training_ends_as_if_it_had_not_been(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("plan", "brief_manipulations")
+@pytest.mark.usefixtures("plan")
 def test_the_teacher_turns_it_under_lab_by_the_truth(folder: Path) -> None:
+    """In the time that manipulations take: lifted as briefly as in other tests, one was dropped."""
     task = replace(TASK, physics=PhysicsOptions())
     plans, asked = Plans(task, folder), {"policy": None, "share": 1.0, "noise": 0.0}
     episodes = [run_episode(plans, k, count=3, **asked) for k in range(3)]  # type: ignore[arg-type]
-    turned = [episode for episode in episodes if episode.strict]
-    assert len(turned) >= 2, [episode.reason for episode in episodes]  # lab loses one of ten
-    for episode in turned:
+    for episode in episodes:
+        assert episode.strict, episode.reason
         assert len(episode.senses) == len(episode.wanted) > 300
         assert np.abs(episode.wanted).max() <= 1.0
 

@@ -23,7 +23,7 @@ from planner.motion.plan import ManipulationPlan, MotionRecord, MovementPlan
 from planner.motion.roadmap import Roadmap
 from planner.motion.search import plan_motion
 from planner.motion.single_stroke import TILT_TOLERANCE, merit, pivots
-from planner.motion.task import with_fingers
+from planner.motion.task import SEEDS_APART, with_fingers
 from planner.motion.verify import MovementVerifier
 from planner.plan import SolveRecord
 from planner.spatial import SE3, FloatArray, fixed_array, rotation_angle
@@ -244,7 +244,3 @@ class GoalMoves:
             return np.eye(3)
         within = max(0.0, self.goal_tilt - WITHIN)
         return np.asarray(pin.exp3((1.0 - within / tilt) * pin.log3(down)))
-
-
-SEEDS_APART = 1000
-"""Distance between the seeds of these turns, so that a caller's next seeds give others."""

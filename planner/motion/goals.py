@@ -55,7 +55,7 @@ ANY_TILT = float(np.pi)
 
 STANDS, LOWEST = np.deg2rad(3.0), 0.005
 """Largest angle (rad) of a given start from its stable pose, and largest distance (m) of its lowest
-point from the table: a pose that was read is off by less, and what is farther off topples."""
+point from the table: a pose that was read is off by less, and an object farther off topples."""
 
 FORCE_COST, WRIST_COST, MARGIN_COST = 0.3, 0.2, 0.4
 """What a movement costs more (-) if a finger presses with ``MOST_PRESS``, if the wrist turns by
@@ -300,7 +300,7 @@ class _Search:
         lacks = 1.0 - min(1.0, float(road.margins[grasp]) / GOOD_MARGIN)
         return 1.0 + FORCE_COST * min(force, 1.0) + WRIST_COST * wrist + MARGIN_COST * lacks
 
-    # ---- what is not reached
+    # ---- unreachable goals
 
     def unreachable(self, k: int, goal: FloatArray) -> UnreachableError:
         """The error of a goal that is not reached, with the nearest that is."""

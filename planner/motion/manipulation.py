@@ -33,7 +33,7 @@ from planner.motion.path import (
 )
 from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
 from planner.motion.single_stroke import LEAST_OVERSHOOT, MAX_ATTEMPTS, plan_single_stroke
-from planner.motion.task import manipulation_task, on_stand
+from planner.motion.task import SEEDS_APART, manipulation_task, on_stand
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 
@@ -56,9 +56,6 @@ goes so far, and its attempts would use up the budget."""
 
 GAITS = 4
 """Gaits that are planned until the hand can let go at the end of one."""
-
-SEEDS_APART = 1000
-"""Distance between the seeds of these gaits, so that a caller's next seeds give other gaits."""
 
 
 def plan_regrasping(

@@ -44,7 +44,7 @@ from planner.verification.grasp import plan_forces, verify_grasp
 __all__ = ["Roadmap", "build_roadmap", "roadmap_for"]
 
 KIND, VERSION = "roadmap", 1
-"""Folder of the cache, and version of what is kept there."""
+"""Folder of the cache, and version of its files."""
 
 ATTEMPTS = 200
 """Attempts on each stable pose. Of 60 grasps of the box of 5 x 5 x 8 cm 0 to 12 are grasps on

@@ -25,6 +25,10 @@ from planner.task import GraspTask, Obstacle
 LEAST_GRIP = 1.5
 """Smallest normal force (N) per finger: with less, contacts of three fingers were lost at times."""
 
+SEEDS_APART = 1000
+"""Distance between the seeds of searches that one search makes, so that a caller's next seeds give
+others."""
+
 
 def manipulation_task(
     hand: Hand | str | Path,

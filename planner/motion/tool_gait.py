@@ -25,6 +25,7 @@ from planner.failure import Failure
 from planner.motion.ending import find_release, object_at_target
 from planner.motion.gait import MAX_ATTEMPTS, plan_gait
 from planner.motion.plan import Ending, ManipulationPlan, MovementPlan, Stroke
+from planner.motion.task import SEEDS_APART
 from planner.shapes import Mesh
 from planner.shapes.cylinder import Cylinder
 from planner.spatial import FloatArray
@@ -46,9 +47,6 @@ END = 0.7
 
 FEWEST = 4
 """Fewest fingers of a gait of point contacts: three hold while one moves on."""
-
-SEEDS_APART = 1000
-"""Distance between the seeds of searches for one use, so that a caller's next seeds are others."""
 
 ROUNDS = 6
 """How often the sets of fingers are searched again, where all postures collide or none is found."""
