@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from planner.errors import PlannerError
 from planner.failure import Failure
@@ -15,9 +16,9 @@ from planner.motion.plan import Knot, ManipulationPlan
 from planner.motion.tool_gait import handle_cylinder, posture_blocked
 from planner.motion.verify import MovementVerifier, Waypoint
 from planner.objects import NeededWrench, TouchRegion
-from planner.shapes import Cylinder
+from planner.shapes import Cylinder, Mesh
 from planner.spatial import SE3
-from planner.tools import SectionData, Tool, load_tool, sections_mesh
+from planner.tools import Tool, load_tool
 from sim.cli import main
 from sim.manipulation.machine import StateMachine
 from sim.tools import FingersTrial, UseTimeline, UseTrial, plan_fingers, use_tool
@@ -138,10 +139,10 @@ def test_a_handle_that_is_round_is_planned_for_as_a_cylinder() -> None:
 
 def test_a_bar_with_corners_equally_far_from_its_axis_is_not_round() -> None:
     """A square of 30 mm across its corners is 21 mm thick between them."""
-    half = 0.015 / np.sqrt(2)
-    square = [SectionData(z_m=z, size_m=(2 * half, 2 * half)) for z in (0.085, 0.175)]
+    corners = trimesh.creation.box(extents=(0.03 / np.sqrt(2), 0.03 / np.sqrt(2), 0.09))
     tool = screwdriver()
-    bar = sections_mesh("bar", square)
+    bar = Mesh.from_triangles(corners.vertices, corners.faces, name="bar")
+    assert len(bar.vertices) == 8
     with pytest.raises(PlannerError, match=r"handle of screwdriver is 10.6 to 15.0 mm from"):
         handle_cylinder(replace(tool, shape=bar, touch=TouchRegion()))
 
