@@ -111,7 +111,8 @@ def told_of(fault: ErrorDetails) -> str:
     _, should, allowed = text.partition(", unable to")[0].partition(" should ")
     if kind in OF_OTHERS or not should:
         return f": {text.removeprefix('Value error, ')}"
-    return f" is {shown(fault['input'])}; it should {allowed.replace('a valid i', 'an i').replace('a valid ', 'a ')}"
+    allowed = allowed.replace("a valid i", "an i").replace("a valid ", "a ")
+    return f" is {shown(fault['input'])}; it should {allowed}"
 
 
 def _place(keys: Sequence[int | str], raw: Any) -> str:
