@@ -7,9 +7,7 @@ import os
 import sys
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from docutils.parsers.rst.states import NestedStateMachine
 from sphinx.pycode.parser import Parser
 from sphinx.search.en import SearchEnglish
 
@@ -22,24 +20,6 @@ from planner.version import __version__  # noqa: E402
 
 SearchEnglish.stem = cache(SearchEnglish.stem)  # type: ignore[method-assign]  # each word once
 Parser.parse_definition = lambda parser: None  # type: ignore[method-assign]  # for literalinclude
-
-
-class States(dict[str, Any]):
-    """States of a parser, made when it comes to them: 1 of 15 in most parts of a page."""
-
-    def __missing__(self, name: str) -> Any:
-        """Make a state and let it begin."""
-        self[name] = state = self.kinds[name](self.machine, self.machine.debug)
-        state.runtime_init()
-        return state
-
-
-def _add_states(machine: Any, classes: list[Any]) -> None:
-    machine.states = States()
-    machine.states.machine, machine.states.kinds = machine, {c.__name__: c for c in classes}
-
-
-NestedStateMachine.add_states = _add_states  # 8 % of the time
 gc.set_threshold(200_000, 50, 1000)  # trees of pages are many objects that stay: 10 % of the time
 
 project = "Opposable"

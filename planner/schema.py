@@ -5,6 +5,7 @@ Base of hand descriptions, plan files and trial reports.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Self
 
@@ -108,7 +109,7 @@ def told_of(fault: ErrorDetails) -> str:
         return " is missing"
     if kind == "extra_forbidden":
         return " is no field that is known; leave it out, or correct its name"
-    _, should, allowed = text.partition(", unable to")[0].partition(" should ")
+    _, should, allowed = re.split(", unable to| after validation", text)[0].partition(" should ")
     if kind in OF_OTHERS or not should:
         return f": {text.removeprefix('Value error, ')}"
     allowed = allowed.replace("a valid i", "an i").replace("a valid ", "a ")

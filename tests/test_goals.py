@@ -413,12 +413,22 @@ def test_every_option_that_is_refused_has_a_reason() -> None:
 
 
 @pytest.mark.slow
-def test_a_chain_is_executed_to_its_goal(road: Roadmap) -> None:
+def test_a_chain_is_executed_to_its_goal(road: Roadmap, tmp_path: Path) -> None:
     """Set down on its side, picked up again, and held upside down; a fault is found out."""
     plan = plan_reorientation(
         "allegro_hand", parse_object(BOX), turn(X, 180.0), goal_tilt=math.radians(80.0)
     )
-    report = manipulate(plan, timeline=QUICK)
+    film = tmp_path / "film.gif"
+    report = manipulate(plan, timeline=QUICK, pictures=tmp_path, video=film)
+    before = report.earlier
+    assert before is not None and (film.is_file() or not before.pictures)  # without OpenGL none
+    if before.pictures:  # each movement has its own
+        assert (tmp_path / "film-2.gif").is_file() and "film-2.gif" in report.drawn
+        assert all(Path(p).name.startswith("2-") for p in report.pictures.values())
+        assert not any(Path(p).name.startswith("2-") for p in before.pictures.values())
+        assert all(
+            Path(p).is_file() for p in (*before.pictures.values(), *report.pictures.values())
+        )
     assert report.goal_reached and report.earlier is not None and report.earlier.complete
     assert report.numbers()["goal_off_deg"] < 3.0
     assert "goal reached" in str(report)
