@@ -232,7 +232,7 @@ def test_bad_contacts_are_refused(
 @pytest.mark.parametrize(
     ("extra", "message"),
     [
-        ({"contacts": []}, rr"contacts is \[\]; it should have at least 1 item\. "),
+        ({"contacts": []}, r"contacts is \[\]; it should have at least 1 item\. "),
         ({"center_m": [0.0, 0.0, float("inf")]}, "center_m.2 is inf; it should be a finite number"),
         ({"length_m": 0.0}, "length_m is 0.0; it should be greater than 0"),
         ({"lenght_m": 0.1}, "lenght_m is no field.*A list of contacts is .*position_m"),

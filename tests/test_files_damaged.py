@@ -96,7 +96,7 @@ DAMAGE: list[tuple[list[tuple[str, Json]], type[PlannerError], str]] = [
         "grasp.q_rad.3 is 'bent'; it should be a number",
     ),
     ([("grasp.q_rad", 0.5)], FileFormatError, "grasp.q_rad is 0.5; it should be a list"),
-    ([("task", [])], FileFormatError, rr"task is \[\]; it should be"),
+    ([("task", [])], FileFormatError, r"task is \[\]; it should be"),
     ([("grasp.joint_names.0", "index_1")], FileFormatError, "other joints than allegro_hand"),
     ([("grasp.q_rad", [0.1])], HandError, r"q_rad has shape \(1,\); allegro_hand needs \(16,\)"),
     ([("grasp.q_rad.1", LIMIT)], HandError, r"q_rad: joint index_1 is at 10000.*outside its range"),
