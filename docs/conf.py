@@ -19,7 +19,7 @@ os.environ.setdefault("OPPOSABLE_COMPILE", "0")
 from planner.version import __version__  # noqa: E402
 
 SearchEnglish.stem = cache(SearchEnglish.stem)  # type: ignore[method-assign]  # each word once
-Parser.parse_definition = lambda parser: None  # type: ignore[method-assign]  # for literalinclude
+Parser.parse_definition = lambda parser: None  # type: ignore[assignment, method-assign]  # for literalinclude
 gc.set_threshold(200_000, 50, 1000)  # trees of pages are many objects that stay: 10 % of the time
 
 project = "Opposable"

@@ -247,7 +247,7 @@ def test_breaking_wrenches_are_told_in_the_axes_of_an_object_that_is_turned() ->
     turned = SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.7) @ stood.rotation, stood.translation)
     plan = plan_grasp(GraspTask.create("allegro_hand", box, T_world_object=turned), seed=0)
     made = certify(plan, width=0.5, max_points=200, samples=0)
-    told = made.as_dict()["breaking"]
+    told = made.as_dict()["smallest_breaking"]
     for one in made.breaking:
         seen = np.array(told[one.kind]["wrench_object_N_Nm"])
         world = np.concatenate([turned.rotation @ seen[:3], turned.rotation @ seen[3:]])
