@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -403,7 +404,8 @@ def test_the_command_refuses(
 
 def test_every_option_that_is_refused_has_a_reason() -> None:
     """With --goal and with --in-palm; files and the demonstration are refused before."""
-    parameters = {p.name for p in typer.main.get_command(app).commands["manipulate"].params}
+    commands: Any = typer.main.get_command(app)
+    parameters = {p.name for p in commands.commands["manipulate"].params}
     first = {"plan_file", "demo"}
     assert parameters - GOAL - first == WITH_GOAL.keys()
     assert parameters - WITH_PALM - first == IN_PALM.keys()

@@ -249,7 +249,9 @@ def test_the_page_of_a_motion_has_every_knot(motion: MotionPlan) -> None:
 
 
 def test_the_page_of_a_motion_tells_the_least_margin_of_its_knots(motion: MotionPlan) -> None:
-    told = re.search(r"least normalised min-weight (\S+)\)", motion_page(motion).verdict.reason)
+    verdict = motion_page(motion).verdict
+    assert verdict is not None
+    told = re.search(r"least normalised min-weight (\S+)\)", verdict.reason)
     least = min(knot.closure.normalised_min_weight for knot in motion.knots)
     assert told is not None and float(told[1]) == pytest.approx(least, abs=5e-4)
 
@@ -258,7 +260,9 @@ def test_the_page_of_a_motion_tells_the_least_margin_of_its_knots(motion: Motion
 def test_the_view_of_the_palm_is_from_where_the_fingers_close(name: str) -> None:
     """Fingertips move towards the camera from the back of the open hand, whose palm is turned."""
     hand = load_hand(name)
-    views = {view.name: np.array(view.direction) for view in hand_page(hand).scene.views}
+    scene = hand_page(hand).scene
+    assert scene is not None
+    views = {view.name: np.array(view.direction) for view in scene.views}
     opened, closed = (HandState(hand, hand.posture(posture)) for posture in ("open", "pinch"))
     ways = [
         closed.pad_center(finger) - opened.pad_center(finger)

@@ -12,6 +12,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -390,9 +391,10 @@ def test_friction_differs_along_and_about_the_normal(
     with pytest.raises(TaskError, match="enough"):
         case.run(pinched, under())
     ((plan, options),) = executed
-    given = under().physics
-    assert options.physics.mu == pytest.approx(0.7 * given.mu)
-    assert options.physics.mu_torsion == pytest.approx(0.7 * given.mu_torsion)
+    given: Any = under().physics
+    physics: Any = options.physics
+    assert physics.mu == pytest.approx(0.7 * given.mu)
+    assert physics.mu_torsion == pytest.approx(0.7 * given.mu_torsion)
     assert plan.task.object.mass == pytest.approx(2.0 * pinched.task.object.mass)
 
 

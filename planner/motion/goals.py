@@ -357,7 +357,8 @@ class _Search:
                 for j in sorted(self._reached)
             ]
         ).any(axis=1)
-        left, told = on_reached.copy(), []
+        left = on_reached.copy()
+        told: list[str] = []
         for kept, what in (
             (here, f"have the palm tilted by more than {tilts[0]:.0f} degrees at the table"),
             (
