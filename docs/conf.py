@@ -8,6 +8,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
+from sphinx.pycode.parser import Parser
 from sphinx.search.en import SearchEnglish
 
 HERE = Path(__file__).parent
@@ -18,6 +19,7 @@ os.environ.setdefault("OPPOSABLE_COMPILE", "0")
 from planner.version import __version__  # noqa: E402
 
 SearchEnglish.stem = cache(SearchEnglish.stem)  # type: ignore[method-assign]  # each word once
+Parser.parse_definition = lambda parser: None  # type: ignore[assignment, method-assign]  # for literalinclude
 gc.set_threshold(200_000, 50, 1000)  # trees of pages are many objects that stay: 10 % of the time
 
 project = "Opposable"
@@ -44,6 +46,7 @@ extensions = [
 exclude_patterns = ["machinery"]
 root_doc = "index"
 nitpicky = True
+smartquotes = False  # 5 % of the time, and "--" of an option is no dash
 # of other packages, whose documentation cannot be reached without a network
 nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|pinocchio|mujoco|casadi|coal|pydantic|qpsolvers|trimesh|PIL)\..*"),

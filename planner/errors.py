@@ -207,7 +207,8 @@ class UnreachableError(NoGraspFoundError):
     """A goal rotation that no sequence of movements reaches.
 
     Attributes:
-        nearest: The nearest rotation (3, 3), world from object, that is reached; None for none.
+        nearest: The nearest rotation (3, 3), world from object, that is reached, or in which the
+            object stands where that alone is wrong with the goal; None for none.
         off_deg: How far it is from the goal, degrees; None for none.
     """
 

@@ -5,10 +5,12 @@ Base of hand descriptions, plan files and trial reports.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from planner.arrays import LARGEST_FLOAT, LARGEST_INT
 from planner.errors import shown
@@ -21,6 +23,7 @@ __all__ = [
     "Vector3",
     "Vector4",
     "faults_of",
+    "told_of",
 ]
 
 LARGEST = 1e6
@@ -37,6 +40,9 @@ Vector3 = tuple[Finite, Finite, Finite]
 
 Vector4 = tuple[Finite, Finite, Finite, Finite]
 """Four numbers of a file."""
+
+OF_OTHERS = {"value_error", "assertion_error"}
+"""Kinds of faults that are told in our own words already."""
 
 MOST_FAULTS = 5
 """Most faults in one message; the rest usually follow from these."""
@@ -91,9 +97,23 @@ def faults_of(error: ValidationError, raw: Any = None) -> str:
         raw: The content that was read: entries of a list that have a name are called by it.
     """
     return "; ".join(
-        f"{_place(fault['loc'], raw) or 'file'}: {fault['msg'].removeprefix('Value error, ')}"
+        f"{_place(fault['loc'], raw) or 'file'}{told_of(fault)}"
         for fault in error.errors()[:MOST_FAULTS]
     )
+
+
+def told_of(fault: ErrorDetails) -> str:
+    """What is wrong with a value, after its name: what was given, and what is allowed."""
+    kind, text = fault["type"], fault["msg"]
+    if kind == "missing":
+        return " is missing"
+    if kind == "extra_forbidden":
+        return " is no field that is known; leave it out, or correct its name"
+    _, should, allowed = re.split(", unable to| after validation", text)[0].partition(" should ")
+    if kind in OF_OTHERS or not should:
+        return f": {text.removeprefix('Value error, ')}"
+    allowed = allowed.replace("a valid i", "an i").replace("a valid ", "a ")
+    return f" is {shown(fault['input'])}; it should {allowed}"
 
 
 def _place(keys: Sequence[int | str], raw: Any) -> str:

@@ -15,6 +15,7 @@ import trimesh
 from scipy.optimize import linprog
 
 from benchmarks.audit import FAULTS, judged_with_fault
+from planner.collision.pad_contact import PadContact
 from planner.errors import FileFormatError, PlannerError, TaskError
 from planner.exchange.audit import (
     AuditRow,
@@ -25,7 +26,7 @@ from planner.exchange.audit import (
     plans_as_imported,
     scaled_object,
 )
-from planner.exchange.audit.judge import Judge
+from planner.exchange.audit.judge import Judge, _gap
 from planner.exchange.formats import ImportedGrasp, ImportedGrasps, Reading, Writing
 from planner.exchange.table import read_table, write_table
 from planner.hand_loading import load_hand
@@ -531,3 +532,19 @@ def test_a_plan_goes_through_the_same_door(good: Good) -> None:
         assert audit_grasps(task, given, fixed_fingers=True).ok
     with pytest.raises(TaskError, match="nothing to join"):
         audit_plans([], Path("x"))
+
+
+@pytest.mark.parametrize(("pad", "carrier"), [(-0.002, 0.0005), (0.0005, -0.002)])
+def test_the_gap_of_a_contact_is_the_farther_off_of_pad_and_carrier(
+    pad: float, carrier: float
+) -> None:
+    """Two millimetres deep is farther off than half a millimetre apart, whichever it is."""
+    touch = PadContact(
+        sphere_gap=pad,
+        gap=carrier,
+        round=True,
+        point=np.zeros(3),
+        outward=np.array([0.0, 0.0, 1.0]),
+        angle=0.0,
+    )
+    assert _gap(touch) == -0.002

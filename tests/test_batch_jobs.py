@@ -117,6 +117,12 @@ def test_a_task_survives_as_text(allegro: Hand) -> None:
     assert task_of(text) is again
 
 
+def test_a_task_of_rolling_pads_survives_as_text(allegro: Hand) -> None:
+    again = task_of(recipe_of(GraspTask.create(allegro.rolling, "cylinder")))
+    assert again.hand.rolls and again.hand.digest == allegro.rolling.digest
+    assert not task_of(recipe_of(GraspTask.create(allegro, "cylinder"))).hand.rolls
+
+
 def test_tasks_of_one_hand_share_it(allegro: Hand) -> None:
     recipes = [recipe_of(GraspTask.create(allegro, name)) for name in ("sphere", "box")]
     assert task_of(recipes[0]).hand is task_of(recipes[1]).hand

@@ -9,6 +9,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.optimize import nnls
 from test_certify_breaking import bears, bisected
@@ -19,8 +20,9 @@ from planner.certify.breaking import without_grip
 from planner.contacts import ContactSet
 from planner.errors import ContactError, TaskError
 from planner.forces import build_force_problem
+from planner.objects import parse_object
 from planner.quality import force_closure, primitive_wrenches
-from planner.spatial import pose_from_wxyz
+from planner.spatial import SE3, pose_from_wxyz
 from sim.cli import main
 
 TASKS = {"allegro": ("allegro_hand", "box"), "shadow": ("shadow_hand", "cylinder")}
@@ -236,3 +238,18 @@ def test_the_command_refuses_bad_files_and_numbers(plan_file: Path, tmp_path: Pa
     code, _, err = command(wrong)
     assert code == 3
     assert "error" in err
+
+
+def test_breaking_wrenches_are_told_in_the_axes_of_an_object_that_is_turned() -> None:
+    """It stands on its side, and by 40 degrees from the world's axes."""
+    box = parse_object("box:0.05x0.05x0.08")
+    stood = box.resting_pose(index=2)
+    turned = SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.7) @ stood.rotation, stood.translation)
+    plan = plan_grasp(GraspTask.create("allegro_hand", box, T_world_object=turned), seed=0)
+    made = certify(plan, width=0.5, max_points=200, samples=0)
+    told = made.as_dict()["smallest_breaking"]
+    for one in made.breaking:
+        seen = np.array(told[one.kind]["wrench_object_N_Nm"])
+        world = np.concatenate([turned.rotation @ seen[:3], turned.rotation @ seen[3:]])
+        assert np.allclose(world, one.wrench, atol=1e-9)
+        assert not np.allclose(seen, one.wrench, atol=1e-3)

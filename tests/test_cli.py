@@ -408,7 +408,7 @@ DAMAGE: dict[str, tuple[Callable[[str], str], str]] = {
         "Did you mean 'allegro_hand'?",
     ),
     "an unknown finger": (edited(lambda d: d["task"].update(fingers=["a", "b", "c"])), "'a'"),
-    "a missing field": (edited(lambda d: d["grasp"].pop("q_rad")), "grasp.q_rad: Field required"),
+    "a missing field": (edited(lambda d: d["grasp"].pop("q_rad")), "grasp.q_rad is missing"),
     "an unknown field": (edited(lambda d: d.update(extra=1)), "extra"),
     "NaN": (edited(lambda d: d["task"].update(mu=float("nan"))), "task.mu"),
     "negative mass": (edited(lambda d: d["task"]["object"].update(mass_kg=-1)), "mass_kg"),
@@ -428,6 +428,25 @@ def test_a_damaged_plan_file_is_refused(name: str, planned: Path, tmp_path: Path
     assert result.out == ""
     assert result.err.startswith("error: ")
     assert words in result.err
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "allowed"),
+    [
+        ("--mu", "abc", "a number"),
+        ("--seed", "1.5", "an integer"),
+        ("--seed", "-1", "greater than or equal to 0"),
+        ("--stand", "nan", "greater than or equal to 0"),
+    ],
+)
+def test_a_value_that_an_option_does_not_take_is_said_with_what_it_takes(
+    option: str, given: str, allowed: str
+) -> None:
+    result = opposable("plan", "allegro_hand", "box", option, given)
+    said = " ".join(result.err.replace("│", " ").split())
+    assert result.code == 2
+    assert f"'{option}': it is '{given}'; it should be {allowed}" in said
+    assert "Input" not in said
 
 
 @pytest.mark.parametrize(

@@ -402,6 +402,22 @@ def test_commands_produce_the_torques_of_the_forces(model: str, plan_of: PlanOf)
     assert torques.saturated_actuators() == ()
 
 
+@pytest.mark.parametrize("model", ["point", "soft"])
+def test_what_the_controller_exerts_is_the_wrench_of_its_forces_about_any_point(
+    model: str, plan_of: PlanOf
+) -> None:
+    """Those of the plan, moved from the centre of mass to a point far off."""
+    plan = plan_of("allegro_hand", "sphere", contact_model=model, mu_torsion=0.005)
+    contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+    controller = ObjectImpedance(plan)
+    controller.forces[:, : contacts.forces.shape[1]] = contacts.forces
+    lever = np.array([0.1, -0.2, 0.3])
+    force, torque = np.split(contacts.wrench(), 2)
+    expected = np.concatenate([force, torque - np.cross(lever, force)])
+    assert np.abs(np.cross(lever, force)).max() > 0.05
+    np.testing.assert_allclose(controller._exerted(contacts.center + lever), expected, atol=1e-9)
+
+
 def test_the_grasp_matrix_is_that_of_the_contacts(plan: GraspPlan) -> None:
     contacts = plan.contacts
     forces = contacts.forces_in_axes()

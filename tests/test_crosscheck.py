@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -32,7 +33,7 @@ from sim.crosscheck import (
     crosscheck_tables,
     reader,
 )
-from sim.crosscheck.causes import EVIDENCE
+from sim.crosscheck.causes import EVIDENCE, Context
 from sim.crosscheck.mujoco_side import MujocoSide, layout_of
 from sim.crosscheck.parts import random_states
 from sim.crosscheck.reader import compiled
@@ -700,6 +701,14 @@ def test_a_printed_report_names_causes_and_failures(folder: Path) -> None:
     bare = model().replace("<body name='base'", "<frame><body name='base'")
     failed = read(folder, bare.replace("</worldbody>", "</frame></worldbody>"))
     assert "Pinocchio's reader (not judged): " in str(failed)
+
+
+@pytest.mark.parametrize(("stretch", "turned"), [(1.0, True), (1.02, False)])
+def test_a_turn_is_told_from_a_stretched_orientation(stretch: float, turned: bool) -> None:
+    """A third of a turn is a rotation, though it is not its own inverse."""
+    rotation = stretch * pin.exp3(np.array([0.0, 0.0, 2.0]))
+    reader: Any = SimpleNamespace(local=lambda part, site: SimpleNamespace(rotation=rotation))
+    assert Context.turned(reader, "tip") == turned
 
 
 def test_every_known_cause_has_its_evidence() -> None:

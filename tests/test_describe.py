@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import time
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -510,6 +511,16 @@ def test_couplings_that_freeze_their_joints_are_impossible() -> None:
     beyond = Coupling(name="far", row=np.array([1.0, -1.0]), value=1.5, one_sided=False)
     fine = Coupling(name="half", row=np.array([1.0, -0.5]), value=0.0, one_sided=False)
     assert impossible_couplings([frozen, beyond, fine], lower, upper) == ("sum", "far")
+
+
+def test_joints_that_are_coupled_with_an_offset_follow_it(allegro: Hand) -> None:
+    row = np.zeros(allegro.nq)
+    row[allegro.joint_index("index_3")], row[allegro.joint_index("index_2")] = 1.0, -0.5
+    tied = replace(allegro, couplings=(Coupling(name="tie", row=row, value=0.3, one_sided=False),))
+    solver = PostureSolver(tied, tied.choose_fingers())
+    q = solver.complete(np.full(tied.nq - 1, 0.4))
+    assert row @ q == pytest.approx(0.3)
+    assert q[allegro.joint_index("index_2")] == 0.4 or q[allegro.joint_index("index_3")] == 0.4
 
 
 def test_a_coupling_that_the_ranges_forbid_is_dropped_and_asked_for(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from test_describe import claw, urdf, written
 from planner.bridge import load_spec
 from planner.describe import Proposal, check_hand, propose
 from planner.describe.postures import PostureSolver
+from planner.describe.servos import _listed
 from planner.errors import HandError
 from planner.hand_loading import hand_from_spec
 from planner.hands.hand import Hand
@@ -200,3 +201,9 @@ def test_a_posture_is_looked_for_within_the_ranges_of_joints_that_follow(tmp_pat
     matrix, value = hand.coupling_matrix
     # clipped to its ranges, a posture that ignored them would leave the couplings
     np.testing.assert_allclose(matrix @ q, value, atol=0.02)
+
+
+def test_a_long_list_of_joints_tells_how_many_more_there_are() -> None:
+    joints = ("a", "b", "c", "d", "e")
+    assert _listed(joints[:3]) == "a, b, c"
+    assert _listed(joints) == "a, b, c and 2 other joints"

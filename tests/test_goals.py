@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+import typer
 from manipulations import QUICK
 
 from planner.errors import FileFormatError, TaskError, UnreachableError
 from planner.failure import Failure
 from planner.files import read_manipulation, write_manipulation
 from planner.files.movements import manipulation_from_dict, movement_to_dict
-from planner.motion import goal_moves, roadmap
+from planner.motion import goal_moves, goals, roadmap
 from planner.motion.ending import verify_turned
 from planner.motion.goal_moves import GoalMoves, upright
 from planner.motion.goals import _set_down, plan_reorientation
@@ -28,8 +31,12 @@ from planner.objects import parse_object
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import GraspTask
-from sim.cli import main
+from sim.cli import app, main
+from sim.cli.idle import IN_PALM, WITH_GOAL
+from sim.cli.manipulate import GOAL
+from sim.cli.palm import KEPT as WITH_PALM
 from sim.manipulation import manipulate
+from sim.manipulation.timeline import SuccessCriteria, at_goal
 
 X, Y, Z = np.eye(3)
 BOX = "box:0.05x0.05x0.08"
@@ -314,8 +321,11 @@ def test_what_cannot_begin_is_refused() -> None:
         plan_reorientation("allegro_hand", box, goal, goal_tilt=4.0)
 
 
-def test_a_goal_that_does_not_stand_tells_the_nearest_that_does(road: Roadmap) -> None:
-    """30 degrees from standing."""
+def test_a_goal_that_does_not_stand_tells_the_nearest_that_does_before_a_roadmap_is_built(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """30 degrees from standing, whatever grasps there are."""
+    monkeypatch.setattr(goals, "roadmap_for", lambda *_, **__: pytest.fail("it was built"))
     with pytest.raises(UnreachableError, match="does not stand as it is turned there") as caught:
         plan_reorientation("allegro_hand", parse_object(BOX), turn(X, 30.0), put_down=True)
     assert caught.value.off_deg == pytest.approx(30.0)
@@ -342,12 +352,45 @@ def test_a_palm_that_may_not_tilt_tells_the_nearest_goal(
     np.testing.assert_allclose(again.chain[-1].ending.T_world_target.rotation, error.nearest)
 
 
+def test_a_wrist_that_may_not_tilt_tells_how_many_grasps_that_excludes(road: Roadmap) -> None:
+    with pytest.raises(UnreachableError, match=r"palm tilted") as caught:
+        plan_reorientation(
+            "allegro_hand", parse_object(BOX), turn(X, 90.0), wrist_tilt=math.radians(5.0)
+        )
+    told = str(caught.value)
+    tilted = sum(int(n) for n in re.findall(r"(\d+) (?:more )?have the palm tilted", told))
+    whole = re.search(r"of (\d+) grasps", told)
+    assert whole is not None and 0 < tilted <= int(whole[1])
+    assert " 0 " not in told.partition(";")[0]
+    assert ("the others fail" in told) == (tilted < int(whole[1]))
+
+
+@pytest.mark.parametrize(
+    ("turned", "reached"),
+    [((X, 30.0), True), ((X, 34.0), True), ((X, 36.0), False), ((X, -30.0), False)],
+)
+def test_an_object_is_at_its_goal_by_the_angle_between_them(
+    turned: tuple[FloatArray, float], reached: bool
+) -> None:
+    """Five degrees are allowed; the goal is itself a turn."""
+    goal, now = SE3(turn(X, 30.0), np.ones(3)), SE3(turn(*turned), np.zeros(3))
+    fault, numbers = at_goal(goal, now, SuccessCriteria())
+    assert (fault == "") == reached
+    assert numbers["goal_off_deg"] == pytest.approx(abs(turned[1] - 30.0))
+
+
 @pytest.mark.parametrize(
     ("given", "told"),
     [
         (["--put-down"], "there is no --goal"),
         (["--goal", "1,2"], "give three"),
-        (["--goal", "0,0,0", "--rotate", "z:20"], "leave --rotate out"),
+        (["--goal", "0,0,0", "--rotate", "z:20"], "leave --rotate out (--rotate: --goal is the ro"),
+        (["--in-palm", "--mu", "0.4"], "leave --mu out (--mu: no contact is planned; --sim-mu is"),
+        (
+            ["--in-palm", "--place", "0,0", "--stand", "0.1", "--gait"],
+            "out (--stand, --place: the object lies in the palm, and there is no table; --gait: ",
+        ),
+        (["--goal", "0,0,0", "--wrist-tilt", "nan"], "it is 'nan'; it should be"),
     ],
 )
 def test_the_command_refuses(
@@ -359,16 +402,35 @@ def test_the_command_refuses(
     assert told in " ".join(capsys.readouterr().err.split())
 
 
+def test_every_option_that_is_refused_has_a_reason() -> None:
+    """With --goal and with --in-palm; files and the demonstration are refused before."""
+    commands: Any = typer.main.get_command(app)
+    parameters = {p.name for p in commands.commands["manipulate"].params}
+    first = {"plan_file", "demo"}
+    assert parameters - GOAL - first == WITH_GOAL.keys()
+    assert parameters - WITH_PALM - first == IN_PALM.keys()
+
+
 # ---- executed
 
 
 @pytest.mark.slow
-def test_a_chain_is_executed_to_its_goal(road: Roadmap) -> None:
+def test_a_chain_is_executed_to_its_goal(road: Roadmap, tmp_path: Path) -> None:
     """Set down on its side, picked up again, and held upside down; a fault is found out."""
     plan = plan_reorientation(
         "allegro_hand", parse_object(BOX), turn(X, 180.0), goal_tilt=math.radians(80.0)
     )
-    report = manipulate(plan, timeline=QUICK)
+    film = tmp_path / "film.gif"
+    report = manipulate(plan, timeline=QUICK, pictures=tmp_path, video=film)
+    before = report.earlier
+    assert before is not None and (film.is_file() or not before.pictures)  # without OpenGL none
+    if before.pictures:  # each movement has its own
+        assert (tmp_path / "film-2.gif").is_file() and "film-2.gif" in report.drawn
+        assert all(Path(p).name.startswith("2-") for p in report.pictures.values())
+        assert not any(Path(p).name.startswith("2-") for p in before.pictures.values())
+        assert all(
+            Path(p).is_file() for p in (*before.pictures.values(), *report.pictures.values())
+        )
     assert report.goal_reached and report.earlier is not None and report.earlier.complete
     assert report.numbers()["goal_off_deg"] < 3.0
     assert "goal reached" in str(report)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from planner import GraspTask, load_hand
 from planner.collision.world import CollisionWorld
+from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, PlannerError
 from planner.failure import Failure
 from planner.files import read_handover, write_handover
@@ -24,7 +25,16 @@ from planner.spatial import SE3, FloatArray
 from planner.system.package import models_dir
 from sim import Timeline
 from sim.cli.reading import one_plan
-from sim.handover import HANDOVER_PHASES, HandoverTimeline, HandoverTrial, hand_over, judge_handover
+from sim.controllers import Observation
+from sim.controllers.readings import PadReading
+from sim.handover import (
+    HANDOVER_PHASES,
+    HandoverTimeline,
+    HandoverTrial,
+    _seen,
+    hand_over,
+    judge_handover,
+)
 from sim.report import TrialReport
 from sim.verdict import Thresholds
 
@@ -287,6 +297,32 @@ def test_what_cannot_be_handed_over_is_said(plan: HandoverPlan) -> None:
     small = GraspTask.create("two_allegro_hands", "box:0.025x0.025x0.025")
     with pytest.raises(NoGraspFoundError, match="room for both hands"):
         plan_handover(small, rounds=1)
+
+
+def test_each_hand_sees_the_forces_and_pads_of_its_own_fingers() -> None:
+    forces = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    points = np.arange(15.0).reshape(5, 3)
+    pads = PadReading(
+        normal_force=forces, force=points, position=points, normal=points, sliding=points
+    )
+    observation = Observation(
+        time=0.0,
+        phase="hold",
+        progress=1.0,
+        q=np.zeros(1),
+        v=np.zeros(1),
+        T_world_base=SE3.Identity(),
+        T_world_object=SE3.Identity(),
+        read_twist=lambda: np.zeros(6),
+        normal_forces=forces,
+        read_contacts=lambda: ContactSet.from_arrays(np.zeros((0, 3)), np.zeros((0, 3))),
+        read_pads=lambda: pads,
+    )
+    assert observation.pads is pads  # what was read before is not what a part of it sees
+    seen = _seen(observation, slice(2, 5))
+    assert seen.normal_forces.tolist() == [3.0, 4.0, 5.0]
+    assert seen.pads.normal_force.tolist() == [3.0, 4.0, 5.0]
+    assert seen.pads.position.tolist() == points[2:].tolist()
 
 
 def test_two_hands_by_their_names() -> None:

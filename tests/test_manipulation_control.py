@@ -29,7 +29,7 @@ from sim.manipulation import (
     manipulate,
 )
 from sim.manipulation.driver import ManipulationDriver
-from sim.manipulation.in_hand import AnyTurningController
+from sim.manipulation.in_hand import AnyTurningController, GuidedController
 from sim.manipulation.simulation import Reading
 from sim.sensing.errors import ERROR_MODELS
 from sim.simulation import Simulation
@@ -266,6 +266,30 @@ def test_the_hand_stays_open_while_it_retreats(plan: ManipulationPlan) -> None:
     for progress in (0.0, 0.5, 1.0):
         retreating = replace(observation, phase="retreat", progress=progress)
         np.testing.assert_array_equal(driver.step(retreating), opened)
+
+
+def test_what_a_controller_of_ones_own_lacks_is_told(plan: ManipulationPlan) -> None:
+    """The actuators that it names as saturated; none of one that does not say."""
+
+    class Weak:
+        """Wants more of one actuator than there is."""
+
+        def step(self, observation: Observation) -> FloatArray:
+            return np.zeros(observation.q.shape)
+
+        def saturated_actuators(self) -> tuple[str, ...]:
+            return ("thumb_1",)
+
+    class Silent:
+        """Says nothing of it."""
+
+        def step(self, observation: Observation) -> FloatArray:
+            return np.zeros(observation.q.shape)
+
+    weak: Any = Weak()
+    silent: Any = Silent()
+    assert GuidedController(plan.grasp, weak).saturated_actuators() == ("thumb_1",)
+    assert GuidedController(plan.grasp, silent).saturated_actuators() == ()
 
 
 @pytest.mark.parametrize(

@@ -478,3 +478,22 @@ def test_regrasps_come_first_where_no_stroke_goes(
     monkeypatch.setattr(search, "plan_regrasping", lambda *_, **__: plan)
     assert plan_manipulation(task, angle=math.pi) is plan
     assert len(order) == 4
+
+
+@pytest.mark.parametrize(
+    ("off_mm", "tilted", "told"),
+    [
+        (0.5, "", ""),
+        (50.0, "", "50.0 mm from where it was to be moved: slid"),
+        (0.5, "it tilted", "it tilted"),
+        (50.0, "it tilted", "it tilted"),
+    ],
+)
+def test_what_lies_elsewhere_than_it_was_to_be_moved_falls_short(
+    off_mm: float, tilted: str, told: str
+) -> None:
+    """A tilt is told first."""
+    phases: Any = Phases.__new__(Phases)
+    phases._plan, phases._criteria = SimpleNamespace(angle=0.0), SuccessCriteria()
+    phases._obstacle, phases._tilted = lambda: "slid", lambda numbers: tilted
+    assert phases._shortfall({"turn_deg": 0.0, "shift_off_mm": off_mm}) == told

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from planner.bridge import compile_spec, link_surfaces, load_spec, prepare_spec
-from planner.bridge.load import model_files
+from planner.bridge.load import model_files, named_files
 from planner.bridge.mesh_files import HIDDEN_GROUP
 from planner.bridge.numbers import (
     LEAST_INERTIA,
@@ -152,6 +152,21 @@ def test_a_conversion_is_done_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     again = converted_mesh(mesh)
     np.testing.assert_array_equal(again[0], vertices)
     np.testing.assert_array_equal(again[1], faces)
+
+
+def test_files_of_meshes_and_height_fields_belong_to_a_model(tmp_path: Path) -> None:
+    """What is kept of a model holds as long as these are the same; one is missing."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "tip.stl").write_bytes(b"")
+    path = tmp_path / "hand.xml"
+    path.write_text(
+        '<mujoco><compiler meshdir="parts"/><asset><mesh name="tip" file="tip.stl"/>'
+        '<hfield name="skin" file="skin.png" size="1 1 1 1"/></asset>'
+        '<worldbody><body name="palm"><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    parts = tmp_path / "parts"
+    assert named_files(path) == (path, parts / "skin.png", parts / "tip.stl")
+    assert model_files(path) == (path, parts / "tip.stl")
 
 
 def test_a_mesh_that_cannot_be_converted_is_named(tmp_path: Path) -> None:

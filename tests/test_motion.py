@@ -37,6 +37,7 @@ from planner.motion.terms import (
     MOST_LOAD,
     MOTION_TERMS,
     REACH,
+    SWING,
     Stance,
     StanceRows,
     load_function,
@@ -44,6 +45,7 @@ from planner.motion.terms import (
     pivoting_function,
     rolling_function,
     slips,
+    swing_rows,
 )
 from planner.motion.trajectory import interpolate_rolling
 from planner.motion.unknowns import SHARE, placement
@@ -790,3 +792,12 @@ def test_a_damaged_motion_file_is_refused(
     write_json(data, path)
     with pytest.raises(FileFormatError, match=words):
         read_motion(path)
+
+
+def test_rows_of_a_swing_are_those_of_the_fingers_that_stay() -> None:
+    """Six of balance, one of margin, and of each finger that stays its two; all of the one knot."""
+    fingers = tuple(load_hand("allegro_hand").fingers.values())
+    rows = swing_rows(fingers, 1, 3)
+    counts = [sum(row.term is term for row in rows) for term in SWING]
+    assert counts == [6, 1, len(fingers) - 1, len(fingers) - 1] and sum(counts) == len(rows)
+    assert {row.knot for row in rows} == {3} and len(set(rows)) == len(rows)

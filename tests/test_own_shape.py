@@ -197,6 +197,7 @@ def test_it_is_seen_in_a_simulation(cone: type[Cone]) -> None:
     ("attribute", "value", "message"),
     [
         ("kind", "sphere", "is Sphere already"),
+        ("kind", "mesh", "is Mesh already"),
         ("kind", "My Cone", "one word"),
         ("default_sizes", (0.1,), "one for each of radius, height"),
         ("default_sizes", (0.1, -1.0), "give a finite number > 0 in m"),

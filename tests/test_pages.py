@@ -36,6 +36,7 @@ from planner.kinematics.state import HandState
 from planner.pages.blocks import resisted_forces
 from planner.pages.described import named_joints
 from planner.pages.hand_model import hand_model
+from planner.pages.hand_page import hand_page
 from planner.pages.motion_page import motion_page, object_motion
 from planner.pages.page import pack, page_html, read_page_data, three_source, write_page
 from planner.pages.plan_page import RATE, bands_of, plan_command, plan_page
@@ -245,6 +246,31 @@ def test_the_page_of_a_motion_has_every_knot(motion: MotionPlan) -> None:
     assert last is not None
     points = [track.poses[-1].act(p) for p in last.positions]
     assert np.allclose(points, motion.knots[-1].contacts.positions, atol=1e-9)
+
+
+def test_the_page_of_a_motion_tells_the_least_margin_of_its_knots(motion: MotionPlan) -> None:
+    verdict = motion_page(motion).verdict
+    assert verdict is not None
+    told = re.search(r"least normalised min-weight (\S+)\)", verdict.reason)
+    least = min(knot.closure.normalised_min_weight for knot in motion.knots)
+    assert told is not None and float(told[1]) == pytest.approx(least, abs=5e-4)
+
+
+@pytest.mark.parametrize("name", ["shadow_hand", "shadow_hand_left"])
+def test_the_view_of_the_palm_is_from_where_the_fingers_close(name: str) -> None:
+    """Fingertips move towards the camera from the back of the open hand, whose palm is turned."""
+    hand = load_hand(name)
+    scene = hand_page(hand).scene
+    assert scene is not None
+    views = {view.name: np.array(view.direction) for view in scene.views}
+    opened, closed = (HandState(hand, hand.posture(posture)) for posture in ("open", "pinch"))
+    ways = [
+        closed.pad_center(finger) - opened.pad_center(finger)
+        for name, finger in hand.fingers.items()
+        if name != "thumb"
+    ]
+    assert np.mean(ways, axis=0) @ views["palm"] > 0.002
+    assert np.allclose(views["back"], -views["palm"])
 
 
 def test_the_page_of_a_motion_reads_back(motion: MotionPlan, tmp_path: Path) -> None:

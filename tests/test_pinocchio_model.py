@@ -13,6 +13,8 @@ from planner.bridge.pinocchio_model import (
     pinocchio_from_mujoco,
     site_name,
 )
+from sim.crosscheck.mujoco_side import layout_of
+from sim.crosscheck.pinocchio_side import match
 
 NAMELESS = """
 <mujoco><worldbody>
@@ -133,3 +135,11 @@ def test_what_mujoco_snaps_to_a_frame_stands_where_mujoco_puts_it() -> None:
         pose = ours.frames[ours.getFrameId(model.site(s).name, pin.FrameType.OP_FRAME)].placement
         np.testing.assert_allclose(pose.translation, data.site_xpos[s], rtol=0, atol=1e-14)
         np.testing.assert_allclose(pose.rotation.ravel(), data.site_xmat[s], rtol=0, atol=1e-14)
+
+
+def test_a_body_is_the_reading_of_one_body_alone() -> None:
+    """Two that are told to be the same one: the second is not found, and compared with nothing."""
+    model = mujoco.MjModel.from_xml_string(DRIVEN)
+    ours = pinocchio_from_mujoco(model)
+    parts = match(ours, "reader", layout_of(model), {"b": "c"}).parts()
+    assert parts.bodies == {"a", "b", "d", "e"} and "body b" in parts.others

@@ -12,6 +12,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -33,7 +34,7 @@ from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 from sim.cli import main
 from sim.controllers import Controller, GraspController, MakeController, Observation, Phase
-from sim.protocols import Outcome, Settings, protocol_table, run_protocol, write_csv
+from sim.protocols import Outcome, Settings, protocol_table, run_protocol, variations, write_csv
 from sim.protocols.dexgraspbench import (
     DexGraspBenchCase,
     Replay,
@@ -47,6 +48,7 @@ from sim.protocols.run import PROTOCOLS, cases_of, physics_of, trials_of, unsuit
 from sim.protocols.shake_pushes import ShakeCase, Shaker, shake_cases
 from sim.protocols.variations import RobustCase, displaced, robust_cases
 from sim.scene.physics import PhysicsOptions
+from sim.trial import TrialOptions
 from sim.verdict import REASONS, DropCriteria
 
 pytestmark = pytest.mark.usefixtures("coarse_steps")
@@ -372,6 +374,28 @@ def test_the_grid_is_the_whole_grid() -> None:
     assert {c.mass for c in cases} == {0.5, 1.0, 2.0}
     assert {c.friction for c in cases} == {0.7, 1.0, 1.3}
     assert {(c.shift_mm, c.turn_deg) for c in cases} == {(0.0, 0.0), (2.5, 2.5), (5.0, 5.0)}
+
+
+def test_friction_differs_along_and_about_the_normal(
+    pinched: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is executed: the true mass, and both frictions by the same share."""
+    executed: list[tuple[GraspPlan, TrialOptions]] = []
+
+    def taking(plan: GraspPlan, options: TrialOptions) -> None:
+        executed.append((plan, options))
+        raise TaskError("enough")
+
+    monkeypatch.setattr(variations, "simulate", taking)
+    case = RobustCase(index=0, mass=2.0, friction=0.7, shift_mm=0.0, turn_deg=0.0, seed=0)
+    with pytest.raises(TaskError, match="enough"):
+        case.run(pinched, under())
+    ((plan, options),) = executed
+    given: Any = under().physics
+    physics: Any = options.physics
+    assert physics.mu == pytest.approx(0.7 * given.mu)
+    assert physics.mu_torsion == pytest.approx(0.7 * given.mu_torsion)
+    assert plan.task.object.mass == pytest.approx(2.0 * pinched.task.object.mass)
 
 
 @pytest.mark.slow

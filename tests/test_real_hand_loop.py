@@ -17,7 +17,14 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 from sim.controllers.readings import PadReading
-from sim.real_hand import CommandLimits, Observer, OnStop, RealClock, Safety
+from sim.real_hand import (
+    CommandLimits,
+    HandObservation,
+    Observer,
+    OnStop,
+    RealClock,
+    Safety,
+)
 from sim.real_hand.interface import Pace
 
 PERIOD = 0.01
@@ -444,3 +451,13 @@ def test_the_model_is_the_one_that_the_tests_reckon_with(hand: Hand = HAND) -> N
     """Position servos of one joint each: their command is the joint's angle."""
     assert (hand.actuation.moment == np.eye(NU)).all()
     assert (hand.actuation.gain == -hand.actuation.bias[:, 1]).all()
+
+
+def test_a_reading_that_is_changed_takes_the_place_of_what_was_read() -> None:
+    """As where pads are moved by what is believed of joints: the old reading is not told again."""
+    before, after, q = object(), object(), np.zeros(2)
+    observation = HandObservation({"q": q, "read_pads": lambda: before})
+    assert observation.pads is before
+    moved = observation.altered(read_pads=lambda: after)
+    assert moved.pads is after and observation.pads is before
+    assert moved.altered(time=1.0).pads is after and moved.q is q

@@ -31,6 +31,9 @@ COMPOSED = "(a sentence composed of what was found)"
 CLASSES = tuple(n for n in errors.__all__ if isinstance(getattr(errors, n), type))
 """The classes of errors; what else the module offers raises nothing."""
 
+LEAVES = (ast.Constant, ast.Name, ast.expr_context, ast.operator, ast.cmpop, ast.alias)
+"""What no call stands in: more than half of a tree."""
+
 PAGES = {
     "NotFoundError": "Names that do not exist",
     "ModelError": "Model files",
@@ -80,9 +83,17 @@ class Reader:
         """Parse the module."""
         self.tree = ast.parse(path.read_text(encoding="utf-8"))
         self.room = ".".join(path.relative_to(ROOT).with_suffix("").parts[:2])
-        self.functions = {
-            node.name: node for node in ast.walk(self.tree) if isinstance(node, ast.FunctionDef)
-        }
+        self.functions: dict[str, ast.FunctionDef] = {}
+        self.makers: list[tuple[ast.Call | ast.Raise, ast.AST | None]] = []  # in what functions
+        waiting: list[tuple[ast.AST, ast.AST | None]] = [(self.tree, None)]
+        while waiting:
+            node, function = waiting.pop()
+            if isinstance(node, ast.FunctionDef):
+                self.functions[node.name] = function = node
+            elif isinstance(node, ast.Call | ast.Raise):
+                self.makers.append((node, function))
+            children = [c for c in ast.iter_child_nodes(node) if not isinstance(c, LEAVES)]
+            waiting += [(child, function) for child in reversed(children)]  # the first comes next
         self.constants = {
             target.id: node.value
             for node in self.tree.body
@@ -93,15 +104,8 @@ class Reader:
 
     def messages(self) -> Iterator[Message]:
         """What the module raises, and the failures it returns."""
-        waiting: list[tuple[ast.AST, ast.AST | None]] = [(self.tree, None)]
-        while waiting:
-            node, function = waiting.pop()
-            if isinstance(node, ast.FunctionDef):
-                function = node
-            elif isinstance(node, ast.Call | ast.Raise):
-                yield from self._made(node, function)
-            children = reversed(list(ast.iter_child_nodes(node)))  # the first one comes next
-            waiting += [(child, function) for child in children]
+        for node, function in self.makers:
+            yield from self._made(node, function)
 
     def _made(self, node: ast.Call | ast.Raise, function: ast.AST | None) -> Iterator[Message]:
         if isinstance(node, ast.Call) and _name(node.func) in CLASSES:

@@ -113,7 +113,8 @@ def plan_reorientation(
         reaches the goal (``Ending.turned``).
 
     Raises:
-        UnreachableError: No sequence reaches the goal; tells the nearest rotation that one does.
+        UnreachableError: No sequence reaches the goal; tells the nearest rotation that one does,
+            or, of a goal to put down in which the object topples, the nearest in which it stands.
         TaskError: The goal is no rotation, there is no table, the object does not stand where it
             is, or the hand is on an arm or cannot grasp it.
     """
@@ -134,6 +135,8 @@ def plan_reorientation(
     start = poses[0] if T_world_object is None else T_world_object
     task = replace(task, table_height=table_height, T_world_object=start)
     k = _standing(task, poses)
+    if put_down and _stable(poses, rotation) is None:
+        raise _topples(task, poses, rotation)
     roadmap = roadmap_for(task, seed=seed, max_cpu_s=max_cpu_s, tell=tell)
     begin = planning_time()
     moves = GoalMoves(task, roadmap, goal_tilt=goal_tilt, wrist_tilt=wrist_tilt, seed=seed)
@@ -170,6 +173,38 @@ def _standing(task: GraspTask, poses: Sequence[SE3]) -> int:
             "object gives it"
         )
     return k
+
+
+def _stable(poses: Sequence[SE3], goal: FloatArray) -> int | None:
+    """Number of the stable pose that a rotation is, whatever its heading; None for none."""
+    level = [float(pose.rotation[2] @ goal[2]) for pose in poses]
+    k = int(np.argmax(level))
+    return k if level[k] > FLAT else None
+
+
+def _standing_near(poses: Sequence[SE3], goal: FloatArray) -> list[FloatArray]:
+    """Rotations in which an object stands, one per stable pose, the nearest to a goal first."""
+    turns = [upright(pose.rotation[2], goal) for pose in poses]
+    return [turn @ goal for turn in sorted(turns, key=rotation_angle)]
+
+
+def _topples(task: GraspTask, poses: Sequence[SE3], goal: FloatArray) -> UnreachableError:
+    """The error of a goal to put down in which the object does not stand, whatever grasps it."""
+    near = _standing_near(poses, goal)[0]
+    off = float(np.rad2deg(rotation_angle(near.T @ goal)))
+    return UnreachableError(
+        f"{task.object.name} does not stand as it is turned there, and would topple when it is put "
+        f"down; the nearest rotation in which it stands is {off:.0f} degrees off ({_rpy(near)}). "
+        "Give that one, or have it held at the goal instead",
+        near,
+        off,
+    )
+
+
+def _rpy(rotation: FloatArray) -> str:
+    """A rotation as a message tells it."""
+    rpy = np.rint(np.rad2deg(pin.rpy.matrixToRpy(rotation))) + 0.0
+    return f"roll, pitch, yaw {', '.join(f'{v:g}' for v in rpy)} degrees"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,28 +288,18 @@ class _Search:
 
     def _target(self, start: SE3, goal: FloatArray, place: FloatArray) -> SE3:
         """Pose of the object at its goal, on the table or at the height of the grasp."""
-        j = self._stable(goal) if self._put_down else None
+        j = _stable(self._poses, goal) if self._put_down else None
         if j is None:
             return SE3(goal, np.array([*place, start.translation[2]]))
         pose = self._poses[j]
         return SE3(upright(pose.rotation[2], goal) @ goal, np.array([*place, pose.translation[2]]))
 
-    def _stable(self, goal: FloatArray) -> int | None:
-        """Number of the stable pose that a rotation is, whatever its heading; None for none."""
-        level = [float(pose.rotation[2] @ goal[2]) for pose in self._poses]
-        k = int(np.argmax(level))
-        return k if level[k] > FLAT else None
-
     # ---- grasps for a movement, the most promising first
 
     def _to_goal(self, node: _Node, goal: FloatArray) -> list[int]:
         """Grasps that reach the goal from a stable pose, as far as the roadmap knows."""
-        j, stands = self._stable(goal), self._road.stands
-        if not self._put_down:
-            return self._able(node, goal, self._moves.goal_tilt, stands[:, node.pose])
-        if j is None:
-            return []
-        return self._able(node, goal, self._moves.goal_tilt, stands[:, j])
+        j = _stable(self._poses, goal) if self._put_down else node.pose
+        return self._able(node, goal, self._moves.goal_tilt, self._road.stands[:, j])
 
     def _able(
         self, node: _Node, turned: FloatArray, tilt: float, among: NDArray[np.bool_]
@@ -312,11 +337,7 @@ class _Search:
         off = None if near is None else float(np.rad2deg(rotation_angle(near.T @ goal)))
         told = "none near it is reached"
         if near is not None:
-            rpy = np.rint(np.rad2deg(pin.rpy.matrixToRpy(near))) + 0.0
-            told = (
-                f"the nearest that is reached is {off:.0f} degrees off (roll, pitch, yaw "
-                f"{', '.join(f'{v:g}' for v in rpy)} degrees)"
-            )
+            told = f"the nearest that is reached is {off:.0f} degrees off ({_rpy(near)})"
         return UnreachableError(
             f"{task.hand.name} does not bring {task.object.name} to this goal: "
             f"{'; '.join(limits)}; {told}. Give another goal, a larger tilt of the palm, more "
@@ -327,22 +348,39 @@ class _Search:
 
     def _limit(self, goal: FloatArray, on_reached: NDArray[np.bool_]) -> str:
         """How many grasps what kind of limit keeps from a goal."""
-        if self._put_down and self._stable(goal) is None:
-            return "the object does not stand as it is turned there"
-        road, down, n = self._road, -goal[2], len(self._poses)
-        tilted = on_reached & (road.palms @ down < np.cos(self._moves.goal_tilt) - ROUNDING)
-        weak = on_reached & ~tilted & (road.forces_towards(down) > MOST_PRESS)
+        road, moves, poses = self._road, self._moves, self._poses
+        down, tilts = -goal[2], np.rad2deg([moves.wrist_tilt, moves.goal_tilt])
+        least_here, least = np.cos(np.deg2rad(tilts)) - ROUNDING
+        here = np.column_stack(
+            [
+                road.stands[:, j] & (road.palms @ -poses[j].rotation[2] >= least_here)
+                for j in sorted(self._reached)
+            ]
+        ).any(axis=1)
+        left = on_reached.copy()
+        told: list[str] = []
+        for kept, what in (
+            (here, f"have the palm tilted by more than {tilts[0]:.0f} degrees at the table"),
+            (
+                road.palms @ down >= least,
+                f"have the palm tilted too far there, by over {tilts[1]:.0f}",
+            ),
+            (road.forces_towards(down) <= MOST_PRESS, "do not bear the weight there"),
+        ):
+            if n := int((left & ~kept).sum()):
+                told.append(f"{n} {'more ' * bool(told)}{what}")
+            left &= kept
+        if left.any():
+            told.append(f"movements by {'the others' if told else 'all'} fail")
         return (
-            f"of {int(on_reached.sum())} grasps on the {len(self._reached)} of {n} stable poses "
-            f"that are reached, {int(tilted.sum())} have the palm tilted too far there, "
-            f"{int(weak.sum())} more do not bear the weight, and movements by the others fail"
+            f"of {int(on_reached.sum())} grasps on the {len(self._reached)} of {len(poses)} stable "
+            f"poses that are reached, {', '.join(told)}"
         )
 
     def _near(self, goal: FloatArray, on_reached: NDArray[np.bool_]) -> Iterator[FloatArray]:
         """Rotations near a goal for which the roadmap has grasps, the nearest first; a few."""
         if self._put_down:
-            turns = [upright(pose.rotation[2], goal) for pose in self._poses]
-            yield from (turn @ goal for turn in sorted(turns, key=rotation_angle))
+            yield from _standing_near(self._poses, goal)
             return
         road, least = self._road, np.cos(self._moves.goal_tilt) - ROUNDING
         axes = np.random.default_rng(0).normal(size=(NEAR_TURNS, 3))

@@ -7,9 +7,10 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -149,6 +150,7 @@ def refuse_given(
     *,
     kept: Collection[str] | None = None,
     of: Collection[str] = (),
+    because: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Refuse options that mean nothing beside another one.
 
@@ -157,19 +159,25 @@ def refuse_given(
         why: What they mean nothing for, the beginning of the message.
         kept: Names of the parameters that go with it; all others are refused.
         of: Without ``kept``, the parameters that are refused.
+        because: Parameter -> why it means nothing, where that says more than ``why``.
 
     Raises:
         TaskError: One of them is given.
     """
     from planner.errors import TaskError
 
-    idle = [
-        p.opts[0] if p.param_type_name != "argument" else p.name.upper()
+    idle = {
+        p.opts[0] if p.param_type_name != "argument" else p.name.upper(): because.get(p.name, "")
         for p in _given(context)
         if (p.name in of if kept is None else p.name not in kept)
-    ]
+    }
     if idle:
-        raise TaskError(f"{why}; leave {', '.join(idle)} out")
+        reasons = [
+            f"{', '.join(o for o in idle if idle[o] == reason)}: {reason}"
+            for reason in dict.fromkeys(filter(None, idle.values()))
+        ]
+        told = f" ({'; '.join(reasons)})" if reasons else ""
+        raise TaskError(f"{why}; leave {', '.join(idle)} out{told}")
 
 
 def told_command(context: typer.Context) -> str:

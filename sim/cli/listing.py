@@ -280,6 +280,18 @@ class Opposable(TyperGroup):
             args = new
         return super().resolve_command(ctx, args)
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; a value of an option that it does not take is said with what it takes."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            cause = error.__cause__
+            if cause is not None and type(cause).__module__.startswith("pydantic"):
+                from planner.schema import told_of
+
+                error.message = f"it{told_of(cause.errors()[0])}"  # type: ignore[attr-defined]
+            raise
+
     @staticmethod
     def _tell(ctx: Any, old: str, new: list[str]) -> None:
         if not ctx.resilient_parsing:

@@ -24,6 +24,7 @@ from sim.cli.common import (
     told_command,
 )
 from sim.cli.execution import ExecutionOptions
+from sim.cli.idle import IN_PALM, WITH_GOAL
 from sim.cli.options import (
     HAND,
     MOVEMENT,
@@ -322,7 +323,7 @@ def manipulate(
         raise TaskError("give HAND and OBJECT, or a file: opposable manipulate --plan FILE")
     if request.goal is not None:
         kept = GOAL if plan_only else GOAL | EXECUTED
-        refuse_given(context, "--goal tells how the object is turned", kept=kept)
+        refuse_given(context, "--goal tells how the object is turned", kept=kept, because=WITH_GOAL)
         if plan_only:
             _goal_only(request.plan_goal(hand, object), output or Path("goal.json"), as_json)
             return
@@ -331,7 +332,7 @@ def manipulate(
         return
     refuse_given(context, "there is no --goal", of=TO_GOAL - {"pose"})
     if palm.in_palm:
-        refuse_given(context, "--in-palm grasps nothing", kept=WITH_PALM)
+        refuse_given(context, "--in-palm grasps nothing", kept=WITH_PALM, because=IN_PALM)
         parts = (request, palm, execution, output, picture)
         turn_in_palm(hand, object, *parts, as_json, told, request.seed)
         return

@@ -290,7 +290,7 @@ def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
         planned = all(part.report.complete for part in parts)
         text = (
             "The goal takes several movements, each from where the one before has set the object "
-            "down; pictures and film are of the first."
+            "down; names of later pictures and films tell the movement."
             if planned
             else "The object was put down half-way and all was begun again: both runs are shown, "
             "one after the other."

@@ -11,7 +11,7 @@ import copy
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -43,6 +43,14 @@ from sim.manipulation.standing import rests
 from sim.manipulation.timeline import TURNING, UP, PhaseResult
 from sim.show.picture import Drawn, check_video, draw_tape
 from sim.simulation import Simulation
+
+
+class Drawing(TypedDict):
+    """What is drawn of a movement, see ``manipulate``."""
+
+    pictures: Path | None
+    video: Path | None
+    arrows: bool
 
 
 class ManipulationRun:
@@ -85,6 +93,7 @@ class ManipulationRun:
         arrows: bool = False,
         retry: bool = False,
         view: bool = False,
+        number: int = 1,
     ) -> ManipulationReport:
         """Run all phases, or up to the first that fails and is not made up for.
 
@@ -95,10 +104,13 @@ class ManipulationRun:
             arrows: Draw the measured contact forces into both.
             retry: Whether failures of the turn are made up for; see ``machine``.
             view: Show it in MuJoCo's viewer, in real time.
+            number: Which movement of a chain it is; from 2 on it stands in the names of the files.
 
         Raises:
             TaskError: ``view`` without a display, or a video that cannot be written.
         """
+        if video is not None and number > 1:
+            video = video.with_stem(f"{video.stem}-{number}")
         check_video(video)
         machine = StateMachine(self.plan, self, retry=retry)
         tape = self.sim.simulation.record() if pictures or video else None
@@ -128,7 +140,7 @@ class ManipulationRun:
         report = self._report(machine)
         if tape is None:
             return report
-        wanted = {} if pictures is None else _pictures(pictures, self.results)
+        wanted = {} if pictures is None else _pictures(pictures, self.results, number)
         times = {path: result.end for path, result in wanted.items()}
         drawn = draw_tape(tape, pictures=times, video=video, arrows=arrows)
         return replace(report, **_told(wanted, drawn))
@@ -217,10 +229,11 @@ class ManipulationRun:
         )
 
 
-def _pictures(folder: Path, results: Iterable[PhaseResult]) -> dict[Path, PhaseResult]:
-    """File of the picture at the end of each phase."""
+def _pictures(folder: Path, results: Iterable[PhaseResult], part: int) -> dict[Path, PhaseResult]:
+    """File of the picture at the end of each phase of a part of a chain, from 1."""
+    of = f"{part}-" if part > 1 else ""
     names = [f"{r.phase} {r.about}".strip().replace(" ", "-") for r in results]
-    files = [folder / f"{number:02d}-{name}.png" for number, name in enumerate(names, start=1)]
+    files = [folder / f"{of}{number:02d}-{name}.png" for number, name in enumerate(names, start=1)]
     return dict(zip(files, results, strict=True))
 
 
@@ -253,8 +266,9 @@ def manipulate(
         options: Under which conditions; defaults if None.
         on_step: Called with the simulation after every time step; may stop it.
         pictures: Folder for a picture at the end of each phase, which is where it went wrong if it
-            failed; it must exist.
-        video: Write a film here: ``.mp4``, ``.webp`` or ``.gif``.
+            failed; it must exist. Those of the second movement of a chain begin with "2-".
+        video: Write a film here: ``.mp4``, ``.webp`` or ``.gif``; of a chain one per movement, the
+            second one's name ends with "-2".
         arrows: Draw the measured contact forces into both.
         retry: Whether a turn that fails is made up for, once; the push is not repeated. The way of
             the hand from where it let go to where it begins anew is not simulated, nor where a plan
@@ -276,10 +290,11 @@ def manipulate(
     fresh = copy.deepcopy(options.controller) if more else None  # as it is before the first run
     run = ManipulationRun(plan, options)
     run.sim.simulation.on_step = on_step
-    report = run.perform(pictures=pictures, video=video, arrows=arrows, retry=retry, view=view)
+    drawing: Drawing = {"pictures": pictures, "video": video, "arrows": arrows}
+    report = run.perform(**drawing, retry=retry, view=view)
     if report.complete and plan.then is not None:
         later = options.with_changes(controller=fresh)
-        return _followed(plan.then, later, report, on_step=on_step, view=view)
+        return _followed(plan.then, later, report, drawing, on_step=on_step, view=view)
     if not report.put_down:
         return report
     standing = run.sim.simulation.T_world_object
@@ -299,11 +314,13 @@ def _followed(
     plan: ManipulationPlan,
     options: ManipulationOptions,
     before: ManipulationReport,
+    drawing: Drawing,
     *,
     on_step: Callable[[Simulation], None] | None,
     view: bool,
+    number: int = 2,
 ) -> ManipulationReport:
-    """Execute a chain from where the run before has put the object down."""
+    """Execute a chain, its movement ``number`` on, from where the run before has put the object."""
     states = before.recording.T_world_object[-1]
     now, target = pose_from_wxyz(states[:3], states[3:]), plan.task.T_world_object
     heading = signed_twist(now.rotation @ target.rotation.T, UP)
@@ -314,10 +331,13 @@ def _followed(
     fresh = copy.deepcopy(options.controller)
     run = ManipulationRun(plan, options, controller=fresh, true_task=there, push=None)
     run.sim.simulation.on_step = on_step
-    report = replace(run.perform(view=view), earlier=before)
+    report = replace(run.perform(**drawing, view=view, number=number), earlier=before)
+    report = replace(report, drawn="\n".join(filter(None, (before.drawn, report.drawn))))
     if not report.complete or plan.then is None:
         return report
-    return _followed(plan.then, options, report, on_step=on_step, view=view)
+    return _followed(
+        plan.then, options, report, drawing, on_step=on_step, view=view, number=number + 1
+    )
 
 
 def _rest_of(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) -> ManipulationPlan:
