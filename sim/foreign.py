@@ -16,7 +16,7 @@ What is known of it is the truth in ``data``: joints, poses and contacts without
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -405,7 +405,7 @@ class ForeignRun(Simulation):
             controller: What drives the hand; as ``Simulation``.
         """
         super().__init__(
-            plan,
+            _bearing(plan),
             scene=scene.for_task(plan.task, period),
             controller=controller,
             carrier=_Nothing(),
@@ -486,6 +486,20 @@ class ForeignRun(Simulation):
     def _arrived(self, observation: Observation | None = None) -> bool:
         far, turned = pose_change(self._to, self.T_world_base)
         return far <= ARRIVED_MM and turned <= ARRIVED_DEG
+
+
+def _bearing(plan: GraspPlan) -> GraspPlan:
+    """The plan with the forces that bear the weight at the model's own centre of mass.
+
+    Those with and those without the margin times the weight's moment are proven; what is between
+    them lies in the same friction cones and limits.
+    """
+    for one, found in zip(plan.task.needed, plan.needed, strict=True):
+        if one.name == WEIGHT:
+            more = found.contacts.forces - plan.contacts.forces
+            forces = plan.contacts.forces + more / plan.task.needed_margin
+            return replace(plan, contacts=plan.contacts.with_forces(forces))
+    return plan
 
 
 class _Nothing:

@@ -419,7 +419,7 @@ class Simulation:
         return self.scene.T_palm_object(self.data)
 
     def object_twist(self) -> FloatArray:
-        """Linear velocity (m/s) of the object's centre and angular velocity (rad/s), (6,), world."""
+        """Velocity (m/s) of the object's centre and angular velocity (rad/s), (6,), world."""
         return self.scene.object_twist(self.data)
 
     def normal_forces(self) -> FloatArray:
