@@ -116,8 +116,10 @@ class Served:
         except BrokenPipeError:
             answer = ""
         if not answer:
+            self._process.wait()
             self._said.seek(0)
             said = self._said.read().strip().splitlines()
+            self.close()
             raise TaskError(f"DexJoCo ended: {said[-1] if said else 'without a word'}")
         self.told: dict[str, Any] = json.loads(answer)
         for owner in (self.model, self.data):
@@ -128,8 +130,10 @@ class Served:
         mujoco.mj_forward(self.model, self.data)
 
     def close(self) -> None:
-        """End it."""
-        self._process.communicate()
+        """End it; again does nothing."""
+        if not self._said.closed:
+            self._process.communicate()
+            self._said.close()
 
 
 @dataclass(frozen=True, kw_only=True)

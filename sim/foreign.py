@@ -206,7 +206,8 @@ class ForeignScene:
         model, data, base = self.model, mujoco.MjData(self.model), self._base
         data.qpos[:] = self.data.qpos
         data.mocap_pos[:], data.mocap_quat[:] = self.data.mocap_pos, self.data.mocap_quat
-        joints, body = [], base
+        joints: list[int] = []
+        body = base
         while body:
             first = int(model.body_jntadr[body])
             joints += range(first, first + int(model.body_jntnum[body])) if first >= 0 else ()

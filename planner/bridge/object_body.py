@@ -153,7 +153,8 @@ def _triangles(model: Any, g: int, what: str) -> tuple[FloatArray, IntArray]:
 def _grown(vertices: FloatArray) -> FloatArray:
     """Vertices (n, 3), m, of a part whose farthest one is moved out by ``GROWN``."""
     out = vertices - vertices.mean(axis=0)
-    return vertices + out * (GROWN / float(np.linalg.norm(out, axis=1).max()))
+    grown: FloatArray = vertices + out * (GROWN / float(np.linalg.norm(out, axis=1).max()))
+    return grown
 
 
 def _united(
