@@ -193,6 +193,9 @@ def test_motion_of_the_object_is_that_of_its_origin() -> None:
     data, h = owner.data, 1e-6
     data.qvel[:6] = [0.3, -0.1, 0.2, 1.0, 2.0, -0.5]
     twist, before = seen.object_twist(data), scene.T_world_object
+    assert np.linalg.norm(before.translation - data.body("tool").xpos) > 0.01  # another origin
+    there = seen.body_pose(data, seen.object_body)
+    np.testing.assert_allclose(there.homogeneous, before.homogeneous)
     mujoco.mj_integratePos(model, data.qpos, data.qvel, h)
     mujoco.mj_forward(model, data)
     after = scene.T_world_object
