@@ -181,7 +181,7 @@ class _Hammering:
         self._T_base_flange = T_world_palm.inverse() * T_world_flange
         self._closed = False
         self._face, self._nail = model.geom("face").id, model.body("nail").id
-        self.scene = ForeignScene.read(
+        self.scene = ForeignScene(
             model,
             data,
             hand,

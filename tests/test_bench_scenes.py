@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,6 +71,6 @@ def test_a_task_that_ends_says_why(checkout: Path) -> None:
 @pytest.mark.skipif(DEXJOCO not in os.environ, reason="DEXJOCO names no checkout of DexJoCo")
 def test_a_nail_is_driven_in_dexjoco_by_its_own_test() -> None:
     scene, python, hand = os.environ[DEXJOCO].split(":")
-    where = {"scene": Path(scene), "python": Path(python), "hand": Path(hand)}
+    where: dict[str, Any] = {"scene": Path(scene), "python": Path(python), "hand": Path(hand)}
     (row,) = run_bench("scenes", **where, n=1, seed=1)["rows"]
     assert row["done"] and row["depth_mm"] >= 40.0 and row["steps"] < 1000 and row["closed"]

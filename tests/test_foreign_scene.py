@@ -88,7 +88,7 @@ class Owner:
 
     def scene(self, **changes: Any) -> ForeignScene:
         given = {"table": "bench", "obstacles": ("wall",), "touch": ("grip",)} | changes
-        return ForeignScene.read(*self.parts, "allegro_hand", "tool", prefix="robot/", **given)
+        return ForeignScene(*self.parts, "allegro_hand", "tool", prefix="robot/", **given)
 
     @property
     def parts(self) -> tuple[Any, Any]:
@@ -167,11 +167,11 @@ def test_names_that_do_not_fit(
 def test_what_is_no_free_body_or_another_hand_is_refused(owner: Owner) -> None:
     given = owner.parts
     with pytest.raises(NotFoundError, match=r"no body is called 'tol'\. Did you mean 'tool'"):
-        ForeignScene.read(*given, "allegro_hand", "tol")
+        ForeignScene(*given, "allegro_hand", "tol")
     with pytest.raises(TaskError, match="body 'fixed' of the scene has no free joint"):
-        ForeignScene.read(*given, "allegro_hand", "fixed")
-    with pytest.raises(NotFoundError, match=r"called 'A_index_0'\. Did you mean 'robot/A_index_0'"):
-        ForeignScene.read(*given, "allegro_hand", "tool")
+        ForeignScene(*given, "allegro_hand", "fixed")
+    with pytest.raises(NotFoundError, match=r"called 'palm'\. There is: .*robot/palm"):
+        ForeignScene(*given, "allegro_hand", "tool")
     with pytest.raises(TaskError, match=r"index_\S+ of the scene is 5.0 mm from where allegro"):
         Owner(moved=0.005).scene()
 
