@@ -148,22 +148,28 @@ class Options(Shared):
     ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """Files of this machine."""
+
+    scene: Path
+    python: Path
+    hand: Path
+
+
 def cases(options: Options) -> Iterator[Row]:
     """Seeds."""
+    where = Where(scene=options.scene, python=options.python, hand=options.hand)
     for seed in range(options.seed, options.seed + options.n):
-        yield {
-            "scene": str(options.scene),
-            "python": str(options.python),
-            "hand": str(options.hand),
-            "seed": seed,
-        }
+        yield {"task": "hammer_nail", "seed": seed, "where": where}
 
 
 def measure(case: Row) -> Row:
     """One start of its own: plan, grasp, strike."""
-    served = Served(Path(case["scene"]), Path(case["python"]), case["seed"])
+    where: Where = case["where"]
+    served = Served(where.scene, where.python, case["seed"])
     try:
-        return _Hammering(served, case["hand"]).row(case["seed"])
+        return _Hammering(served, where.hand).row(case["seed"])
     finally:
         served.close()
 
@@ -171,7 +177,7 @@ def measure(case: Row) -> Row:
 class _Hammering:
     """One episode."""
 
-    def __init__(self, served: Served, hand: str) -> None:
+    def __init__(self, served: Served, hand: Path) -> None:
         """Let the hammer come to rest, and read the scene."""
         self._served = served
         model, data = served.model, served.data
@@ -277,9 +283,9 @@ class _Hammering:
 def tables(result: Row) -> Iterator[Row]:
     """One line."""
     yield summary(
-        "DexJoCo, hammer and nail: by its own test",
+        "DexJoCo: by its own test",
         result["rows"],
-        ("scene",),
+        ("task",),
         {
             "done": share("done"),
             "steps of 1000": of("steps"),
