@@ -25,6 +25,7 @@ NAMES = (
     "metrics",
     "trials",
     "tools",
+    "scenes",
     "goals",
     "palm",
     "refine",

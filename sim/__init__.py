@@ -18,6 +18,7 @@ from planner.system.package import lazy_names
 if TYPE_CHECKING:
     from sim.contacts import contacts_from_mujoco
     from sim.controllers import Controller, GraspController, ObjectImpedance, Observation
+    from sim.foreign import ForeignRun, ForeignScene
     from sim.handover import HandoverTimeline, hand_over
     from sim.manipulation import ManipulationReport, ManipulationTimeline, manipulate
     from sim.palm import PalmReport, PalmSettings, reorient_in_palm
@@ -35,6 +36,8 @@ __all__ = [
     "Controller",
     "ErrorModel",
     "FingersTrial",
+    "ForeignRun",
+    "ForeignScene",
     "GraspController",
     "HandoverTimeline",
     "ManipulationReport",
@@ -66,6 +69,8 @@ __all__ = [
 
 _HOMES = {
     "Controller": "sim.controllers",
+    "ForeignRun": "sim.foreign",
+    "ForeignScene": "sim.foreign",
     "GraspController": "sim.controllers",
     "HandoverTimeline": "sim.handover",
     "ManipulationReport": "sim.manipulation",

@@ -419,12 +419,8 @@ class Simulation:
         return self.scene.T_palm_object(self.data)
 
     def object_twist(self) -> FloatArray:
-        """Linear velocity (m/s) of the object's centre and angular velocity (rad/s), (6,), world.
-
-        MuJoCo keeps the angular velocity of a free body in the body's own axes.
-        """
-        linear, angular = np.split(self.data.qvel[self.scene.object_dof], 2)
-        return np.concatenate([linear, self.T_world_object.rotation @ angular])
+        """Velocity (m/s) of the object's centre and angular velocity (rad/s), (6,), world."""
+        return self.scene.object_twist(self.data)
 
     def normal_forces(self) -> FloatArray:
         """Sum of normal forces on the object per finger that takes part, (n,), N."""

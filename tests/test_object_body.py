@@ -119,6 +119,35 @@ def test_parts_that_overlap_are_united(scene: Scene) -> None:
     np.testing.assert_array_equal(ours[told] < 0, either[told] < 0)
 
 
+def test_parts_that_meet_face_to_face_are_one_body(scene: Scene) -> None:
+    """Turned by quaternions of six digits, as files have them: neither apart nor overlapping."""
+    path = scene(
+        '<geom type="box" pos="0 0 0.1575" size="0.061 0.0305 0.0305"/>'
+        '<geom type="cylinder" pos="0.0671 0 0.1575" quat="0.707106 0 0.707106 0"'
+        ' size="0.0244 0.0061"/>'
+        '<geom type="cylinder" pos="0.0854 0 0.1575" quat="0.707106 0 0.707106 0"'
+        ' size="0.0305 0.0122"/>'
+        '<geom type="box" pos="-0.061 0 0.1575" quat="0.9238795 0 0.3826834 0"'
+        ' size="0.0215 0.029 0.0215"/>'
+    )
+    shape = object_body(path, "thing").shape
+    assert isinstance(shape, Mesh) and shape.mended == ""
+    ends = shape.bounds[1][0] - shape.bounds[0][0]
+    assert ends == pytest.approx(0.0976 + 0.061 + 0.0215 * np.sqrt(2.0), abs=1e-5)
+
+
+def test_the_centre_of_mass_is_the_models_own(scene: Scene) -> None:
+    path = scene(
+        '<geom type="box" size="0.02 0.02 0.02" mass="0.1"/>'
+        '<geom type="box" size="0.02 0.02 0.02" pos="0.1 0 0" mass="0.3"/>'
+    )
+    body = object_body(path, "thing")
+    np.testing.assert_allclose(body.T_body_object.act(body.center), [0.075, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(body.center, [0.025, 0, 0], atol=1e-6)
+    turned = object_body(scene('<geom type="box" size=".02 .03 .04" euler="0 0 90"/>'), "thing")
+    np.testing.assert_allclose(turned.center, 0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("body", "error", "message"),
     [

@@ -76,6 +76,7 @@ GROUPS: dict[str, list[str]] = {
         "sim.verdict",
         "sim.simulation",
         "sim.scene",
+        "sim.foreign",
         "sim.scan",
         "sim.recording",
         "sim.contacts",

@@ -1,7 +1,7 @@
 """A body of an MJCF or URDF file as an object to grasp.
 
 One primitive becomes that primitive. Several geoms, or meshes, become one mesh: side by side if
-they are apart, united if they overlap. A mesh keeps its true triangles, though
+they are apart, united if they overlap or meet face to face. A mesh keeps its true triangles, though
 MuJoCo itself would let its convex hull collide.
 """
 
@@ -24,6 +24,9 @@ from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 FINENESS = 64
 """Points around a round geom that becomes triangles: 0.1 % of the radius from the true surface."""
 
+GROWN = 2e-6
+"""By how much (m) geoms grow that meet face to face: as they are, their union stays in pieces."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectBody:
@@ -33,11 +36,14 @@ class ObjectBody:
         shape: Its shape; the origin is the centre of mass of a uniform solid.
         mass: As the model has it, kg; 0 if the model gives none.
         T_body_object: Pose of the shape in the body's frame.
+        center: Centre of mass (3,) of the model in the shape's frame, m: not the origin where the
+            model's density is not uniform.
     """
 
     shape: Shape
     mass: float
     T_body_object: SE3
+    center: FloatArray
 
 
 def object_body(path: Path, name: str, *, repair: bool = False, strict: bool = False) -> ObjectBody:
@@ -56,25 +62,56 @@ def object_body(path: Path, name: str, *, repair: bool = False, strict: bool = F
         ObjectError: The body has no geom with a volume, or its geoms do not make one solid.
     """
     model = compile_spec(load_spec(path), str(path))
+    return object_in_model(model, name, f"body {name!r} of {path.name}", repair, strict)
+
+
+def object_in_model(
+    model: Any, name: str, what: str, repair: bool = False, strict: bool = False
+) -> ObjectBody:
+    """The same of a compiled ``mujoco.MjModel``.
+
+    Args:
+        model: The model.
+        name: Of the body.
+        what: What to call it in messages.
+        repair: As ``object_body``.
+        strict: As ``object_body``.
+
+    Raises:
+        NotFoundError, ObjectError: As ``object_body``.
+    """
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body < 0:
         names = [model.body(i).name for i in range(1, model.nbody)]
         raise NotFoundError("body", name, [n for n in names if n])
-    what = f"body {name!r} of {path.name}"
     own = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) == body]
     colliding = [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
     geoms = colliding or own  # a body that is only drawn is what is drawn
     if not geoms:
         raise ObjectError(f"{what} has no geom; name a body that carries one")
-    mass = float(model.body_mass[body])
     if len(geoms) == 1 and int(model.geom_type[geoms[0]]) in _PRIMITIVES:
         g = geoms[0]
         pose = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
         shape = _PRIMITIVES[int(model.geom_type[g])](*(float(v) for v in model.geom_size[g]))
-        return ObjectBody(shape=shape, mass=mass, T_body_object=pose)
+        return _placed(model, body, shape, pose)
     parts = [_triangles(model, g, what) for g in geoms]
-    mesh = _united(what, parts, repair, strict)
-    return ObjectBody(shape=mesh, mass=mass, T_body_object=SE3(np.eye(3), mesh.offset))
+    try:
+        mesh = _united(what, parts, repair, strict)
+    except ObjectError:
+        if len(parts) == 1:
+            raise
+        mesh = _united(what, [(_grown(v), f) for v, f in parts], repair, strict)
+    return _placed(model, body, mesh, SE3(np.eye(3), mesh.offset))
+
+
+def _placed(model: Any, body: int, shape: Shape, T_body_object: SE3) -> ObjectBody:
+    """A shape with the mass and the centre of mass that its body has in the model."""
+    return ObjectBody(
+        shape=shape,
+        mass=float(model.body_mass[body]),
+        T_body_object=T_body_object,
+        center=T_body_object.inverse().act(model.body_ipos[body]),
+    )
 
 
 _TYPE = mujoco.mjtGeom
@@ -111,6 +148,13 @@ def _triangles(model: Any, g: int, what: str) -> tuple[FloatArray, IntArray]:
         vertices, faces = np.array(made.vertices), np.array(made.faces)
     pose = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
     return vertices @ pose.rotation.T + pose.translation, faces
+
+
+def _grown(vertices: FloatArray) -> FloatArray:
+    """Vertices (n, 3), m, of a part whose farthest one is moved out by ``GROWN``."""
+    out = vertices - vertices.mean(axis=0)
+    grown: FloatArray = vertices + out * (GROWN / float(np.linalg.norm(out, axis=1).max()))
+    return grown
 
 
 def _united(

@@ -189,6 +189,15 @@ class Scene:
         """Pose of a body in the world."""
         return SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
 
+    def object_twist(self, data: Any) -> FloatArray:
+        """Linear velocity (m/s) of the object's centre and angular velocity (rad/s), (6,), world.
+
+        MuJoCo keeps the angular velocity of a free body in the body's own axes.
+        """
+        linear, angular = np.split(data.qvel[self.object_dof], 2)
+        turn = data.xmat[self.object_body].reshape(3, 3)
+        return np.concatenate([linear, turn @ angular])
+
     def T_palm_object(self, data: Any) -> SE3:
         """Pose of the object in the palm."""
         T_world_palm = self.body_pose(data, self.palm_body)

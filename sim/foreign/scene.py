@@ -1,0 +1,367 @@
+"""``ForeignScene``: hand, object, table and obstacles, read from somebody's compiled model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from planner.bridge.object_body import object_in_model
+from planner.errors import NotFoundError, TaskError
+from planner.hand_loading import load_hand
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.objects import GraspObject, NeededWrench, Region, TouchRegion
+from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.task import GraspTask, Obstacle
+from planner.tolerances import DEFAULT_MU
+from sim.scene.build import Scene
+from sim.scene.physics import PhysicsOptions
+from sim.show.camera import Subject
+
+FRICTION_LEFT = 5 / 6
+"""Share of a scene's friction that planning relies on at most (-): 0.5 of 0.6, as at home."""
+
+SUNK = 0.002
+"""How far (m) an object at rest may have sunk into what carries it: contacts yield."""
+
+OFF_CENTER = 0.001
+"""Distance (m) of the model's centre of mass from that of a uniform solid from which on the moment
+of the weight about the latter is a needed wrench."""
+
+WEIGHT = "weight"
+"""Name of that wrench."""
+
+REACHED, REACHED_RAD = 0.001, 0.01
+"""How near (m, rad) a pose an arm has reached it."""
+
+REACH_STEPS, DAMPING = 200, 1e-3
+"""Iterations of its inverse kinematics, and their damping (m2)."""
+
+FREE = np.array([[-np.inf], [np.inf]])
+"""Range of a joint without limits."""
+
+EDGE = 0.001
+"""How far (m) the bounds of a geom are widened, so that contacts on its faces lie inside."""
+
+SAME_HAND = 0.001
+"""How far (m) a link may stand from where the hand's own model has it."""
+
+
+class ForeignScene:
+    """A scene as it is now.
+
+    Attributes:
+        model: The ``mujoco.MjModel``, as its owner compiled it.
+        data: The ``mujoco.MjData`` that its owner steps.
+        hand: The hand in it, read from its model.
+        object: The object: axes of its body, origin at the centre of mass of a uniform solid.
+        object_body: Body id of the object.
+        T_body_object: Pose of the object in its body.
+        center: Centre of mass (3,) of the object in the model, object frame, m.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        data: Any,
+        hand: Hand | str | Path,
+        object: str,
+        *,
+        table: str | None = None,
+        obstacles: Sequence[str] = (),
+        touch: Sequence[str] = (),
+        prefix: str = "",
+    ) -> None:
+        """Find hand and object in a scene.
+
+        Args:
+            model: The ``mujoco.MjModel``.
+            data: Its ``mujoco.MjData``, with its kinematics computed.
+            hand: The hand, or its ``hand.toml``: that of the model that was attached to the scene,
+                or of the scene itself (``opposable hands SCENE --base-body PALM --describe``).
+            object: Name of the free body to grasp.
+            table: Name of the plane or box that carries it; None for none.
+            obstacles: Names of boxes that hand and object must not touch.
+            touch: Names of the object's geoms in whose bounds fingers may touch it; all if none.
+            prefix: What the names of the hand begin with in the scene and not in its description.
+
+        Raises:
+            NotFoundError: The scene has no such body, geom, joint or actuator.
+            TaskError: The object is not free, or the hand is another than the scene's.
+            PlannerError: Hand or object cannot be read.
+        """
+        self.model, self.data, self._prefix = model, data, prefix
+        self.hand = hand if isinstance(hand, Hand) else load_hand(hand)
+        what = f"body {object!r} of the scene"
+        read = object_in_model(model, object, what)
+        self.object_body = int(model.body(object).id)
+        self._joint = int(model.body_jntadr[self.object_body])
+        if self._joint < 0 or model.jnt_type[self._joint] != mujoco.mjtJoint.mjJNT_FREE:
+            raise TaskError(f"{what} has no free joint; name the body that has it")
+        self.T_body_object, self.center = read.T_body_object, read.center
+        region = None
+        if touch:
+            region = TouchRegion(allowed=tuple(self._bounds(name) for name in touch))
+        self.object = GraspObject(name=object, shape=read.shape, mass=read.mass, touch=region)
+        self._table = None if table is None else _id(model, "geom", table)
+        self._obstacles = {name: _id(model, "geom", name) for name in obstacles}
+        self._base = self._id("body", self.hand.description.base_body)
+        self._joints = [self._id("joint", name) for name in self.hand.joint_names]
+        self._ctrl = np.array([self._id("actuator", n) for n in self.hand.actuation.names])
+        self._check_hand()
+
+    @property
+    def T_world_object(self) -> SE3:
+        """Pose of the object now."""
+        return self.pose(self.object_body) * self.T_body_object
+
+    @property
+    def T_world_base(self) -> SE3:
+        """Pose of the hand's base now."""
+        return self.pose(self._base)
+
+    @property
+    def q(self) -> FloatArray:
+        """The hand's joints (nq,) now, in the order of ``hand.joint_names``."""
+        return np.array(self.data.qpos[self.model.jnt_qposadr[self._joints]])
+
+    def _id(self, kind: str, name: str) -> int:
+        """Id of a part of the hand."""
+        return _id(self.model, kind, self._prefix + name)
+
+    def pose(self, body: int) -> SE3:
+        """Pose of a body now."""
+        return _pose(self.data.body(body))
+
+    def reaches(self, T_world_base: SE3) -> bool:
+        """Whether what carries the hand can bring its base to a pose: by all joints above the base.
+
+        Damped least squares from the posture of now, within the joints' ranges; what is in the way
+        is not looked at.
+        """
+        model, data, base = self.model, mujoco.MjData(self.model), self._base
+        data.qpos[:] = self.data.qpos
+        data.mocap_pos[:], data.mocap_quat[:] = self.data.mocap_pos, self.data.mocap_quat
+        joints: list[int] = []
+        body = base
+        while body:
+            first = int(model.body_jntadr[body])
+            joints += range(first, first + int(model.body_jntnum[body])) if first >= 0 else ()
+            body = int(model.body_parentid[body])
+        at, dof = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        low, high = np.where(
+            model.jnt_limited[joints].astype(bool), model.jnt_range[joints].T, FREE
+        )
+        jacobian, error, quat = np.zeros((6, model.nv)), np.zeros(6), np.zeros(4)
+        for _ in range(REACH_STEPS):
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            now = _pose(data.body(base))
+            mujoco.mju_mat2Quat(quat, (T_world_base.rotation @ now.rotation.T).ravel())
+            mujoco.mju_quat2Vel(error[3:], quat, 1.0)
+            error[:3] = T_world_base.translation - now.translation
+            if np.linalg.norm(error[:3]) < REACHED and np.linalg.norm(error[3:]) < REACHED_RAD:
+                return True
+            mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], base)
+            j = jacobian[:, dof]
+            step = j.T @ np.linalg.solve(j @ j.T + DAMPING * np.eye(6), error)
+            data.qpos[at] = np.clip(data.qpos[at] + step, low, high)
+        return False
+
+    def task(self, *, mu: float | None = None, **changes: Any) -> GraspTask:
+        """The task of grasping the object where it is now.
+
+        Args:
+            mu: Sliding friction that planning may rely on (-); what the scene has at most, with a
+                reserve, and never more than planning's own, if None.
+            changes: Further arguments of ``GraspTask.create``.
+
+        Raises:
+            TaskError: The object stands on nothing, or the task cannot work.
+        """
+        if mu is None:
+            mu = min(DEFAULT_MU, FRICTION_LEFT * self._least_friction())
+        gravity, pose = np.array(self.model.opt.gravity), self.T_world_object
+        needed = list(changes.pop("needed", ()))
+        if np.linalg.norm(self.center) > OFF_CENTER:
+            up = pose.rotation.T @ (-self.object.mass * gravity)
+            needed.append(
+                NeededWrench(name=WEIGHT, torque=tuple(np.cross(self.center, up).tolist()))
+            )
+        table = None
+        if self._table is not None:
+            lowest = float(pose.translation[2] - self.object.shape.support(-pose.rotation[2]))
+            table = self._top(self._table)
+            table = lowest if table - SUNK < lowest < table else table
+        return GraspTask.create(
+            self.hand,
+            self.object,
+            T_world_object=pose,
+            table_height=table,
+            obstacles=[
+                Obstacle(
+                    name=name, size=self._box(geom), T_world_obstacle=_pose(self.data.geom(name))
+                )
+                for name, geom in self._obstacles.items()
+            ],
+            gravity=gravity,
+            mu=mu,
+            needed=needed,
+            **changes,
+        )
+
+    def for_task(self, task: GraspTask, period: float) -> Scene:
+        """As a scene of ours: what simulations, controllers and contacts are read by.
+
+        Args:
+            task: Of this scene.
+            period: Time (s) from one of its owner's steps to the next.
+        """
+        model, hand, joint = self.model, self.hand, self._joint
+        part_of = task.part_of_body
+        parts = {self._id("body", g.body): part_of.get(g.body, "") for g in hand.geometries}
+        body_of = model.geom_bodyid.tolist()
+        collides = model.geom_contype.astype(bool) | model.geom_conaffinity.astype(bool)
+        return _Seen(
+            foreign=self,
+            task=task,
+            physics=PhysicsOptions(name="foreign", timestep=period),
+            T_world_base=self.T_world_base,
+            model=model,
+            hand_qpos=model.jnt_qposadr[self._joints],
+            hand_dof=model.jnt_dofadr[self._joints],
+            hand_ctrl=self._ctrl,
+            arm_ctrl=np.zeros(0, dtype=np.int64),
+            gantry=None,
+            object_qpos=int(model.jnt_qposadr[joint]) + np.arange(7),
+            object_dof=int(model.jnt_dofadr[joint]) + np.arange(6),
+            object_body=self.object_body,
+            base_body=self._base,
+            palm_body=self._id("body", hand.description.palm_body),
+            finger_of_geom=MappingProxyType(
+                {int(g): parts[b] for g in np.flatnonzero(collides) if (b := body_of[g]) in parts}
+            ),
+            support=-1,
+            deviation=0.0,
+        )
+
+    def tips(self, fingers: Sequence[Finger]) -> tuple[int, ...]:
+        """Body ids of what carries the pads of some fingers."""
+        body_of = {g.name: g.body for g in self.hand.geometries}
+        return tuple(self._id("body", body_of[f.pad.geom]) for f in fingers)
+
+    def _check_hand(self) -> None:
+        """Refuse a hand whose links are elsewhere than the scene's."""
+        own = self.hand.mj_model
+        posed = mujoco.MjData(own)
+        for name, value in zip(self.hand.joint_names, self.q, strict=True):
+            posed.qpos[own.joint(name).qposadr] = value
+        mujoco.mj_kinematics(own, posed)
+        T_own = _pose(posed.body(self.hand.description.base_body))
+        for name in sorted({g.body for g in self.hand.geometries}):
+            there = self.T_world_base.actInv(self.pose(self._id("body", name)).translation)
+            off = np.linalg.norm(there - T_own.actInv(posed.body(name).xpos))
+            if off > SAME_HAND:
+                raise TaskError(
+                    f"{name} of the scene is {1e3 * off:.1f} mm from where {self.hand.name} has "
+                    "it: describe the hand of this scene (opposable hands SCENE --describe)"
+                )
+
+    def _least_friction(self) -> float:
+        """Least sliding friction (-) between the object and a fingertip."""
+        bodies = self.tips(tuple(self.hand.fingers.values()))
+        of_body = self.model.geom_bodyid
+        a, b = of_body == self.object_body, np.isin(of_body, bodies)
+        first, second = self.model.geom_priority[a][:, None], self.model.geom_priority[b]
+        mine, other = self.model.geom_friction[a, :1], self.model.geom_friction[b, 0]
+        weaker = np.where(first > second, mine, np.where(first < second, other, np.inf))
+        return float(np.minimum(weaker, np.maximum(mine, other)).min())
+
+    def _bounds(self, name: str) -> Region:
+        """The box, in the object's axes, around a geom of the object."""
+        model, geom = self.model, _id(self.model, "geom", name)
+        if model.geom_bodyid[geom] != self.object_body:
+            raise TaskError(f"geom {name!r} does not belong to the object; name geoms of its body")
+        pose = pose_from_wxyz(model.geom_pos[geom], model.geom_quat[geom])
+        pose = self.T_body_object.inverse() * pose
+        local, half = np.split(model.geom_aabb[geom], 2)
+        middle, reach = pose.act(local), np.abs(pose.rotation) @ half + EDGE
+        return Region(name=name, lower=tuple(middle - reach), upper=tuple(middle + reach))
+
+    def _top(self, geom: int) -> float:
+        """Height (m) of the top of a plane or of a box."""
+        height = float(self.data.geom_xpos[geom][2])
+        if self.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+            return height
+        return height + float(np.abs(self.data.geom_xmat[geom][6:]) @ self._box(geom)) / 2
+
+    def _box(self, geom: int) -> FloatArray:
+        """Full extents (3,), m, of a box.
+
+        Raises:
+            TaskError: The geom is none.
+        """
+        if self.model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_BOX:
+            raise TaskError(
+                f"geom {self.model.geom(geom).name!r} is no box; planning knows planes and boxes "
+                "around an object: name one, or leave it out"
+            )
+        return 2.0 * np.asarray(self.model.geom_size[geom])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Seen(Scene):
+    """A foreign scene through the index maps of ours."""
+
+    foreign: ForeignScene
+
+    @property
+    def subject(self) -> Subject:
+        """What pictures are about: object, palm and fingers."""
+        tips = self.foreign.tips(self.task.fingers)
+        links = {self.body_of_geom[g] for g, finger in self.finger_of_geom.items() if finger}
+        bodies = (self.object_body, *sorted(links | {self.palm_body}))
+        return Subject(object_body=self.object_body, tips=tips, bodies=bodies)
+
+    def start(self, q: FloatArray, T_world_base: SE3) -> Any:
+        """Its owner's ``mujoco.MjData``, as it is."""
+        return self.foreign.data
+
+    def body_pose(self, data: Any, body: int) -> SE3:
+        """Pose of a body in the world; of the object's body that of the object."""
+        pose = super().body_pose(data, body)
+        return pose * self.foreign.T_body_object if body == self.object_body else pose
+
+    def object_twist(self, data: Any) -> FloatArray:
+        """That of the object's origin, which is not its body's."""
+        twist = super().object_twist(data)
+        inside = (
+            self.foreign.pose(self.object_body).rotation @ self.foreign.T_body_object.translation
+        )
+        twist[:3] += np.cross(twist[3:], inside)
+        return twist
+
+
+def _pose(part: Any) -> SE3:
+    """Pose of a body or geom of ``mujoco.MjData``."""
+    return SE3(part.xmat.reshape(3, 3), part.xpos)
+
+
+def _id(model: Any, kind: str, name: str) -> int:
+    """Id of a named part.
+
+    Raises:
+        NotFoundError: There is none.
+    """
+    number = mujoco.mj_name2id(model, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), name)
+    if number < 0:
+        count = {"body": model.nbody, "geom": model.ngeom, "joint": model.njnt}.get(kind, model.nu)
+        names = [getattr(model, kind)(i).name for i in range(count)]
+        raise NotFoundError(f"{kind} of the scene", name, [n for n in names if n])
+    return int(number)

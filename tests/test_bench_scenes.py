@@ -1,0 +1,76 @@
+"""The measurement in DexJoCo's scene: itself where DexJoCo is, and its plumbing on a stand-in."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benching import run_bench
+
+from benchmarks import scenes
+from benchmarks.scenes import MODEL, Served
+from planner.errors import TaskError
+from planner.spatial import SE3
+
+DEXJOCO = "DEXJOCO"
+"""Environment variable: CHECKOUT:PYTHON:HAND_TOML, see docs/how/scenes.md."""
+
+STAND_IN = """
+import json, sys
+print("loading", file=sys.stderr)
+height = 1.0
+for line in sys.stdin:
+    asked = json.loads(line)
+    if "action" in asked:
+        if asked["action"][2] > 5:
+            raise ValueError("too high")
+        height = asked["action"][2]
+    told = {"qpos": [0, 0, height, 1, 0, 0, 0], "time": height, "seconds": 0.02}
+    told |= {"body_mass": [0, float(sys.argv[2])]} if "reset" in asked else {}
+    print(json.dumps(told), flush=True)
+"""
+
+SCENE = '<mujoco><worldbody><body name="b"><freejoint/><geom size="1"/></body></worldbody></mujoco>'
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that looks like a checkout, and a script in place of its task."""
+    (tmp_path / MODEL).parent.mkdir(parents=True)
+    (tmp_path / MODEL).write_text(SCENE)
+    launch = tmp_path / "launch.py"
+    launch.write_text(STAND_IN)
+    monkeypatch.setattr(scenes, "LAUNCH", launch)
+    return tmp_path
+
+
+def test_state_and_drawn_model_are_mirrored(checkout: Path) -> None:
+    served = Served(checkout, Path(sys.executable), 7)
+    assert served.period == 0.02 and served.model.body_mass[1] == 7.0
+    served.step(SE3(np.eye(3), np.array([0.0, 0.0, 2.5])), np.zeros(16))
+    np.testing.assert_allclose(served.data.xpos[1], [0.0, 0.0, 2.5])
+    assert served.steps == 1 and served.data.time == 2.5
+    served.close()
+
+
+def test_a_task_that_ends_says_why(checkout: Path) -> None:
+    served = Served(checkout, Path(sys.executable), 0)
+    with pytest.raises(TaskError, match="DexJoCo ended: ValueError: too high"):
+        served.step(SE3(np.eye(3), np.array([0.0, 0.0, 9.0])), np.zeros(16))
+    with pytest.raises(TaskError, match=r"there is no .*hammer_nail.xml; give --scene"):
+        Served(checkout / "elsewhere", Path(sys.executable), 0)
+    with pytest.raises(TaskError, match="there is no none; give --python"):
+        Served(checkout, Path("none"), 0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(DEXJOCO not in os.environ, reason="DEXJOCO names no checkout of DexJoCo")
+def test_a_nail_is_driven_in_dexjoco_by_its_own_test() -> None:
+    scene, python, hand = os.environ[DEXJOCO].split(":")
+    where: dict[str, Any] = {"scene": Path(scene), "python": Path(python), "hand": Path(hand)}
+    (row,) = run_bench("scenes", **where, n=1, seed=1)["rows"]
+    assert row["done"] and row["depth_mm"] >= 40.0 and row["steps"] < 1000 and row["closed"]

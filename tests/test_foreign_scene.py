@@ -1,0 +1,233 @@
+"""Scenes of others: a hand carried by what a planner does not know, a tool of two densities."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from planner import plan_grasp
+from planner.errors import NotFoundError, TaskError
+from planner.quality import force_closure
+from planner.spatial import SE3, FloatArray, pose_to_wxyz, shifted
+from planner.system.package import models_dir
+from sim.foreign import ForeignRun, ForeignScene
+
+TOOL = """
+<mujoco><option timestep="0.002" integrator="implicitfast" noslip_iterations="5"/>
+<worldbody>
+  <geom name="bench" type="box" size="0.5 0.5 0.05" pos="0 0 0.35"/>
+  <geom name="ball" size="0.02" pos="1 0 0"/>
+  <geom name="wall" type="box" size="0.02 0.2 0.1" pos="0.3 0 0.5" euler="0 0 30"/>
+  <body name="tool" pos="0.05 0.02 0.45" euler="0 0 40">
+    <freejoint/>
+    <geom name="grip" type="box" size="0.07 0.02 0.05" mass="0.08" friction="{friction}"/>
+    <geom name="head" type="box" size="0.02 0.03 0.05" pos="0.09 0 0" mass="0.1"/>
+  </body>
+  <body name="fixed"><geom size="0.01" pos="1 1 1"/></body>
+  <body name="carriage" pos="0 0 0.75">
+    <joint name="x" type="slide" axis="1 0 0" range="-0.3 0.3" limited="true"/>
+    <joint name="y" type="slide" axis="0 1 0"/>
+    <joint name="z" type="slide" axis="0 0 1"/>
+    <joint name="a" axis="1 0 0"/>
+    <joint name="b" axis="0 1 0"/>
+    <joint name="c" axis="0 0 1"/>
+    <geom size="0.02" mass="2" contype="0" conaffinity="0"/>
+  </body>
+</worldbody>
+<actuator>
+  <position joint="x" kp="4000" kv="300"/><position joint="y" kp="4000" kv="300"/>
+  <position joint="z" kp="4000" kv="300"/><position joint="a" kp="200" kv="12"/>
+  <position joint="b" kp="200" kv="12"/><position joint="c" kp="200" kv="12"/>
+</actuator>
+</mujoco>"""
+"""Somebody's scene: a table that is no table of ours, a tool whose head is heavy."""
+
+MODEL = "hands/allegro_hand/allegro_hand.xml"
+
+PALM_DOWN = SE3(Rotation.from_euler("y", 90, degrees=True).as_matrix(), np.array([0, 0, -0.05]))
+"""Pose of the hand on its carriage."""
+
+SUBSTEPS = 10
+"""Steps of 2 ms that its owner makes at once."""
+
+
+class Owner:
+    """Who owns a scene: compiles, resets and steps it; carries the hand by six servos."""
+
+    def __init__(self, friction: float = 1.0, moved: float = 0.0) -> None:
+        """Compile it.
+
+        Args:
+            friction: Of the tool's grip (-).
+            moved: How far a link is from where the hand's own model has it, m.
+        """
+        spec = mujoco.MjSpec.from_string(TOOL.format(friction=friction))
+        hand = mujoco.MjSpec.from_file(str(models_dir() / MODEL))
+        hand.body("index_proximal").pos[2] += moved
+        place, turn = pose_to_wxyz(PALM_DOWN)
+        frame = spec.body("carriage").add_frame(pos=place, quat=turn)
+        spec.attach(hand, frame=frame, prefix="robot/")
+        for body in spec.body("carriage").find_all("body"):
+            body.gravcomp = 1.0
+        spec.body("carriage").gravcomp = 1.0
+        self.model: Any = spec.compile()
+        self.data: Any = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, self.data)
+
+    def step(self, T_world_base: SE3, ctrl: FloatArray) -> None:
+        carriage = T_world_base * PALM_DOWN.inverse()
+        turn = Rotation.from_matrix(carriage.rotation).as_euler("XYZ")
+        place = carriage.translation - [0.0, 0.0, 0.75]
+        self.data.ctrl[:6] = [*place, *turn]
+        self.data.ctrl[6:] = ctrl
+        mujoco.mj_step(self.model, self.data, SUBSTEPS)
+
+    def scene(self, **changes: Any) -> ForeignScene:
+        given = {"table": "bench", "obstacles": ("wall",), "touch": ("grip",)} | changes
+        return ForeignScene(*self.parts, "allegro_hand", "tool", prefix="robot/", **given)
+
+    @property
+    def parts(self) -> tuple[Any, Any]:
+        return self.model, self.data
+
+
+@pytest.fixture(scope="module")
+def owner() -> Owner:
+    return Owner()
+
+
+def test_the_task_is_what_the_scene_holds_now(owner: Owner) -> None:
+    scene = owner.scene()
+    task = scene.task()
+    model, data = owner.model, owner.data
+    body = model.body("tool").id
+    assert task.object.mass == pytest.approx(model.body_mass[body])
+    assert task.table_height == pytest.approx(0.4) and task.mu == 0.5
+    (wall,) = task.obstacles
+    np.testing.assert_allclose(wall.size, [0.04, 0.4, 0.2])
+    np.testing.assert_allclose(wall.T_world_obstacle.translation, data.geom("wall").xpos)
+    # weight and needed wrench together are the weight at the model's own centre of mass
+    (needed,) = task.needed
+    lever = data.xipos[body] - task.T_world_object.translation
+    assert np.linalg.norm(lever) > 0.01
+    expected = np.cross(lever, -model.body_mass[body] * np.array(model.opt.gravity))
+    turned = task.T_world_object.rotation @ np.array(needed.torque)
+    np.testing.assert_allclose(turned, expected, atol=1e-9)
+    # fingers may touch the grip alone
+    head = scene.T_world_object.actInv(data.geom("head").xpos)
+    grip = scene.T_world_object.actInv(data.geom("grip").xpos)
+    assert task.object.touch is not None
+    np.testing.assert_array_equal(task.object.touch.permits(np.array([head, grip])), [False, True])
+
+
+def test_planning_never_relies_on_more_friction_than_the_scene_has() -> None:
+    # the fingers' 1.0 does not count where the object's has priority
+    owner = Owner(friction=0.3)
+    owner.model.geom_priority[owner.model.geom("grip").id] = 1
+    assert owner.scene().task().mu == pytest.approx(0.25)
+    assert owner.scene().task(mu=0.4).mu == 0.4
+
+
+def test_an_object_that_sank_into_its_table_stands_on_it() -> None:
+    owner = Owner()
+    owner.data.qpos[2] -= 0.0005
+    mujoco.mj_forward(owner.model, owner.data)
+    task = owner.scene().task()
+    assert task.table_height == pytest.approx(0.3995)
+    owner.data.qpos[2] -= 0.01
+    mujoco.mj_forward(owner.model, owner.data)
+    with pytest.raises(TaskError, match="below the table's top"):
+        owner.scene().task()
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        (
+            {"table": "bank"},
+            NotFoundError,
+            "no geom of the scene is called 'bank'. There is: ball, bench",
+        ),
+        ({"touch": ("bench",)}, TaskError, "geom 'bench' does not belong to the object"),
+        ({"obstacles": ("ball",)}, TaskError, "geom 'ball' is no box; planning knows planes"),
+        ({"table": "ball"}, TaskError, "geom 'ball' is no box"),
+    ],
+)
+def test_names_that_do_not_fit(
+    owner: Owner, changes: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        owner.scene(**changes).task()
+
+
+def test_what_is_no_free_body_or_another_hand_is_refused(owner: Owner) -> None:
+    given = owner.parts
+    with pytest.raises(NotFoundError, match=r"no body is called 'tol'\. Did you mean 'tool'"):
+        ForeignScene(*given, "allegro_hand", "tol")
+    with pytest.raises(TaskError, match="body 'fixed' of the scene has no free joint"):
+        ForeignScene(*given, "allegro_hand", "fixed")
+    with pytest.raises(NotFoundError, match=r"called 'palm'\. There is: .*robot/palm"):
+        ForeignScene(*given, "allegro_hand", "tool")
+    with pytest.raises(TaskError, match=r"index_\S+ of the scene is 5.0 mm from where allegro"):
+        Owner(moved=0.005).scene()
+
+
+def test_reach_is_that_of_the_joints_above_the_base(owner: Owner) -> None:
+    scene = owner.scene()
+    before = owner.data.qpos.copy()
+    turned = SE3(Rotation.from_euler("xyz", [0.4, -0.3, 0.2]).as_matrix(), np.zeros(3))
+    pose = scene.T_world_base * turned
+    assert scene.reaches(shifted(pose, [0.25, 0.4, -0.1]))
+    assert not scene.reaches(shifted(pose, [0.4, 0.0, 0.0]))  # its slide along x ends at 0.3 m
+    np.testing.assert_array_equal(owner.data.qpos, before)
+
+
+def test_motion_of_the_object_is_that_of_its_origin() -> None:
+    owner = Owner()
+    scene, model = owner.scene(), owner.model
+    seen = scene.for_task(scene.task(), 0.02)
+    data, h = owner.data, 1e-6
+    data.qvel[:6] = [0.3, -0.1, 0.2, 1.0, 2.0, -0.5]
+    twist, before = seen.object_twist(data), scene.T_world_object
+    assert np.linalg.norm(before.translation - data.body("tool").xpos) > 0.01  # another origin
+    there = seen.body_pose(data, seen.object_body)
+    np.testing.assert_allclose(there.homogeneous, before.homogeneous)
+    mujoco.mj_integratePos(model, data.qpos, data.qvel, h)
+    mujoco.mj_forward(model, data)
+    after = scene.T_world_object
+    np.testing.assert_allclose(twist[:3], (after.translation - before.translation) / h, atol=1e-4)
+    turn = Rotation.from_matrix(after.rotation @ before.rotation.T).as_rotvec()
+    np.testing.assert_allclose(twist[3:], turn / h, atol=1e-4)
+
+
+def test_a_tool_is_grasped_and_carried_through_its_owners_steps_alone() -> None:
+    owner = Owner()
+    scene = owner.scene()
+    plan = plan_grasp(scene.task(grip_force=4.0), seed=0)
+    made = []
+
+    def step(T_world_base: SE3, ctrl: FloatArray) -> None:
+        made.append(owner.data.time)
+        owner.step(T_world_base, ctrl)
+
+    run = ForeignRun(plan, scene, step, period=SUBSTEPS * owner.model.opt.timestep)
+    # pressed with the forces that bear the weight where the model has its centre of mass
+    pressed = run.plan.contacts
+    (needed,) = plan.task.needed
+    moment = plan.task.T_world_object.rotation @ np.array(needed.torque)
+    weight = -plan.task.object.mass * plan.task.gravity
+    np.testing.assert_allclose(pressed.wrench(), [*weight, *moment], atol=1e-3)
+    assert run.move(plan.T_world_base_start, 1.0, wait=1.0, phase="approach")
+    assert run.grasp()
+    height = scene.T_world_object.translation[2]
+    assert run.move(shifted(plan.T_world_base, [0.05, 0.0, 0.1]), 1.0, wait=1.0)
+    assert scene.T_world_object.translation[2] - height > 0.09
+    assert max(run.slip) < 2.0  # mm, degrees
+    assert force_closure(run.contacts).closed
+    # nothing but its owner's steps moved time
+    assert run.steps == len(made)
+    assert owner.data.time == pytest.approx(run.steps * run.timestep)
