@@ -202,8 +202,8 @@ def test_files_tell_of_how_many_a_plan_is_the_best(task: GraspTask, tmp_path: Pa
     data = read_json(first, "plan")
     assert data["version"] == 1 and "best" not in data["record"]
     assert read_plan(first).record.best is None
-    write_json({**data, "version": 4}, first)
-    with pytest.raises(FileFormatError, match="reads version 1 or 2 or 3"):
+    write_json({**data, "version": 5}, first)
+    with pytest.raises(FileFormatError, match="reads version 1 or 2 or 3 or 4"):
         read_plan(first)
     data = plan_to_dict(plan)
     data["record"]["best"]["found"] = "many"

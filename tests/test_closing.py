@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -13,6 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_sim_controllers import observe
 
+from planner.errors import FileFormatError
+from planner.files import plan_to_dict, read_plan
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
@@ -287,3 +291,18 @@ def gap(hand: Hand, name: str, q: FloatArray) -> float:
     return float(
         min(mujoco.mj_geomDistance(model, data, a, b, 1.0, None) for a in mine for b in others)
     )
+
+
+def test_a_plan_file_keeps_that_joints_may_be_off(plan: GraspPlan, tmp_path: Path) -> None:
+    """Read again, fingers make way as for the plan itself; other files stay as they were."""
+    off = loose(plan)
+    off.save(tmp_path / "off.json")
+    again = read_plan(tmp_path / "off.json")
+    assert again.task.joint_error == pytest.approx(np.deg2rad(3.0))
+    assert json.loads((tmp_path / "off.json").read_text())["version"] == 4
+    assert "joint_error_rad" not in plan_to_dict(plan)["task"]
+    data = json.loads((tmp_path / "off.json").read_text())
+    data["version"] = 1
+    (tmp_path / "off.json").write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="joint_error_rad; that is in version 4 alone"):
+        read_plan(tmp_path / "off.json")

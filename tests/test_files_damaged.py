@@ -74,7 +74,7 @@ DAMAGE: list[tuple[list[tuple[str, Json]], type[PlannerError], str]] = [
     (
         [("version", 99)],
         FileFormatError,
-        "plan version 99; this Opposable reads version 1 or 2 or 3; plan ag",
+        "plan version 99; this Opposable reads version 1 or 2 or 3 or 4; plan ag",
     ),
     ([("version", ...)], FileFormatError, "plan version None"),
     (

@@ -484,7 +484,7 @@ def test_files_say_needs_and_channels_by_their_version(plan: GraspPlan, trial: U
     without = {name: value for name, value in data["task"].items() if name != "needed"}
     wrongs: list[dict[str, Any]] = [{"version": 1}, {"version": 2}, {"task": without}]
     for wrong in wrongs:
-        with pytest.raises(PlannerError, match="in version 3 alone"):
+        with pytest.raises(PlannerError, match="in versions 3 and 4"):
             plan_from_dict(data | wrong, "here")
     trial.recorder.record()
     report = trial.judged(0.0).to_dict()

@@ -62,7 +62,7 @@ class Recipe(StrictData):
             TaskError: The hand was made in Python, so that no text can name it.
         """
         return cls(
-            task=task_data(task),
+            task=task_data(replace(task, joint_error=0.0)),  # which stands beside it
             may_spare_fingers=task.may_spare_fingers,
             alternatives=task.alternatives,
             expected_load=(task.expected_load.force, task.expected_load.torque),

@@ -147,22 +147,29 @@ class NeededSetData(StrictData):
 
 
 class LaterData(StrictData):
-    """Data with a field that older files have not: it is left out where it is None or False."""
+    """Data with fields that older files have not: each is left out where it is None or False.
+
+    ``later`` has their names, between spaces.
+    """
 
     later: ClassVar[str]
 
     @model_serializer(mode="wrap")
     def _as_older_files(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         data: dict[str, Any] = handler(self)
-        if data[self.later] is None or data[self.later] is False:
-            del data[self.later]
+        for name in self.later.split():
+            if data[name] is None or data[name] is False:
+                del data[name]
         return data
 
 
 class TaskData(LaterData):
-    """The task of a plan; ``needed`` where it needs wrenches."""
+    """The task of a plan.
 
-    later = "needed"
+    ``needed`` where it needs wrenches, ``joint_error_rad`` where joints may be off.
+    """
+
+    later = "needed joint_error_rad"
 
     hand: HandData
     object: ObjectData
@@ -179,6 +186,7 @@ class TaskData(LaterData):
     wrist_free: bool
     wrist_q_rad: list[Finite]
     needed: NeededSetData | None = None
+    joint_error_rad: Finite | None = None
 
 
 class ArmData(StrictData):
@@ -281,11 +289,12 @@ class RecordData(LaterData):
 class PlanFile(StrictData):
     """A grasp plan as JSON.
 
-    Version 2 is the best of several plans, which version 1 has not; version 3 needs wrenches.
+    Version 2 is the best of several plans, which version 1 has not; version 3 needs wrenches;
+    version 4 was planned for joints that may be off.
     """
 
     format: Literal["opposable-plan"] = "opposable-plan"
-    version: Literal[1, 2, 3] = 1
+    version: Literal[1, 2, 3, 4] = 1
     written_by: str
     task: TaskData
     grasp: GraspData
@@ -298,9 +307,12 @@ class PlanFile(StrictData):
 
     @model_validator(mode="after")
     def _needs_of_version(self) -> Self:
-        if (self.task.needed is not None) != (self.version == 3):
+        if (self.task.joint_error_rad is not None) != (self.version == 4):
+            has = "no joint_error_rad" if self.task.joint_error_rad is None else "joint_error_rad"
+            raise ValueError(f"version {self.version} with {has}; that is in version 4 alone")
+        if (self.task.needed is not None) != (self.version == 3) and self.version != 4:
             has = "no needed wrenches" if self.task.needed is None else "needed wrenches"
-            raise ValueError(f"version {self.version} with {has}; those are in version 3 alone")
+            raise ValueError(f"version {self.version} with {has}; those are in versions 3 and 4")
         return self
 
 
@@ -347,6 +359,7 @@ def task_data(task: GraspTask) -> TaskData:
         wrist_free=task.wrist_free,
         wrist_q_rad=list(task.wrist_q),
         needed=_needed_data(task),
+        joint_error_rad=task.joint_error or None,
     )
 
 
@@ -387,6 +400,7 @@ def task_from_data(data: TaskData, hand: Hand) -> GraspTask:
         T_world_base=None if data.T_world_base_fixed is None else data.T_world_base_fixed.pose(),
         wrist_free=data.wrist_free,
         wrist_q=np.array(data.wrist_q_rad),
+        joint_error=data.joint_error_rad or 0.0,
         **_needed_of(data.needed),
     )
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
@@ -201,11 +201,20 @@ CONTACT_TOL = 1e-4
 recomputed from the stored joints: what rounding leaves after a quadratic programme."""
 
 
+def _version_of(plan: GraspPlan) -> Literal[1, 2, 3, 4]:
+    """The first version that has what a plan has."""
+    if plan.task.joint_error:
+        return 4
+    if plan.task.needed:
+        return 3
+    return 1 if plan.record.best is None else 2
+
+
 def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
     """A plan as plain data that follows ``PlanFile``."""
     hand = plan.task.hand
     data = PlanFile(
-        version=3 if plan.task.needed else 1 if plan.record.best is None else 2,
+        version=_version_of(plan),
         written_by=written_by(),
         task=task_data(plan.task),
         grasp=GraspData(

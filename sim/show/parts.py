@@ -83,6 +83,8 @@ def task_rows(task: TaskData) -> tuple[tuple[str, str], ...]:
         ("grip", shown(task.grip_force_N, "N")),
         ("table", table),
     ]
+    if task.joint_error_rad:
+        rows.append(("joints may be off by", shown(task.joint_error_rad, "rad")))
     if task.obstacles:
         rows.append(("obstacles", ", ".join(o.name for o in task.obstacles)))
     return tuple(rows)
