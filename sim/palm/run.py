@@ -111,7 +111,7 @@ def reorient_in_palm(
         tolerance_deg: Largest angle to the goal that counts as there, degrees.
         hold_s: How long it has to stay there, s.
         longest_s: Simulated time after which it has failed, s.
-        seed: Of the postures to which stuck fingers open.
+        seed: Of the postures to which fingers may open.
         picture: Write a picture of the end here (PNG).
         video: Write a film here.
 
@@ -185,6 +185,7 @@ def reorient_in_palm(
         T_world_object=states[:, scene.object_qpos],
         q=states[:, scene.hand_qpos],
         solve_ms=1e3 * np.array(log.solve_s),
+        look_ms=1e3 * np.array(log.look_s),
         settings=asdict(asked),
         physics={"name": scene.physics.name, "mu": scene.physics.mu},
         wall_s=time.perf_counter() - begin,
