@@ -283,7 +283,7 @@ def test_what_lies_out_of_reach_is_brought_back_by_half_of_them(lying: Any) -> N
     now, look = drive(lying, 60.0, branches=4)
     has = now.xmat[lying[1].object_body].reshape(3, 3)
     assert not any(np.allclose(branch.goal, has) for branch in look._openings(now))
-    look._real.place = look._real.place + [0.03, 0.0, 0.0]
+    look._real.place = look._real.place + np.array([0.03, 0.0, 0.0])
     backs = [np.allclose(branch.goal, has) for branch in look._openings(now)]
     assert backs == [False, True, False, True]
 
