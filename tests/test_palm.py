@@ -265,6 +265,26 @@ def test_the_best_branch_is_done_that_does_not_drop(
     assert not np.array_equal(drawn[0].away, drawn[1].away)
 
 
+def test_fingers_stay_where_each_branch_drops(lying: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    now, look = drive(lying, 60.0, branches=3)
+    monkeypatch.setattr(look, "value", lambda *_: np.inf)
+    stays = look.choose(now)
+    assert stays.away == pytest.approx(now.ctrl[lying[1].ctrl])
+    assert stays.opens_until == stays.until > now.time
+
+
+def test_the_worse_friction_counts(lying: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two openings, 10 and 20 degrees with less friction, 50 and 30 with more."""
+    now, look = drive(lying, 60.0, branches=2)
+    drawn = look._openings(now)
+    values = {id(drawn[0]): (10.0, 50.0), id(drawn[1]): (20.0, 30.0)}
+    monkeypatch.setattr(look, "_openings", lambda _: drawn)
+    monkeypatch.setattr(
+        look, "value", lambda which, _, branch: values.get(id(branch), (59.0, 59.0))[which]
+    )
+    assert look.choose(now) is drawn[1]
+
+
 def test_going_on_is_no_branch_once_it_is_stuck(
     lying: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

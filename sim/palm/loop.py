@@ -36,6 +36,9 @@ FRICTIONS = (5 / 6, 7 / 6)
 """Shares (-) of the friction with which a look ahead is made, and made again before it is done: the
 friction that there is need not be known better."""
 
+FINALISTS = 4
+"""Branches that are tried with the second friction (-): those that end best with the first."""
+
 REST_S = 0.3
 """How long (s) the object must stay in the hand after a branch: what is thrown falls in it."""
 
@@ -149,8 +152,9 @@ class _LookAhead:
     def choose(self, data: Any) -> _Branch:
         """What to do from a state on.
 
-        Going on, where it gains ``progress_deg``; else the branch with the least cost at its end,
-        without going on once nothing has been gained for ``stall_s``.
+        Going on, where it gains ``progress_deg``; else the branch with the least cost at its end
+        with the worse friction, without going on once nothing has been gained for ``stall_s``.
+        Where each drops the object, the fingers stay for a moment, and others are drawn.
         """
         asked, now = self._real.settings, float(data.time)
         here = self._cost(data)
@@ -158,21 +162,22 @@ class _LookAhead:
             self._best, self._since = here, now
         stuck = now - self._since > asked.stall_s
         on = _Branch(away=None, goal=self._real.goal, opens_until=now, until=now + asked.ahead_s)
-        value = self.value(0, data, on)
-        if value < here - asked.progress_deg and self._keeps(data, on):
+        found = [(self.value(0, data, on), on)]
+        gained = here - asked.progress_deg
+        if found[0][0] < gained and self.value(1, data, on) < gained:
             return on
-        found = [] if stuck else [(value, on)]
+        found = [] if stuck else found
         found += [(self.value(0, data, branch), branch) for branch in self._openings(data)]
         if stuck:
             self._best, self._since = np.inf, now
         found.sort(key=lambda pair: pair[0])
-        for value, branch in found:
-            if np.isfinite(value) and self._keeps(data, branch):
-                return branch
-        return found[0][1]
-
-    def _keeps(self, data: Any, branch: _Branch) -> bool:
-        return bool(np.isfinite(self.value(1, data, branch)))
+        both = [(max(value, self.value(1, data, one)), one) for value, one in found[:FINALISTS]]
+        value, best = min(both, key=lambda pair: pair[0])
+        if np.isfinite(value):
+            return best
+        stays = data.ctrl[self._real.plant.ctrl].copy()
+        until = now + asked.open_s
+        return _Branch(away=stays, goal=self._real.goal, opens_until=until, until=until)
 
     def _openings(self, data: Any) -> list[_Branch]:
         """Branches that open the fingers, to postures near the first.

@@ -41,7 +41,7 @@ GRAVITY = 9.81
 TILT = np.radians(20.0)
 """How far (rad) the palm leans to the fingers: less than the friction angle, 31 degrees at 0.6."""
 
-TOLERANCE_DEG, HOLD_S, LONGEST_S = 5.0, 0.5, 60.0
+TOLERANCE_DEG, HOLD_S, LONGEST_S = 5.0, 0.5, 120.0
 """Success: so near (degrees), for so long (s), before so long (s)."""
 
 BELIEVED = 5 / 6
