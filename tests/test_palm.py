@@ -17,7 +17,7 @@ from planner.errors import NotFoundError, TaskError
 from planner.spatial import FloatArray
 from sim.palm import PalmReport, PalmSettings, reorient_in_palm
 from sim.palm.control import PalmController, _Problem
-from sim.palm.loop import _Strategy, turn
+from sim.palm.loop import _Branch, _Driver, _LookAhead, turn
 from sim.palm.model import ContactStep, PalmModel, Plant, plant_of
 from sim.palm.run import lay_down, palm_scene
 
@@ -206,23 +206,114 @@ def test_an_object_at_its_goal_is_left_alone(lying: Any) -> None:
     assert max(log.error_deg) < 2.0
 
 
-def test_it_stays_only_within_the_tolerance_that_is_asked_for() -> None:
-    """3 degrees are still within 5, and not within 1."""
-    for tolerance, phase in ((5.0, "still"), (1.0, "turn")):
-        assert _Strategy(PalmSettings(), tolerance).next(0.0, 3.0) == phase
+def drive(lying: Any, turned: float, **asked: Any) -> tuple[Any, _LookAhead]:
+    """Data as they lie, and a look ahead towards a turn (degrees) about the vertical."""
+    _, plant, data, _ = lying
+    now = mujoco.MjData(plant.model)
+    mujoco.mj_copyData(now, plant.model, data)
+    goal = pin.exp3(np.array([0.0, 0.0, np.radians(turned)])) @ now.xmat[plant.object_body].reshape(
+        3, 3
+    )
+    place = now.xpos[plant.object_body].copy()
+    settings = PalmSettings(**asked)
+    driver = _Driver(plant, goal, place, settings, now.ctrl[plant.ctrl].copy(), 3.5)
+    return now, _LookAhead(driver, float(place[2]) - 0.06, seed=0)
 
 
-def test_stuck_fingers_open_and_begin_anew() -> None:
-    asked = PalmSettings(stall_s=1.0, open_s=0.3)
-    strategy, phases = _Strategy(asked, 5.0), []
-    for k in range(60):
-        phases.append(strategy.next(0.05 * k, 40.0))
-    assert phases[:20] == ["turn"] * 20
-    opened = phases.index("open")
-    assert 1.0 <= 0.05 * opened <= 1.1
-    assert phases[opened : opened + 6] == ["open"] * 6
-    assert phases[opened + 7] == "turn"
-    assert strategy.next(4.0, 1.0) == "still"
+def test_a_look_ahead_leaves_the_world_as_it_is(lying: Any) -> None:
+    now, look = drive(lying, 60.0, branches=2, ahead_s=0.3, open_s=0.2)
+    before = (now.qpos.copy(), now.qvel.copy(), now.ctrl.copy(), now.time)
+    friction = lying[1].model.geom_friction.copy()
+    look.choose(now)
+    for was, same in zip(before, (now.qpos, now.qvel, now.ctrl, now.time), strict=True):
+        assert np.array_equal(was, same)
+    assert np.array_equal(friction, lying[1].model.geom_friction)
+
+
+def test_its_value_is_what_comes_of_it(lying: Any) -> None:
+    """A branch that leaves the fingers where they are costs the angle that there is."""
+    now, look = drive(lying, 60.0)
+    end = now.time + 0.3
+    stays = _Branch(away=look._real.begun, goal=np.eye(3), opens_until=end, until=end)
+    assert look.value(0, now, stays) == pytest.approx(60.0, abs=1.0)
+    look._low = 1.0  # all that lies lower than a metre counts as dropped
+    assert look.value(0, now, stays) == np.inf
+
+
+def test_the_best_branch_is_done_that_does_not_drop(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Values by hand: going on gains nothing, the least falls with more friction."""
+    now, look = drive(lying, 60.0, branches=3)
+    drawn: list[_Branch] = []
+    openings = look._openings
+
+    def draw(at: Any) -> list[_Branch]:
+        drawn[:] = openings(at)
+        return drawn
+
+    def value(which: int, data: Any, branch: _Branch) -> float:
+        if branch.away is None:
+            return 59.0
+        place = next(k for k, one in enumerate(drawn) if one is branch)
+        return (np.inf, 10.0, 30.0)[place] if which == 0 else (5.0, np.inf, 30.0)[place]
+
+    monkeypatch.setattr(look, "_openings", draw)
+    monkeypatch.setattr(look, "value", value)
+    assert look.choose(now) is drawn[2]
+    assert drawn[0].away is not None and drawn[1].away is not None
+    assert not np.array_equal(drawn[0].away, drawn[1].away)
+
+
+def test_fingers_stay_where_each_branch_drops(lying: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    now, look = drive(lying, 60.0, branches=3)
+    monkeypatch.setattr(look, "value", lambda *_: np.inf)
+    stays = look.choose(now)
+    assert stays.away == pytest.approx(now.ctrl[lying[1].ctrl])
+    assert stays.opens_until == stays.until > now.time
+
+
+def test_the_worse_friction_counts(lying: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two openings, 10 and 20 degrees with less friction, 50 and 30 with more."""
+    now, look = drive(lying, 60.0, branches=2)
+    drawn = look._openings(now)
+    values = {id(drawn[0]): (10.0, 50.0), id(drawn[1]): (20.0, 30.0)}
+    monkeypatch.setattr(look, "_openings", lambda _: drawn)
+    monkeypatch.setattr(
+        look, "value", lambda which, _, branch: values.get(id(branch), (59.0, 59.0))[which]
+    )
+    assert look.choose(now) is drawn[1]
+
+
+def test_going_on_is_no_branch_once_it_is_stuck(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, look = drive(lying, 60.0, branches=2, stall_s=1.0)
+    monkeypatch.setattr(
+        look, "value", lambda _, __, branch: 80.0 if branch.away is not None else 60
+    )
+    assert look.choose(now).away is None
+    now.time += 1.1
+    assert look.choose(now).away is not None
+    assert look.choose(now).away is None  # it begins to count anew
+
+
+def test_what_lies_out_of_reach_is_brought_back_by_half_of_them(lying: Any) -> None:
+    """These ask for the rotation that the object has; at its place none does."""
+    now, look = drive(lying, 60.0, branches=4)
+    has = now.xmat[lying[1].object_body].reshape(3, 3)
+    assert not any(np.allclose(branch.goal, has) for branch in look._openings(now))
+    look._real.place = look._real.place + np.array([0.03, 0.0, 0.0])
+    backs = [np.allclose(branch.goal, has) for branch in look._openings(now)]
+    assert backs == [False, True, False, True]
+
+
+def test_it_stays_only_within_the_tolerance_that_is_asked_for(lying: Any) -> None:
+    """A tenth of a degree beside the goal is still, sixty are not."""
+    for turned, phase in ((0.1, "still"), (60.0, "turn")):
+        now, look = drive(lying, turned)
+        branch = _Branch(away=None, goal=look._real.goal, opens_until=0.0, until=0.0)
+        assert look._real.phase(now, branch) == phase
 
 
 def test_a_mirror_is_no_goal() -> None:

@@ -6,7 +6,7 @@ One call::
 
     print(reorient_in_palm("allegro_hand", "box:0.05x0.05x0.05", goal).success)
 
-``model`` is the contact model, ``control`` the controller, ``loop`` what it does when it is stuck.
+``model`` is the contact model, ``control`` the controller, ``loop`` what looks further ahead.
 """
 
 from sim.palm.report import PalmReport

@@ -57,6 +57,10 @@ class PalmController:
         """Begin anew: commands are no longer those of the last solve."""
         self._increments = np.zeros((self.settings.horizon, len(self.plant.ctrl)))
 
+    def adopt(self, other: PalmController) -> None:
+        """Begin where another controller of the plant is."""
+        self._increments = other._increments
+
     def command(
         self, qpos: FloatArray, ctrl: FloatArray, goal: FloatArray, place: FloatArray
     ) -> FloatArray:

@@ -1,12 +1,15 @@
 """``turn``: the loop that turns an object in the palm of a plant to a rotation, and what it saw.
 
-When there is no progress for a while, the fingers open to a posture near the one in which they
-began, drawn by the seed, and the controller begins anew: its horizon is too short to see that a
-finger has to go round the object. Within ``still_deg`` of the goal the commands stay.
+The horizon of the controller is too short to see that a finger has to go round the object, or that
+a push ends beyond the fingers. So every ``ahead_s`` the loop looks further: it tries on a copy of
+the simulation what comes of going on, and, unless that gains, of opening the fingers first to
+postures near the one in which they began, drawn by the seed. The best is done (a rollout of the
+controller; Bertsekas, Rollout algorithms). Within ``still_deg`` of the goal the commands stay.
 """
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -29,6 +32,20 @@ SINK = 0.06
 """How far (m) below where it began an object is dropped: the thickness of a palm and a finger."""
 
 
+FRICTIONS = (5 / 6, 7 / 6)
+"""Shares (-) of the friction with which a look ahead is made, and made again before it is done: the
+friction that there is need not be known better."""
+
+FINALISTS = 4
+"""Branches that are tried with the second friction (-): those that end best with the first."""
+
+REST_S = 0.3
+"""How long (s) the object must stay in the hand after a branch: what is thrown falls in it."""
+
+ROUNDING_S = 1e-9
+"""Difference (s) of times that are the same but for rounding."""
+
+
 @dataclass(kw_only=True, eq=False)
 class TurnLog:
     """What happened, a row per period.
@@ -39,6 +56,7 @@ class TurnLog:
         phase: "turn", "open" or "still".
         qpos: States (nqpos,) of the model.
         solve_s: CPU time of each solve, s.
+        look_s: CPU time of each look ahead, s.
         outcome: How it ended.
     """
 
@@ -47,36 +65,183 @@ class TurnLog:
     phase: list[str] = field(default_factory=list)
     qpos: list[FloatArray] = field(default_factory=list)
     solve_s: list[float] = field(default_factory=list)
+    look_s: list[float] = field(default_factory=list)
     outcome: Outcome = "not in time"
 
 
-class _Strategy:
-    """Which phase it is: by the error, and by how long nothing was gained."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Branch:
+    """What is done until a time (s): the fingers open to commands ``away`` first, unless None.
 
-    def __init__(self, settings: PalmSettings, tolerance_deg: float) -> None:
-        self._asked, self._tolerance = settings, tolerance_deg
-        self._best, self._since, self._opens_until = np.inf, 0.0, -np.inf
-        self.phase = "turn"
+    ``goal`` (3, 3) is the rotation that the controller is asked for.
+    """
 
-    def next(self, now: float, error: float) -> str:
-        """The phase from a time (s) on, at an error (degrees)."""
-        asked = self._asked
-        within = min(asked.still_deg, STILL_SHARE * self._tolerance)
-        if self.phase == "still":
-            within = max(within, 0.5 * (within + self._tolerance))
-        if now < self._opens_until:
+    away: FloatArray | None
+    goal: FloatArray
+    opens_until: float
+    until: float
+
+
+class _Driver:
+    """Moves the plant on, a period at a time, in the simulation or in a look ahead."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        goal: FloatArray,
+        place: FloatArray,
+        settings: PalmSettings,
+        begun: FloatArray,
+        within: float,
+    ) -> None:
+        self.plant, self.goal, self.place, self.settings = plant, goal, place, settings
+        self.begun, self._within = begun, within
+        self.steps = max(1, round(settings.period_s / plant.model.opt.timestep))
+        self.controller = PalmController(plant, settings)
+        self.solve_s: list[float] = []
+
+    def twin(self) -> _Driver:
+        """Another with a controller of its own."""
+        given = (self.plant, self.goal, self.place, self.settings, self.begun, self._within)
+        return _Driver(*given)
+
+    def phase(self, data: Any, branch: _Branch) -> str:
+        """What is done from now on."""
+        if branch.away is not None and data.time < branch.opens_until - ROUNDING_S:
+            return "open"
+        return "still" if angle_deg(self.plant, data, self.goal) <= self._within else "turn"
+
+    def period(
+        self, model: Any, data: Any, branch: _Branch, on_step: Callable[[], None] | None = None
+    ) -> str:
+        """Move on by a period, and say in which phase."""
+        plant, asked, phase = self.plant, self.settings, self.phase(data, branch)
+        command = data.ctrl[plant.ctrl].copy()
+        new = command
+        if phase == "turn":
+            # from where the servos are: a squeeze that is stored throws the object out
+            command = plant.moment @ data.qpos[plant.qpos]
+            command[plant.idle] = self.begun[plant.idle]  # a wrist that sags would sag further
+            start = time.thread_time()
+            new = self.controller.command(data.qpos, command, branch.goal, self.place)
+            self.solve_s.append(time.thread_time() - start)
+            new = self.controller.held_back(new, command)
+            new[plant.idle] = self.begun[plant.idle]
+            command = new
+        elif phase == "open":
+            self.controller.forget()
+            most = asked.period_s / asked.step_s * asked.command_rad
+            new = command + np.clip(branch.away - command, -most, most)
+        for k in range(self.steps):
+            data.ctrl[plant.ctrl] = command + (k + 1) / self.steps * (new - command)
+            mujoco.mj_step(model, data)
+            if on_step is not None:
+                on_step()
+        return phase
+
+
+class _LookAhead:
+    """Tries branches on copies of the simulation, with less and with more friction."""
+
+    def __init__(self, driver: _Driver, low: float, seed: int) -> None:
+        self._real, self._low, self._rng = driver, low, np.random.default_rng(seed)
+        self._models = [_rubbed(driver.plant.model, share) for share in FRICTIONS]
+        self._data, self._trial = mujoco.MjData(driver.plant.model), driver.twin()
+        self._best, self._since = np.inf, -np.inf
+
+    def choose(self, data: Any) -> _Branch:
+        """What to do from a state on.
+
+        Going on, where it gains ``progress_deg``; else the branch with the least cost at its end
+        with the worse friction, without going on once nothing has been gained for ``stall_s``.
+        Where each drops the object, the fingers stay for a moment, and others are drawn.
+        """
+        asked, now = self._real.settings, float(data.time)
+        here = self._cost(data)
+        if here < self._best - asked.progress_deg:
+            self._best, self._since = here, now
+        stuck = now - self._since > asked.stall_s
+        on = _Branch(away=None, goal=self._real.goal, opens_until=now, until=now + asked.ahead_s)
+        found = [(self.value(0, data, on), on)]
+        gained = here - asked.progress_deg
+        if found[0][0] < gained and self.value(1, data, on) < gained:
+            return on
+        found = [] if stuck else found
+        found += [(self.value(0, data, branch), branch) for branch in self._openings(data)]
+        if stuck:
             self._best, self._since = np.inf, now
-            return self.phase
-        if error <= within:
-            self._best, self._since = error, now
-            self.phase = "still"
-            return self.phase
-        if error < self._best - asked.progress_deg:
-            self._best, self._since = error, now
-        self.phase = "turn"
-        if now - self._since > asked.stall_s:
-            self._opens_until, self.phase = now + asked.open_s, "open"
-        return self.phase
+        found.sort(key=lambda pair: pair[0])
+        both = [(max(value, self.value(1, data, one)), one) for value, one in found[:FINALISTS]]
+        value, best = min(both, key=lambda pair: pair[0])
+        if np.isfinite(value):
+            return best
+        stays = data.ctrl[self._real.plant.ctrl].copy()
+        until = now + asked.open_s
+        return _Branch(away=stays, goal=self._real.goal, opens_until=until, until=until)
+
+    def _openings(self, data: Any) -> list[_Branch]:
+        """Branches that open the fingers, to postures near the first.
+
+        An object that lies away from where fingers reach is brought back by half of them: these
+        ask for the rotation that it has, so that only its place is to change.
+        """
+        real, asked, now = self._real, self._real.settings, float(data.time)
+        scatter = asked.scatter_rad * self._rng.standard_normal((asked.branches, len(real.begun)))
+        scatter[:, real.plant.idle] = 0.0
+        opens = now + asked.open_s
+        goals = [real.goal, real.goal]
+        if self._off(data) > asked.free_m:
+            goals[1] = data.xmat[real.plant.object_body].reshape(3, 3).copy()
+        return [
+            _Branch(
+                away=real.begun + one,
+                goal=goals[k % 2],
+                opens_until=opens,
+                until=opens + asked.ahead_s,
+            )
+            for k, one in enumerate(scatter)
+        ]
+
+    def value(self, which: int, data: Any, branch: _Branch) -> float:
+        """Cost (degrees) at the end of a branch; infinite where the object is dropped.
+
+        Args:
+            which: Index of the friction in ``FRICTIONS``.
+            data: Where it begins; not moved on.
+            branch: What is done.
+        """
+        model, ahead = self._models[which], self._data
+        mujoco.mj_copyData(ahead, model, data)
+        self._trial.controller.adopt(self._real.controller)
+        while ahead.time < branch.until - ROUNDING_S:
+            self._trial.period(model, ahead, branch)
+            if self._lost(ahead):
+                return np.inf
+        cost = self._cost(ahead)
+        mujoco.mj_step(model, ahead, round(REST_S / model.opt.timestep))
+        return np.inf if self._lost(ahead) else cost
+
+    def _lost(self, data: Any) -> bool:
+        height = data.xpos[self._real.plant.object_body][2]
+        return not np.isfinite(data.qpos).all() or bool(height < self._low)
+
+    def _off(self, data: Any) -> float:
+        """Distance (m) of the object to its place."""
+        return float(np.linalg.norm(data.xpos[self._real.plant.object_body] - self._real.place))
+
+    def _cost(self, data: Any) -> float:
+        """Angle (degrees) to the goal, and what it costs to lie away from where fingers reach."""
+        real = self._real
+        far = max(0.0, self._off(data) - real.settings.free_m)
+        return angle_deg(real.plant, data, real.goal) + real.settings.far_deg * far
+
+
+def _rubbed(model: Any, share: float) -> Any:
+    """A copy of a model with a share of its sliding friction."""
+    rubbed = copy.copy(model)
+    rubbed.geom_friction[:, 0] *= share
+    rubbed.pair_friction[:, :2] *= share
+    return rubbed
 
 
 def turn(
@@ -103,39 +268,23 @@ def turn(
         tolerance_deg: Largest angle to the goal that counts as there.
         hold_s: How long it has to be there in one go, s.
         longest_s: Simulated time after which it has failed, s.
-        seed: Of the postures to which stuck fingers open.
+        seed: Of the postures to which fingers may open.
         on_step: Called after every step of the simulation.
     """
-    model, log, rng = plant.model, TurnLog(), np.random.default_rng(seed)
-    controller, strategy = PalmController(plant, settings), _Strategy(settings, tolerance_deg)
+    model, log = plant.model, TurnLog()
     begun, began_at = data.ctrl[plant.ctrl].copy(), float(data.time)
     low = float(data.xpos[plant.object_body][2]) - SINK
-    steps = max(1, round(settings.period_s / model.opt.timestep))
-    share = settings.period_s / settings.step_s
-    away, held = begun, 0.0
-    phase = strategy.next(0.0, angle_deg(plant, data, goal))
+    within = min(settings.still_deg, STILL_SHARE * tolerance_deg)
+    driver = _Driver(plant, goal, place, settings, begun, within)
+    look = _LookAhead(driver, low, seed)
+    branch = _Branch(away=None, goal=goal, opens_until=-np.inf, until=-np.inf)
+    held = 0.0
     while data.time - began_at < longest_s:
-        command = data.ctrl[plant.ctrl].copy()
-        if phase == "turn":
-            # from where the servos are: a squeeze that is stored throws the object out
-            command = plant.moment @ data.qpos[plant.qpos]
-            command[plant.idle] = begun[plant.idle]  # a wrist that sags would sag further
+        if data.time >= branch.until - ROUNDING_S and driver.phase(data, branch) == "turn":
             start = time.thread_time()
-            new = controller.command(data.qpos, command, goal, place)
-            log.solve_s.append(time.thread_time() - start)
-            new = controller.held_back(new, command)
-            new[plant.idle] = begun[plant.idle]
-            command = new
-        elif phase == "open":
-            most = share * settings.command_rad
-            new = command + np.clip(away - command, -most, most)
-        else:
-            new = command
-        for k in range(steps):
-            data.ctrl[plant.ctrl] = command + (k + 1) / steps * (new - command)
-            mujoco.mj_step(model, data)
-            if on_step is not None:
-                on_step()
+            branch = look.choose(data)
+            log.look_s.append(time.thread_time() - start)
+        phase = driver.period(model, data, branch, on_step)
         error = angle_deg(plant, data, goal)
         log.time.append(float(data.time) - began_at)
         log.error_deg.append(error)
@@ -150,11 +299,7 @@ def turn(
             log.outcome = "reached"
         if log.outcome != "not in time":
             break
-        was, phase = phase, strategy.next(log.time[-1], error)
-        if phase == "open" and was != "open":
-            away = begun + settings.scatter_rad * rng.standard_normal(len(begun))
-            away[plant.idle] = begun[plant.idle]
-            controller.forget()
+    log.solve_s = driver.solve_s
     return log
 
 

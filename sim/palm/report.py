@@ -33,7 +33,7 @@ class PalmReport(Report, Shown):
         hand: Name of the hand.
         object: Specification of the object's shape.
         mass_kg: Its mass.
-        seed: Of the postures to which stuck fingers opened.
+        seed: Of the postures to which fingers may have opened.
         goal: Rotation (3, 3) that was asked for.
         tilt_deg: How far the palm leaned to the fingers.
         tolerance_deg: Largest angle that counts as there.
@@ -42,10 +42,11 @@ class PalmReport(Report, Shown):
         outcome: How it ended.
         time: (m,), s, since the turn began.
         error_deg: (m,), angle to the goal.
-        phase: m times "turn", "open" (stuck fingers let go) or "still" (commands stay).
+        phase: m times "turn", "open" (fingers let go to begin anew) or "still" (commands stay).
         T_world_object: (m, 7), position (m) and quaternion w, x, y, z.
         q: (m, nq), joints, rad.
         solve_ms: (k,), CPU time of each solve on one core.
+        look_ms: (l,), CPU time of each look ahead on one core.
         settings: Of the controller, as plain data.
         physics: Name and friction.
         wall_s: Time that it took.
@@ -71,6 +72,7 @@ class PalmReport(Report, Shown):
     T_world_object: FloatArray
     q: FloatArray
     solve_ms: FloatArray
+    look_ms: FloatArray
     settings: dict[str, Any]
     physics: dict[str, Any]
     wall_s: float
@@ -95,8 +97,13 @@ class PalmReport(Report, Shown):
         return float(np.percentile(self.solve_ms, 95)) if len(self.solve_ms) else np.nan
 
     @property
+    def looking(self) -> float:
+        """CPU time (s) of looks ahead per second of the turn."""
+        return float(1e-3 * self.look_ms.sum() / self.time[-1])
+
+    @property
     def openings(self) -> int:
-        """How often stuck fingers opened."""
+        """How often the fingers opened."""
         opens = np.array([phase == "open" for phase in self.phase])
         return int(opens[:1].sum() + (opens[1:] & ~opens[:-1]).sum())
 
@@ -131,8 +138,8 @@ class PalmReport(Report, Shown):
             return
         yield Text(
             f"solves: median {self.solve_ms_median:.1f} ms, 95 % below {self.solve_ms_95:.1f} ms "
-            f"of CPU, one per {1e3 * self.settings['period_s']:.0f} ms; the palm leans by "
-            f"{self.tilt_deg:.0f} degrees"
+            f"of CPU, one per {1e3 * self.settings['period_s']:.0f} ms, and {self.looking:.2f} s a "
+            f"second for looks ahead; the palm leans by {self.tilt_deg:.0f} degrees"
         )
 
     @property
@@ -149,7 +156,7 @@ _PLAIN = (
     *("hand", "object", "mass_kg", "seed", "tilt_deg", "tolerance_deg", "hold_s", "longest_s"),
     *("outcome", "settings", "physics", "wall_s"),
 )
-_ARRAYS = ("time", "error_deg", "T_world_object", "q", "solve_ms")
+_ARRAYS = ("time", "error_deg", "T_world_object", "q", "solve_ms", "look_ms")
 
 
 def palm_page(report: PalmReport) -> Page:
@@ -187,6 +194,7 @@ def palm_page(report: PalmReport) -> Page:
             rows=(
                 ("solve, median", f"{report.solve_ms_median:.2f} ms of CPU"),
                 ("solve, 95 % below", f"{report.solve_ms_95:.2f} ms of CPU"),
+                ("looks ahead", f"{report.looking:.2f} s of CPU a second"),
                 ("fingers opened", str(report.openings)),
             )
         ),

@@ -10,7 +10,7 @@ MOST = 1e6
 """Largest number that a setting may be: beyond it matrices lose their digits."""
 
 LONGEST = 60
-"""Most steps of a horizon, and most sweeps (-): more is no control."""
+"""Most steps of a horizon, sweeps, contacts and branches (-): more is no control."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +49,14 @@ class PalmSettings:
         still_deg: Angle (degrees) to the goal within which the commands stay.
         sweeps: Gauss-Newton steps per solve (-), each from where the last solve ended.
         progress_deg: Gain (degrees) that counts as progress.
-        stall_s: Time (s) without progress after which the fingers open and begin anew.
-        open_s: Time (s) that they take.
-        scatter_rad: Standard deviation of the posture to which they open, rad.
+        ahead_s: How far a look ahead goes, s, and how long its best branch is done; both after
+            fingers have opened.
+        branches: Openings of the fingers that a look tries (-) where going on gains too little.
+        stall_s: Time (s) without progress after which going on is no branch.
+        open_s: Time (s) that fingers take to open.
+        scatter_rad: Standard deviation of the postures to which they open, rad.
+        free_m: Distance (m) of the object to its place that costs nothing in a look ahead.
+        far_deg: What more of it costs, degrees per m.
     """
 
     horizon: int = 4
@@ -78,9 +83,13 @@ class PalmSettings:
     still_deg: float = 3.5
     sweeps: int = 2
     progress_deg: float = 3.0
-    stall_s: float = 2.0
+    ahead_s: float = 1.0
+    branches: int = 8
+    stall_s: float = 3.0
     open_s: float = 0.5
     scatter_rad: float = 0.15
+    free_m: float = 0.015
+    far_deg: float = 2000.0
 
     def __post_init__(self) -> None:
         """Check every number.
@@ -88,10 +97,11 @@ class PalmSettings:
         Raises:
             TaskError: One is out of range.
         """
-        check_fields(self, ("horizon", "contacts", "sweeps"), above=0, most=LONGEST)
+        whole = ("horizon", "contacts", "sweeps", "branches")
+        check_fields(self, whole, above=0, most=LONGEST)
         free = ("weight_share", "running_share", "tip_cost", "scatter_rad", "still_deg", "mu")
         check_fields(self, free, least=0.0, most=MOST)
-        rest = [n for n in self.__dataclass_fields__ if n not in (*free, "horizon", "contacts")]
-        check_fields(self, [n for n in rest if n != "sweeps"], above=0.0, most=MOST)
+        rest = [name for name in self.__dataclass_fields__ if name not in (*free, *whole)]
+        check_fields(self, rest, above=0.0, most=MOST)
         check_fields(self, ("period_s",), most=self.step_s, unit="s")
         check_fields(self, ("slowest",), most=1.0)
