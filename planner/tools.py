@@ -528,6 +528,7 @@ def plan_use(
     best_of: int = BEST_OF,
     options: SynthesisOptions | None = None,
     progress: Callable[[Attempt[GraspPlan]], object] | None = None,
+    fit: Callable[[GraspPlan, GraspTask], GraspPlan | Failure] | None = None,
 ) -> GraspPlan:
     """A grasp for the use of a tool: needed wrenches with margin, and a way that is free.
 
@@ -542,6 +543,8 @@ def plan_use(
         options: Margins, weights and objectives; the needed wrenches join the objectives. Fingers
             ``ASKED_CLEARANCE`` apart if None.
         progress: Called after every attempt.
+        fit: What makes of a grasp without needed wrenches one of the task, or says why it cannot;
+            grasps are searched with needed wrenches if None.
 
     Raises:
         NoGraspFoundError: The budget ended; says which needed wrench failed, and by which limit.
@@ -552,8 +555,15 @@ def plan_use(
 
     def judged() -> Iterator[Attempt[GraspPlan]]:
         asked = options or SynthesisOptions(clear_fingers=ASKED_CLEARANCE)
-        for attempt in attempts(task, seed=seed, options=asked):
+        searched = task if fit is None else replace(task, needed=())
+        for attempt in attempts(searched, seed=seed, options=asked):
             blocked = None if attempt.plan is None else _too_near(attempt.plan)
+            if attempt.plan is not None and blocked is None and fit is not None:
+                fitted = fit(attempt.plan, task)
+                if isinstance(fitted, Failure):
+                    blocked = fitted
+                else:
+                    attempt = replace(attempt, plan=fitted)
             if attempt.plan is not None and blocked is None and way is not None:
                 try:
                     blocked = way_blocked(attempt.plan, way(attempt.plan))

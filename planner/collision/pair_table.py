@@ -236,11 +236,11 @@ def _finger_pairs(
         mine = np.array([of == name for of in finger_of])
         outer |= mine & np.isin(joints, np.unique(joints[mine])[-3:])
     n = len(joints)
-    mine = [(a, b) if b < n else (a, a) for a, b in pairs]
+    apart = [(a, b) if b < n else (a, a) for a, b in pairs]
     between = [
-        finger_of[a] != finger_of[b] and "" not in (finger_of[a], finger_of[b]) for a, b in mine
+        finger_of[a] != finger_of[b] and "" not in (finger_of[a], finger_of[b]) for a, b in apart
     ]
-    return np.array(between), np.array([bool(outer[a] and outer[b]) for a, b in mine])
+    return np.array(between), np.array([bool(outer[a] and outer[b]) for a, b in apart])
 
 
 def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:

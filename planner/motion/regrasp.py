@@ -357,10 +357,10 @@ class FingerPaths:
         for share, center in zip(even[1:-1], centers[1:-1], strict=True):
             guess = q + share * (landed - q)
             guess[finger.q_index] = out[-1][finger.q_index]
-            out.append(self._follow(finger, base, guess, center, q + share * (landed - q), height))
+            out.append(self.follow(finger, base, guess, center, q + share * (landed - q), height))
         return np.array([*out, landed])
 
-    def _follow(
+    def follow(
         self,
         finger: Finger,
         base: SE3,
@@ -369,7 +369,16 @@ class FingerPaths:
         even: FloatArray,
         height: float,
     ) -> FloatArray:
-        """Joints (nq,) near q with the finger's pad centred at a point (3,), object frame."""
+        """Joints (nq,) near q with the finger's pad centred at a point (3,), object frame.
+
+        Args:
+            finger: The finger.
+            base: Pose of the base in the object's frame.
+            q: Joints (nq,) to begin with; those of other fingers stay.
+            center: Where the pad's centre is wanted (3,), m.
+            even: Joints (nq,) that the posture keeps near to.
+            height: Length (m) by which errors are measured.
+        """
         hand, index = self._task.hand, finger.q_index
         inverse, T_world_base = base.inverse(), self._task.T_world_object * base
         wanted = inverse.act(center)
