@@ -557,19 +557,17 @@ def plan_use(
         asked = options or SynthesisOptions(clear_fingers=ASKED_CLEARANCE)
         searched = task if fit is None else replace(task, needed=())
         for attempt in attempts(searched, seed=seed, options=asked):
-            blocked = None if attempt.plan is None else _too_near(attempt.plan)
-            if attempt.plan is not None and blocked is None and fit is not None:
-                fitted = fit(attempt.plan, task)
-                if isinstance(fitted, Failure):
-                    blocked = fitted
-                else:
-                    attempt = replace(attempt, plan=fitted)
-            if attempt.plan is not None and blocked is None and way is not None:
+            plan = attempt.plan
+            found = plan and (_too_near(plan) or (plan if fit is None else fit(plan, task)))
+            if isinstance(found, GraspPlan) and way is not None:
                 try:
-                    blocked = way_blocked(attempt.plan, way(attempt.plan))
+                    found = way_blocked(found, way(found)) or found
                 except TaskError as error:
-                    blocked = Failure(kind="use_way", text=str(error))
-            yield attempt if blocked is None else replace(attempt, plan=None, failure=blocked)
+                    found = Failure(kind="use_way", text=str(error))
+            if isinstance(found, Failure):
+                yield replace(attempt, plan=None, failure=found)
+            else:
+                yield replace(attempt, plan=found)
 
     plan, made = search(
         judged(),

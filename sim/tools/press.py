@@ -31,7 +31,9 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import MovingHand
 from planner.motion.regrasp import LOADED_ROOM, FingerPaths
+from planner.motion.tool_gait import UPRIGHT
 from planner.plan import GraspPlan
+from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from planner.system.threads import made_once
 from planner.task import GraspTask, Obstacle
@@ -56,7 +58,7 @@ PRELOAD, FRICTION = 0.5, 0.1
 """Force of the spring at rest, and of dry friction, as shares of the force at the end (-)."""
 
 DAMPING, ARMATURE = 1e-3, 1e-5
-"""Damping (N m s/rad) and added inertia (kg m2) of the hinge, so that a freed lever does not ring."""
+"""Damping (N m s/rad) and added inertia (kg m2) of the hinge: a lever let go does not ring."""
 
 FREE, DOWN_SHARE = 0.25, 0.8
 """Shares of the stroke (-): below the first the lever is up again, above the second it is down."""
@@ -113,9 +115,7 @@ class Press(Use):
             "presses": 30.0,
             "force_N": 3.0,
             "stroke_m": 0.006,
-            "hinge_x_m": 0.034,
-            "hinge_z_m": 0.1,
-            "lever_m": 0.04,
+            "lever_m": 0.035,
         }
     )
     channels: ClassVar[Mapping[str, str]] = MappingProxyType(
@@ -133,8 +133,6 @@ class Press(Use):
             ("presses", 1, 200),
             ("force_N", 0.1, 50.0),
             ("stroke_m", 0.002, 0.02),
-            ("hinge_x_m", 0.005, 0.1),
-            ("hinge_z_m", 0.01, 0.5),
             ("lever_m", 0.01, 0.1),
         ):
             if not least <= n[key] <= most:
@@ -143,50 +141,50 @@ class Press(Use):
                 )
         if n["stroke_m"] > 0.5 * n["lever_m"]:
             raise ObjectError(f"{name}: stroke_m is more than half of lever_m; give a longer lever")
-        at, force = self._end(0.0)[0], np.array([n["force_N"], 0.0, 0.0])
-        wanted = np.concatenate([force, np.cross(at, force)])
-        given = [one.wrench for one in self.tool.needed]
-        if not any(np.allclose(one, wanted, rtol=0.05, atol=1e-3) for one in given):
-            f, t = wanted[:3], wanted[3:] - np.cross(self.tool.tip, force)
+        force = np.array([n["force_N"], 0.0, 0.0])
+        wanted = np.concatenate([force, np.cross(self.tool.tip, force)])
+        if len(self.tool.needed) != 1 or not np.allclose(self.tool.needed[0].wrench, wanted):
             raise ObjectError(
-                f"{name}: no needed wrench balances the press; give force_N = {f.round(4).tolist()}"
-                f" and torque_N_m = {t.round(4).tolist()} about the tip"
+                f"{name}: its needed wrench does not balance the press; give one, with force_N = "
+                f"{force.tolist()} and no torque: it is about the tip, the lever's end"
             )
+        if abs(self.tool.axis[2]) < UPRIGHT:
+            raise ObjectError(f"{name}: its axis is not along z; a lever hangs along it")
+        self._length, self._stroke = (n[k] * self.tool.scale for k in ("lever_m", "stroke_m"))
+        self._most = float(np.arcsin(self._stroke / self._length))
+        self._hinge = self.tool.tip + np.array([-THICK / 2, 0.0, self._length])
 
-    @property
-    def _most(self) -> float:
-        """Angle of the lever at the end of its stroke, rad."""
-        return float(np.arcsin(self.numbers["stroke_m"] / self.numbers["lever_m"]))
-
-    @property
-    def _hinge(self) -> FloatArray:
-        """Where the hinge is (3,), m, in the tool's frame; its axis is y."""
-        n = self.numbers
-        return np.asarray(self.tool.tip + [n["hinge_x_m"], 0.0, n["hinge_z_m"]])
+    def offered(self, yaw: float = 0.0) -> SE3:
+        """Upright, its lowest point ``gap_m`` above the block."""
+        shape, pose = self.tool.shape, self.tool.T_world_object(np.zeros(3), yaw)
+        corners = shape.vertices if isinstance(shape, Mesh) else np.array([-shape.half_extents])
+        lowest = float((corners @ pose.rotation.T)[:, 2].min())
+        return SE3(pose.rotation, np.array([0.0, 0.0, self._size[2] + self._gap - lowest]))
 
     def _end(self, angle: float) -> tuple[FloatArray, FloatArray]:
         """Where the lever is pressed (3,), m, and its outward normal (3,), at an angle (rad)."""
         turn = pin.exp3(np.array([0.0, angle, 0.0]))
-        place = turn @ [THICK / 2, 0.0, -self.numbers["lever_m"]]
+        place = turn @ [THICK / 2, 0.0, -self._length]
         return self._hinge + place, turn[:, 0]
 
     def _lever(self, task: GraspTask, angle: float) -> Obstacle:
         """The lever as it stands in the way, at an angle (rad)."""
-        length, turn = self.numbers["lever_m"], pin.exp3(np.array([0.0, angle, 0.0]))
-        middle = SE3(turn, self._hinge + turn @ [0.0, 0.0, -length / 2])
-        size = (THICK, WIDE, length)
+        turn = pin.exp3(np.array([0.0, angle, 0.0]))
+        middle = SE3(turn, self._hinge + turn @ [0.0, 0.0, -self._length / 2])
+        size = (THICK, WIDE, self._length)
         return Obstacle(name=LEVER, size=size, T_world_obstacle=task.T_world_object * middle)
 
     def add_fixture(self, spec: Any, physics: PhysicsOptions, yaw: float) -> None:
         """Add the lever to the tool."""
         del yaw
-        n, length = self.numbers, self.numbers["lever_m"]
+        length = self._length
         body = spec.body(OBJECT).add_body(name=LEVER, pos=self._hinge)
         given = {"axis": [0, 1, 0], "damping": DAMPING, "armature": ARMATURE}
         hinge = body.add_joint(name=LEVER, type=mujoco.mjtJoint.mjJNT_HINGE, **given)
         unit = 1.0 if not spec.compiler.degree else float(np.rad2deg(1.0))
         hinge.limited, hinge.range = True, [0.0, unit * self._most]
-        torque = self.friction * n["force_N"] * length
+        hinge.solref_limit = physics.solref
+        torque = self.friction * self.numbers["force_N"] * length
         spring = (1.0 - FRICTION - PRELOAD) * torque / self._most
         hinge.stiffness = [spring, 0.0, 0.0]
         hinge.springref = -unit * PRELOAD * torque / spring
@@ -203,7 +201,7 @@ class Press(Use):
         return "index" if "index" in names else names[0]
 
     def fit(self, plan: GraspPlan, task: GraspTask) -> GraspPlan | Failure:
-        """The grasp turned about the tool's axis so that the finger can press the lever; or why not.
+        """The grasp turned about the tool's axis, the finger at the lever; or why there is none.
 
         Args:
             plan: A grasp of the body alone, without needed wrenches.
@@ -260,9 +258,7 @@ class Press(Use):
                     break
             if missed > MISSED:
                 text = f"{finger.name} misses its place at the lever by {1e3 * missed:.1f} mm"
-                return Failure(
-                    kind="lever_out_of_reach", text=text, numbers={"missed": missed}
-                )
+                return Failure(kind="lever_out_of_reach", text=text, numbers={"missed": missed})
             axis = T_object_base.rotation @ moving.pad_axis(finger)
             if float(axis @ -normal) < np.cos(FACING):
                 text = f"the pad of {finger.name} does not face the lever"
@@ -349,14 +345,14 @@ class Press(Use):
             fingers = [scene.finger_of_geom[g] for g in geoms if g in scene.finger_of_geom]
             load[presser in fingers] += float(force[0])
         return {
-            "stroke_mm": 1e3 * self.numbers["lever_m"] * np.sin(joint_value(simulation, LEVER)),
+            "stroke_mm": 1e3 * self._length * float(np.sin(joint_value(simulation, LEVER))),
             "force_N": load[True],
             "stray_N": load[False],
         }
 
     def _pressed(self, stroke_mm: FloatArray) -> int:
         """How often the lever went down and came up again, by its stroke (m,)."""
-        share, count, is_down = stroke_mm / (1e3 * self.numbers["stroke_m"]), 0, False
+        share, count, is_down = stroke_mm / (1e3 * self._stroke), 0, False
         for s in share.tolist():
             if not is_down and s >= DOWN_SHARE:
                 is_down = True
@@ -378,8 +374,8 @@ class Press(Use):
         n = self.numbers
         return (
             f"the lever went down and came up {self._pressed(seen['stroke_mm'])} of "
-            f"{n['presses']:.0f} times, against {self.friction * n['force_N']:g} N; pressed with up "
-            f"to {seen['force_N'].max():.1f} N"
+            f"{n['presses']:.0f} times against {self.friction * n['force_N']:g} N, pressed with "
+            f"{seen['force_N'].max():.1f} N at most"
         )
 
 
