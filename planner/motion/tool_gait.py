@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -157,15 +158,11 @@ def plan_tool_gait(
 
 
 def _searches(task: GraspTask) -> Iterator[GraspTask]:
-    """The task with all fingers of the hand, or with one less, that at either end of the row.
-
-    An idle finger between two that move on is in their way: a little finger pressed with 7 N on a
-    ring finger whose planned distance was 2 mm.
-    """
+    """The task with all fingers of the hand, then with one less, for each but the first."""
     names = tuple(task.hand.fingers) if task.may_spare_fingers else task.finger_names
     sets = [names]
     if task.may_spare_fingers and len(names) > FEWEST:
-        sets = [names[:-1], (names[0], *names[2:])]  # the first opposes the others
+        sets = [one for one in combinations(names, len(names) - 1) if one[0] == names[0]]
     for _ in range(ROUNDS):
         for one in sets:
             yield task.with_fingers(one)

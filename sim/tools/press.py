@@ -171,7 +171,7 @@ class Press(Use):
         """The lever as it stands in the way, at an angle (rad)."""
         turn = pin.exp3(np.array([0.0, angle, 0.0]))
         middle = SE3(turn, self._hinge + turn @ [0.0, 0.0, -self._length / 2])
-        size = (THICK, WIDE, self._length)
+        size = np.array([THICK, WIDE, self._length])
         return Obstacle(name=LEVER, size=size, T_world_obstacle=task.T_world_object * middle)
 
     def add_fixture(self, spec: Any, physics: PhysicsOptions, yaw: float) -> None:
