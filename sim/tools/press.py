@@ -290,7 +290,7 @@ class Press(Use):
                 one
                 for one in world.distances(base, q)
                 if not (one.second == LEVER and one.first in mine)
-                and not (one.second == "object" and one.first in pads)
+                and not (one.second == OBJECT and one.first in pads)
             ]
             worst = min(near, key=lambda one: one.distance)
             crowded = world.between_fingers(base, q, LOADED_ROOM)
