@@ -528,6 +528,7 @@ def plan_use(
     best_of: int = BEST_OF,
     options: SynthesisOptions | None = None,
     progress: Callable[[Attempt[GraspPlan]], object] | None = None,
+    fit: Callable[[GraspPlan, GraspTask], GraspPlan | Failure] | None = None,
 ) -> GraspPlan:
     """A grasp for the use of a tool: needed wrenches with margin, and a way that is free.
 
@@ -542,6 +543,8 @@ def plan_use(
         options: Margins, weights and objectives; the needed wrenches join the objectives. Fingers
             ``ASKED_CLEARANCE`` apart if None.
         progress: Called after every attempt.
+        fit: What makes of a grasp without needed wrenches one of the task, or says why it cannot;
+            grasps are searched with needed wrenches if None.
 
     Raises:
         NoGraspFoundError: The budget ended; says which needed wrench failed, and by which limit.
@@ -552,14 +555,19 @@ def plan_use(
 
     def judged() -> Iterator[Attempt[GraspPlan]]:
         asked = options or SynthesisOptions(clear_fingers=ASKED_CLEARANCE)
-        for attempt in attempts(task, seed=seed, options=asked):
-            blocked = None if attempt.plan is None else _too_near(attempt.plan)
-            if attempt.plan is not None and blocked is None and way is not None:
+        searched = task if fit is None else replace(task, needed=())
+        for attempt in attempts(searched, seed=seed, options=asked):
+            plan = attempt.plan
+            found = plan and (_too_near(plan) or (plan if fit is None else fit(plan, task)))
+            if isinstance(found, GraspPlan) and way is not None:
                 try:
-                    blocked = way_blocked(attempt.plan, way(attempt.plan))
+                    found = way_blocked(found, way(found)) or found
                 except TaskError as error:
-                    blocked = Failure(kind="use_way", text=str(error))
-            yield attempt if blocked is None else replace(attempt, plan=None, failure=blocked)
+                    found = Failure(kind="use_way", text=str(error))
+            if isinstance(found, Failure):
+                yield replace(attempt, plan=None, failure=found)
+            else:
+                yield replace(attempt, plan=found)
 
     plan, made = search(
         judged(),

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 
+from planner.collision.world import Clearance, CollisionWorld
 from planner.errors import PlannerError
 from planner.failure import Failure
 from planner.files import read_manipulation, write_manipulation
 from planner.motion.plan import Knot, ManipulationPlan
+from planner.motion.regrasp import FingerPaths
 from planner.motion.tool_gait import handle_cylinder, posture_blocked
 from planner.motion.verify import MovementVerifier, Waypoint
 from planner.objects import NeededWrench, TouchRegion
 from planner.shapes import Cylinder, Mesh
-from planner.spatial import SE3
+from planner.spatial import SE3, FloatArray
 from planner.tools import Tool, load_tool
 from sim.cli import main
 from sim.manipulation.machine import StateMachine
@@ -127,6 +130,51 @@ def test_postures_are_checked_against_the_true_tool_and_its_workpiece(
     blocked = posture_blocked(gait, replace(task, obstacles=(higher,)))
     assert blocked is not None
     assert "in the way" in blocked.text
+
+
+def test_fingers_keep_2_mm_from_each_other_on_every_swing(
+    gait: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = replace(gait.task, object=standing(screwdriver()))
+    world = CollisionWorld(task)
+    postures = [q for move in gait.regrasps for q in move.postures]
+    assert [world.between_fingers(gait.T_world_base, q, 2e-3) for q in postures] == [None] * len(
+        postures
+    )
+    nearest = min(nearest_fingers(world, gait, q).distance for q in postures)
+    monkeypatch.setattr("planner.motion.tool_gait.LOADED_ROOM", nearest + 1e-4)
+    blocked = posture_blocked(gait, task)
+    assert blocked is not None
+    assert "fingers that bear the use yield" in blocked.text
+
+
+def nearest_fingers(world: CollisionWorld, gait: ManipulationPlan, q: FloatArray) -> Clearance:
+    """The nearest links of two fingers in a posture."""
+    found = world.between_fingers(gait.T_world_base, q, 1.0)
+    assert found is not None
+    return found
+
+
+def test_a_swing_past_a_neighbour_is_refused_under_load(gait: ManipulationPlan) -> None:
+    lifted = replace(gait.task, table_height=None, obstacles=())
+    move, base = gait.regrasps[0], gait.knots[-1].T_world_object.inverse() * gait.T_world_base
+    finger = lifted.hand.fingers[move.finger]
+    paths = FingerPaths(lifted)
+    assert paths.verify(finger, base, move.postures) is None
+    paths._apart = 0.06
+    refused = paths.verify(finger, base, move.postures)
+    assert refused is not None
+    assert refused.kind == "swing_crowded"
+    assert FingerPaths(replace(lifted, needed=()))._apart == 0.0
+
+
+def test_idle_fingers_stay_where_swings_were_verified(
+    gait: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Moved by 20 degrees, an idle ring finger was 2.6 mm within the little finger's swing."""
+    moved = SimpleNamespace(T_palm_wanted=None)
+    monkeypatch.setattr("sim.manipulation.driver.out_of_the_way", lambda plan: moved)
+    assert FingersTrial(gait, screwdriver(40.0)).sim.driver._motion is gait
 
 
 def test_a_handle_that_is_round_is_planned_for_as_a_cylinder() -> None:

@@ -38,10 +38,12 @@ from sim.cli import main
 from sim.cli.grasp import UseOptions
 from sim.controllers.object_impedance import ObjectImpedance
 from sim.report_file import ReportFile, read_report, write_report_of
+from sim.scene.build import OBJECT
 from sim.scene.physics import PhysicsOptions
 from sim.show.trial_page import trial_page
 from sim.simulation import Simulation
 from sim.tools import USES
+from sim.tools.press import LEVER
 from sim.tools.strike import Strike, _Blow
 from sim.tools.trial import UseController, yaw_of_plan
 from sim.tools.turn import HINGE, MADE, RAMP, RATE, SLIDE, Turn
@@ -95,9 +97,10 @@ def test_our_tools_are_offered_axis_down_and_fit_their_fixture(name: str) -> Non
     pose = use.offered(0.4)
     assert np.allclose(pose.rotation @ tool.axis, [0, 0, -1])
     spec = mujoco.MjSpec()
-    spec.worldbody.add_body(name="obstacle/workpiece").add_geom(size=[0.01, 0.01, 0.01])
+    for body in ("obstacle/workpiece", OBJECT):
+        spec.worldbody.add_body(name=body).add_geom(size=[0.01, 0.01, 0.01])
     use.add_fixture(spec, PhysicsOptions(), 0.4)
-    assert spec.compile().body(FIXTURE).id > 0
+    assert spec.compile().body(LEVER if name == "spray_bottle" else FIXTURE).id > 0
     assert [obstacle.name for obstacle in use.obstacles] == ["workpiece"]
 
 
@@ -259,7 +262,7 @@ def test_a_screw_advances_by_its_lead_and_its_friction_holds() -> None:
 
 
 def test_kinds_of_use_are_registered() -> None:
-    assert {"turn", "strike"} <= set(USES)
+    assert {"turn", "strike", "press"} <= set(USES)
 
 
 @pytest.mark.slow

@@ -106,7 +106,8 @@ class PairTable:
         joints: Pinocchio's joints that carry them (n_pairs, 2).
         hand_environment_pairs: Which pairs (n_pairs,) are of hand and surroundings;
         of_arm: which have to do with the arm that carries the hand;
-        finger_pairs: which are of links on the last three joints of two different fingers;
+        between_fingers: which are of two different fingers;
+        finger_pairs: which of those are of links on their last three joints;
         on_object: which are with the object;
         on_mesh: which are with an object that is a mesh.
     """
@@ -121,6 +122,7 @@ class PairTable:
     joints: IntArray
     hand_environment_pairs: NDArray[np.bool_]
     of_arm: NDArray[np.bool_]
+    between_fingers: NDArray[np.bool_]
     finger_pairs: NDArray[np.bool_]
     on_object: NDArray[np.bool_]
     on_mesh: NDArray[np.bool_]
@@ -150,6 +152,7 @@ class PairTable:
         arm = hand.arm.geometries if hand.arm is not None else frozenset()
         joint = [*(g.joint_id for g in hand.geometries), *(0 for _ in surroundings)]
         on_object = np.array([b == OBJECT for _, b in named])
+        between, outer = _finger_pairs(hand, pairs)
         return cls(
             model=model,
             names=tuple(names),
@@ -161,7 +164,8 @@ class PairTable:
             joints=np.array([(joint[a], joint[b]) for a, b in pairs]),
             hand_environment_pairs=np.array([b >= n_hand for _, b in pairs]),
             of_arm=np.array([a in arm or b in arm for a, b in named]),
-            finger_pairs=_finger_pairs(hand, pairs),
+            between_fingers=between,
+            finger_pairs=between & outer,
             on_object=on_object,
             on_mesh=on_object & isinstance(task.object.shape, Mesh),
         )
@@ -221,8 +225,10 @@ def _pairs(hand: Hand, names: Sequence[str]) -> list[tuple[int, int]]:
     return pairs
 
 
-def _finger_pairs(hand: Hand, pairs: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
-    """Which pairs (n_pairs,) are of links on the last three joints of two different fingers."""
+def _finger_pairs(
+    hand: Hand, pairs: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which pairs (n_pairs,) are of two different fingers, and of links on their last joints."""
     finger_of = [hand.finger_of_body.get(g.body, "") for g in hand.geometries]
     joints = np.array([g.joint_id for g in hand.geometries])
     outer = np.zeros(len(joints), dtype=bool)
@@ -230,12 +236,11 @@ def _finger_pairs(hand: Hand, pairs: Sequence[tuple[int, int]]) -> NDArray[np.bo
         mine = np.array([of == name for of in finger_of])
         outer |= mine & np.isin(joints, np.unique(joints[mine])[-3:])
     n = len(joints)
-    return np.array(
-        [
-            b < n and bool(outer[a]) and bool(outer[b]) and finger_of[a] != finger_of[b]
-            for a, b in pairs
-        ]
-    )
+    apart = [(a, b) if b < n else (a, a) for a, b in pairs]
+    between = [
+        finger_of[a] != finger_of[b] and "" not in (finger_of[a], finger_of[b]) for a, b in apart
+    ]
+    return np.array(between), np.array([bool(outer[a] and outer[b]) for a, b in apart])
 
 
 def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:

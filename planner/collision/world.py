@@ -206,6 +206,12 @@ class CollisionWorld:
         self._pairs.place(T_world_base, q)
         return self._nearest(self._moving[moving])
 
+    def between_fingers(self, T_world_base: SE3, q: FloatArray, limit: float) -> Clearance | None:
+        """The pair of two different fingers that is nearest, where that is below a limit (m)."""
+        self._pairs.place(T_world_base, q)
+        found = self._nearest(self._table.between_fingers, limit)
+        return found if found.distance < limit else None
+
     def swept_clearance_violation(
         self, T_world_base: SE3, q: FloatArray, way: FloatArray, clearance: float
     ) -> Clearance | None:

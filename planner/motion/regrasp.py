@@ -19,7 +19,8 @@ The joints of the finger follow by steps, each a quadratic programme (``planner.
     s.t. nearby pairs stay ``ROOM`` apart (soft); couplings; joint limits
 
 with q_even interpolated between both postures. The result is verified with coal at every sample and
-half-way between samples: nothing penetrates, and the lifted pad stays clear of the object.
+half-way between samples: nothing penetrates, and the lifted pad stays clear of the object. Where
+the fingers that hold bear the load of a use, fingers also keep ``LOADED_ROOM`` from each other.
 """
 
 from __future__ import annotations
@@ -285,6 +286,11 @@ ROOM = 1e-3
 PRICE = 100.0
 """Cost of falling short of ``ROOM`` by one height (-)."""
 
+LOADED_ROOM = 2e-3
+"""Least distance (m) between links of different fingers in a gait whose task needs wrenches:
+fingers that bear them yield by a millimetre, and one that swung 0.5 mm past its neighbour pressed
+on it with 1.8 N."""
+
 STILL = 1e-3
 """Rate of a distance (m/rad) below which the finger cannot change it."""
 
@@ -310,6 +316,7 @@ class FingerPaths:
             task: Without table and obstacles: the object is lifted.
         """
         self._task = task
+        self._apart = LOADED_ROOM if task.needed else 0.0
         self.world = CollisionWorld(task)
         self._moving = MovingHand(task.hand, task.hand.q_lower)
 
@@ -350,10 +357,10 @@ class FingerPaths:
         for share, center in zip(even[1:-1], centers[1:-1], strict=True):
             guess = q + share * (landed - q)
             guess[finger.q_index] = out[-1][finger.q_index]
-            out.append(self._follow(finger, base, guess, center, q + share * (landed - q), height))
+            out.append(self.follow(finger, base, guess, center, q + share * (landed - q), height))
         return np.array([*out, landed])
 
-    def _follow(
+    def follow(
         self,
         finger: Finger,
         base: SE3,
@@ -362,7 +369,16 @@ class FingerPaths:
         even: FloatArray,
         height: float,
     ) -> FloatArray:
-        """Joints (nq,) near q with the finger's pad centred at a point (3,), object frame."""
+        """Joints (nq,) near q with the finger's pad centred at a point (3,), object frame.
+
+        Args:
+            finger: The finger.
+            base: Pose of the base in the object's frame.
+            q: Joints (nq,) to begin with; those of other fingers stay.
+            center: Where the pad's centre is wanted (3,), m.
+            even: Joints (nq,) that the posture keeps near to.
+            height: Length (m) by which errors are measured.
+        """
         hand, index = self._task.hand, finger.q_index
         inverse, T_world_base = base.inverse(), self._task.T_world_object * base
         wanted = inverse.act(center)
@@ -400,7 +416,8 @@ class FingerPaths:
         near = self.world.near(T_world_base, q, SEEN)
         rates = near.rates(self._moving)[:, index]
         moving = np.abs(rates).max(axis=1, initial=0.0) > STILL
-        return rates[moving], (ROOM - near.distances)[moving]
+        room = ROOM + np.where(near.hand_environment, 0.0, self._apart)
+        return rates[moving], (room - near.distances)[moving]
 
     def verify(self, finger: Finger, T_object_base: SE3, postures: FloatArray) -> Failure | None:
         """Why the swing (m, nq) of one finger is refused, None if it is free."""
@@ -433,6 +450,14 @@ class FingerPaths:
                     text=f"the swing of {finger.name} is blocked at {_where(k, samples)}: "
                     f"{found[0]}",
                     numbers={"distance": found[0].distance},
+                )
+            crowded = self._apart and self.world.between_fingers(T_world_base, q, self._apart)
+            if crowded:
+                return Failure(
+                    kind="swing_crowded",
+                    text=f"{crowded} apart at {_where(k, samples)}; fingers keep "
+                    f"{1e3 * self._apart:g} mm",
+                    numbers={"distance": crowded.distance},
                 )
             gap = self._gap(finger, T_object_base, q)
             if not leaving and gap < CLEAR:

@@ -25,13 +25,15 @@ from planner.failure import Failure
 from planner.motion.ending import find_release, object_at_target
 from planner.motion.gait import MAX_ATTEMPTS, plan_gait
 from planner.motion.plan import Ending, ManipulationPlan, MovementPlan, Stroke
+from planner.motion.regrasp import LOADED_ROOM
+from planner.motion.search import MOTION_OPTIONS
 from planner.motion.task import SEEDS_APART
 from planner.shapes import Mesh
 from planner.shapes.cylinder import Cylinder
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL
-from planner.tools import Tool
+from planner.tools import ASKED_CLEARANCE, Tool
 from planner.verification.grasp import verify_grasp
 
 ROUND = 2e-4
@@ -122,7 +124,11 @@ def plan_tool_gait(
     for number, one in enumerate(_searches(rounded)):
         try:
             gait = plan_gait(
-                one, angle=angle, seed=seed + number * SEEDS_APART, max_attempts=max_attempts
+                one,
+                angle=angle,
+                seed=seed + number * SEEDS_APART,
+                max_attempts=max_attempts,
+                options=replace(MOTION_OPTIONS, clear_fingers=ASKED_CLEARANCE),
             )
         except NoGraspFoundError as error:
             why.append(str(error))
@@ -215,7 +221,9 @@ def _postures(gait: MovementPlan) -> list[FloatArray]:
 
 
 def posture_blocked(gait: MovementPlan, task: GraspTask) -> Failure | None:
-    """What the hand comes into in a posture of a gait, the palm where it grasps; None if nothing.
+    """What is in the way in a posture of a gait, the palm where it grasps; None if nothing.
+
+    Nothing may be penetrated, and links of different fingers keep ``LOADED_ROOM`` apart.
 
     Args:
         gait: The gait.
@@ -229,5 +237,13 @@ def posture_blocked(gait: MovementPlan, task: GraspTask) -> Failure | None:
                 kind="use_collision",
                 text=f"a posture of the gait is not free where the tool stands: {near}",
                 numbers={"distance": near.distance},
+            )
+        crowded = world.between_fingers(gait.T_world_base, q, LOADED_ROOM)
+        if crowded is not None:
+            return Failure(
+                kind="use_clearance",
+                text=f"{crowded} apart in a posture of the gait; fingers that bear the use yield, "
+                f"{1e3 * LOADED_ROOM:g} mm are kept",
+                numbers={"distance": crowded.distance},
             )
     return None

@@ -207,7 +207,7 @@ def plan(
         tell(str(found[0]), f"written to {output}", *filter(None, [drawn]))
 
 
-ToolArgument = Annotated[str, argument("screwdriver, key, lid, hammer, or NAME.toml.", "TOOL")]
+ToolArgument = Annotated[str, argument("screwdriver, spray_bottle, ..., or NAME.toml.", "TOOL")]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -269,8 +269,11 @@ def _touches(scene: Scene, geoms: Sequence[Sequence[int]], forces: Sequence[floa
 def _side(scene: Scene, geom: int) -> str:
     if geom in scene.finger_of_geom:
         return "hand"
-    if int(scene.model.geom_bodyid[geom]) == scene.object_body:
+    body = int(scene.model.geom_bodyid[geom])
+    if body == scene.object_body:
         return "object"
+    if scene.root_of_body[body] == scene.object_body:
+        return "part"  # a lever that moves with the object: pressed, not collided with
     return "table" if scene.model.geom(geom).name == TABLE else "obstacle"
 
 

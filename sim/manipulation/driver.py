@@ -69,7 +69,8 @@ class ManipulationDriver:
         self.holding = holding
         self.swing: FingerSwing | None = None
         self._plan, self._rate = plan, rate
-        self._motion = out_of_the_way(plan)
+        # swings of a tool's gait were verified with idle fingers where they are planned
+        self._motion = plan if plan.task.needed else out_of_the_way(plan)
         self.reference = self.begin_stroke(plan.angle)
         release = plan.ending.release
         self._opening = PostureServo(plan.grasp, plan.grasp.q if release is None else release.q)

@@ -8,6 +8,7 @@ A kind of use is one file and one registration: a subclass of ``Use`` (``sim.too
 """
 
 from sim.tools.fingers import FingersTrial, plan_fingers, use_tool
+from sim.tools.press import Press
 from sim.tools.strike import Strike
 from sim.tools.trial import UseTimeline, UseTrial, plan_tool
 from sim.tools.turn import Turn
@@ -15,6 +16,7 @@ from sim.tools.use import USES, Use, register_use
 
 register_use("turn", Turn)
 register_use("strike", Strike)
+register_use("press", Press)
 
 __all__ = [
     "USES",

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from planner.arrays import checked_number
 from planner.errors import TaskError
+from planner.hand_loading import load_hand
 from planner.plan import GraspPlan
 from planner.search.grasp import Attempt
 from planner.shapes.registry import shape_key
 from planner.spatial import FloatArray, IntArray, signed_twist
 from planner.task import GraspTask
-from planner.tools import Tool, load_tool, plan_use, use_data, use_task
+from planner.tools import BEST_OF, Tool, load_tool, plan_use, use_data, use_task
 from sim.controllers import PHASES, Observation, Phase
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.object_impedance import ObjectImpedance
@@ -33,6 +34,7 @@ from sim.report import FingerComparison, TrialReport
 from sim.scene.carrier import Timeline, carrier_of
 from sim.scene.gantry import Gantry
 from sim.simulation import Simulation
+from sim.tools.press import Press, PressingFinger
 from sim.tools.use import DOWN, Use, needs_gantry, use_of
 from sim.trial import Trial, TrialKeywords, TrialOptions, run_grasp_phase, why_not_lifted
 from sim.verdict import (
@@ -54,6 +56,9 @@ MOST_RESIST = 100.0
 
 SAME_POSE = 1e-6
 """How far entries of two poses (-, m) may differ that are one: a plan file rounds."""
+
+FITTED = 2
+"""Grasps of which the best is taken where one finger must reach a lever: few let it."""
 
 USING: tuple[Phase, ...] = ("engage", "use", "withdraw")
 """Phases between the squeeze and the hold."""
@@ -96,22 +101,31 @@ class UseController(ObjectImpedance):
 
     turning_time: ClassVar[float] = 0.0
 
-    def __init__(self, plan: GraspPlan, *, learns: bool = True) -> None:
+    def __init__(
+        self, plan: GraspPlan, *, learns: bool = True, finger: PressingFinger | None = None
+    ) -> None:
         """Note how hard the fingers press in the plan while the needed wrenches are produced.
 
         Args:
             plan: What to execute.
             learns: Whether a lasting load is learned; blows are none.
+            finger: What drives a finger that does not hold; None where all do.
         """
         super().__init__(plan)
         if not learns:
             self.law = ImpedanceLaw(replace(self.law.gains, learning_rate=0.0))
         self._before_use: FloatArray | None = None
+        self._finger = finger
         pressed = [float(found.forces[:, 0].mean()) for found in plan.needed]
         self._firm = max([self.grip, *pressed])
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
+        own = None
+        if self._finger is not None and observation.phase in (*USING, "hold"):
+            before = self._finger.load
+            own = self._finger.step(observation)
+            self.law.load = self.law.load + self._finger.load - before
         if observation.phase in USING:
             self.grip = self._firm
             turn = observation.T_world_base.rotation  # the load is in base axes, and the base turns
@@ -120,7 +134,10 @@ class UseController(ObjectImpedance):
             if observation.phase == "withdraw" and self._before_use is not None:
                 self.law.load, self._before_use = (self._before_use @ turn).ravel(), None
             observation = observation.altered(phase="hold")
-        return super().step(observation)
+        ctrl = super().step(observation)
+        if own is None or self._finger is None:
+            return ctrl
+        return np.where(self._finger.actuators, own, ctrl)
 
 
 class UseCarrier:
@@ -225,7 +242,11 @@ class UseTrial(Trial):
             replace(
                 asked,
                 timeline=timeline,
-                controller=UseController(plan, learns=self.use.lasting),
+                controller=UseController(
+                    plan,
+                    learns=self.use.lasting,
+                    finger=self.use.finger(plan) if isinstance(self.use, Press) else None,
+                ),
                 thresholds=asked.thresholds or USE_THRESHOLDS,
             ),
         )
@@ -407,6 +428,9 @@ def task_of_use(
     """
     use = use_of(tool)
     use.yaw = yaw = checked_number("yaw", yaw, unit="rad", error=TaskError)
+    if isinstance(use, Press):
+        hand = load_hand(hand)
+        changes = {"fingers": use.holding_fingers(hand), **changes}
     task = use_task(hand, tool, use.offered(yaw), obstacles=use.obstacles, **changes)
     return task, use
 
@@ -437,4 +461,12 @@ def plan_tool(
             no grasp in the budget, with the needed wrench and the limit that ended it.
     """
     task, use = task_of_use(hand, load_tool(tool), yaw=yaw, **changes)
-    return plan_use(task, use.way, seed=seed, max_attempts=max_attempts, progress=progress)
+    return plan_use(
+        task,
+        use.way,
+        seed=seed,
+        max_attempts=max_attempts,
+        progress=progress,
+        best_of=FITTED if isinstance(use, Press) else BEST_OF,
+        fit=use.fit if isinstance(use, Press) else None,
+    )

@@ -1,0 +1,172 @@
+"""A lever that one finger presses while the others hold: its free body, its way, its count."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from planner.collision.world import CollisionWorld
+from planner.errors import PlannerError
+from planner.failure import Failure
+from planner.kinematics.state import HandState
+from planner.plan import GraspPlan
+from planner.tools import Tool, load_tool
+from sim.contacts.reading import _kind, _side
+from sim.scene.build import OBJECT
+from sim.scene.physics import PhysicsOptions
+from sim.tools import UseTrial, plan_tool
+from sim.tools.press import IN, LEVER, OUT, PRELOAD, REST, STAY, Press
+from sim.tools.use import use_of
+
+
+def bottle(**numbers: float) -> Tool:
+    """The spray bottle with other numbers of its use."""
+    tool = load_tool("spray_bottle")
+    assert tool.use is not None
+    use = tool.use.model_copy(update={"numbers": {**tool.use.numbers, **numbers}})
+    return replace(tool, use=use)
+
+
+def press(**numbers: float) -> Press:
+    """Its use."""
+    use = use_of(bottle(**numbers))
+    assert isinstance(use, Press)
+    return use
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_tool("allegro_hand", "spray_bottle", seed=0, max_attempts=300)
+
+
+def test_the_others_hold_and_balance_the_pressing_finger(plan: GraspPlan) -> None:
+    assert plan.task.finger_names == ("thumb", "middle", "ring")
+    use, pose = press(), plan.task.T_world_object
+    place, normal = use._end(0.0)
+    assert np.allclose(place, use.tool.tip)
+    pressed = -use.numbers["force_N"] * pose.rotation @ normal  # of the finger on the tool
+    at = pose.rotation @ place
+    weight = plan.task.object.mass * 9.81
+    (found,), times = plan.needed, plan.task.needed_margin
+    forces = found.contacts.forces_in_axes()
+    levers = found.contacts.positions - pose.translation
+    assert np.allclose(forces.sum(axis=0) + times * pressed - [0, 0, weight], 0.0, atol=1e-5)
+    torque = np.cross(levers, forces).sum(axis=0) + times * np.cross(at, pressed)
+    assert np.allclose(torque, 0.0, atol=1e-6)
+    load = use.finger(plan)._most.reshape(2, 3) @ plan.T_world_base.rotation.T  # world
+    assert np.allclose(load[0], -pressed)
+    assert np.allclose(load[1], -np.cross(at, pressed))
+
+
+def test_the_finger_goes_to_the_lever_and_along_its_arc(plan: GraspPlan) -> None:
+    use = press()
+    way = use.finger_way(plan.task, plan.T_world_base, plan.q)
+    assert not isinstance(way, Failure)
+    others = [j for j in range(plan.task.hand.nq) if j not in way.finger.q_index]
+    assert np.allclose(way.stroke[:, others], plan.q[others])
+    assert np.allclose(way.reach[0], plan.q)
+    assert np.allclose(way.reach[-1], way.stroke[0])
+    base = plan.task.T_world_object.inverse() * plan.T_world_base
+    for q, angle in ((way.stroke[0], 0.0), (way.stroke[-2], 0.75 * use._most)):
+        place, normal = use._end(angle)
+        pad = base.act(HandState(plan.task.hand, q).pad_center(way.finger))
+        assert (pad - place) @ normal == pytest.approx(way.finger.pad.radius, abs=1.5e-3)
+    world = CollisionWorld(plan.task)
+    near = [world.between_fingers(plan.T_world_base, q, 2e-3) for q in way.reach]
+    assert near == [None] * len(near)
+
+
+def test_a_lever_that_cannot_be_pressed_is_told(plan: GraspPlan) -> None:
+    def refused(use: Press, q: np.ndarray[Any, Any] | None = None) -> str:
+        found = use.finger_way(plan.task, plan.T_world_base, plan.q if q is None else q)
+        assert isinstance(found, Failure)
+        return found.kind
+
+    far = press()
+    far._hinge = far._hinge + np.array([0.3, 0.0, 0.0])
+    assert refused(far) == "lever_out_of_reach"
+    hard = press()
+    hard.numbers = {**hard.numbers, "force_N": 60.0}
+    assert refused(hard) == "lever_too_hard"
+    behind = press()
+    behind._hinge = behind._hinge - np.array([0.012, 0.0, 0.02])  # where the others hold
+    assert refused(behind) in ("lever_blocked", "lever_out_of_reach", "lever_not_faced")
+
+
+def test_a_spring_holds_the_lever_off_and_its_force_is_that_of_the_file() -> None:
+    use, spec = press(), mujoco.MjSpec()
+    spec.worldbody.add_body(name=OBJECT).add_geom(size=[0.01, 0.01, 0.01])
+    PhysicsOptions().apply(spec, np.zeros(3))
+    use.add_fixture(spec, PhysicsOptions(), 0.0)
+    model = spec.compile()
+    data, end = mujoco.MjData(model), 0.035
+    reached = []
+    for force in (0.7 * PRELOAD * 2.0, 2.1):
+        data.qfrc_applied[model.joint(LEVER).dofadr[0]] = force * end
+        for _ in range(2000):
+            mujoco.mj_step(model, data)
+        reached.append(1e3 * end * np.sin(float(data.joint(LEVER).qpos[0])))
+    assert reached[0] == pytest.approx(0.0, abs=0.2)
+    assert reached[1] == pytest.approx(6.0, abs=0.3)
+
+
+def test_presses_are_counted_down_and_up() -> None:
+    use = press(presses=3.0)
+    stroke = np.array([0.0, 6.0, 2.0, 6.0, 0.0, 4.0, 0.0, 5.0, 1.0])  # 2.0 is not up, 4.0 not down
+    assert use._pressed(stroke) == 2
+    seen = {name: stroke for name in use.channels}
+    (fault,) = use.faults(np.arange(9.0), ["use"] * 9, seen)
+    assert fault[1] == "use not done"
+    assert "2 of 3 times" in fault[2]
+    assert press(presses=2.0).faults(np.arange(9.0), ["use"] * 9, seen) == []
+
+
+def test_a_press_goes_down_stays_and_comes_up(plan: GraspPlan) -> None:
+    finger = press().finger(plan)
+    times = (0.0, IN + STAY / 2, IN + STAY + OUT + REST / 2, 2 * IN + STAY + OUT + REST)
+    assert [finger.share(t) for t in times] == pytest.approx([0.0, 1.0, 0.0, 1.0])
+
+
+def test_a_hand_on_a_part_of_the_object_has_not_collided(plan: GraspPlan) -> None:
+    trial = UseTrial(plan, bottle())
+    scene = trial.simulation.scene
+    lever = int(scene.model.body_geomadr[scene.model.body(LEVER).id])
+    assert _kind({"hand", _side(scene, lever)}) is None
+    block = int(scene.model.body_geomadr[scene.model.body("obstacle/workpiece").id])
+    assert _kind({"hand", _side(scene, block)}) == "hand-obstacle"
+
+
+@pytest.mark.parametrize(
+    ("numbers", "complaint"),
+    [
+        ({"force_N": 3.0}, r"does not balance the press; give one, with force_N = \[3.0, 0.0, 0.0"),
+        ({"presses": 0.0}, "use.numbers.presses is 0.0; give 1 to 200"),
+        ({"stroke_m": 0.019}, "give a longer lever"),
+    ],
+)
+def test_a_lever_that_cannot_be_is_refused(numbers: dict[str, float], complaint: str) -> None:
+    with pytest.raises(PlannerError, match=complaint):
+        press(**numbers)
+
+
+def test_the_bottle_stands_above_its_block_at_any_size() -> None:
+    for scale in (0.9, 1.1):
+        use = use_of(load_tool("spray_bottle", scale=scale))
+        pose = use.offered(0.3)
+        corners = pose.act(np.zeros(3)) + use.tool.shape.vertices @ pose.rotation.T  # type: ignore[attr-defined]
+        assert corners[:, 2].min() == pytest.approx(0.06 + 0.02)
+
+
+@pytest.mark.slow
+def test_a_finger_presses_a_lever_while_the_others_hold(plan: GraspPlan) -> None:
+    report = UseTrial(plan, bottle(presses=3.0)).run()
+    assert report.success, str(report)
+    assert report.use is not None
+    assert "3 of 3 times" in report.use["summary"]
+    assert max(report.use["channels"]["force_N"]) > 1.8
+    assert max(report.use["channels"]["stray_N"]) == 0.0
+    assert report.largest_slip[0] < 3.0
