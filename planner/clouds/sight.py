@@ -169,6 +169,11 @@ class Grid:
         ]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
+    def beyond(self, points: FloatArray) -> FloatArray:
+        """Distances (n,), m, of points (n, 3) from the grid, 0 in it."""
+        upper = self.lower + self.spacing * (np.array(self.shape) - 1)
+        return np.asarray(np.linalg.norm(points - np.clip(points, self.lower, upper), axis=1))
+
     def at(self, values: FloatArray, points: FloatArray) -> FloatArray:
         """Values (nx, ny, nz) of nodes at points (n, 3), linear between them, constant outside."""
         from scipy.ndimage import map_coordinates
