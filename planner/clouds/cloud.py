@@ -150,7 +150,8 @@ class PointCloud:
         if reach > SCENE:
             raise ObjectError(
                 f"the cloud is {reach:.4g} m wide, more than {SCENE:g} m; are its numbers in "
-                "millimetres? Multiply by 0.001, or cut out the object's surroundings"
+                "millimetres? Multiply by 0.001 (of depth images: "
+                "scale), or cut out the object's surroundings"
             )
         if noise is not None:
             noise = checked_number("noise", noise, above=0, most=NOISIEST, unit="m",

@@ -5,7 +5,8 @@ certain enough. Each then has to survive what may be true instead: samples of th
 surface's process at the contacts and of the error of the object's pose. A finger goes on along its
 contact's normal until it feels the surface. A sample asks for closure with the task's friction
 and a hand clear of that hypothesis. The grasp that survives most is taken, less half of the share
-in which the first finger may tip the object instead of sliding it.
+in which the first finger may tip the object instead of sliding it, and less the share of the hand
+that is where no camera saw through.
 """
 
 from __future__ import annotations
@@ -159,8 +160,8 @@ class CloudPlan:
 
     @property
     def merit(self) -> float:
-        """By what plans are compared (-): survival less half of ``tipping``."""
-        return self.survival - 0.5 * self.tipping
+        """By what plans are compared (-): survival less half of ``tipping``, and ``hidden``."""
+        return self.survival - 0.5 * self.tipping - self.hidden
 
     @property
     def belief(self) -> Belief:
