@@ -17,7 +17,7 @@ from planner import GraspObject, PointCloud, plan_from_cloud
 from planner.clouds.belief import CERTAIN, CORRELATED, DIFFER, LEAST_SLOPE, Belief
 from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
 from planner.clouds.hollow import lidded
-from planner.clouds.sight import _distance, _reflection
+from planner.clouds.sight import _distance, _reflection, hypotheses
 from planner.errors import ObjectError, TaskError, UncertainError
 from planner.objects import parse_object
 from planner.search.from_cloud import (
@@ -410,6 +410,16 @@ def test_distances_of_cells_change_sign_between_them() -> None:
 def test_a_mirror_image_is_as_far_behind_its_plane() -> None:
     image = _reflection(np.array([1.0, 0.0, 0.0]), 0.3)(np.array([[0.5, 0.2, 0.1]]))
     np.testing.assert_allclose(image, [[0.1, 0.2, 0.1]], atol=1e-15)
+
+
+def test_every_hypothesis_explains_what_was_seen() -> None:
+    """The best mirror image of this one is beyond the grid, and leaves a fifth of its length."""
+    seen = scan(parse_object("ellipsoid:0.14x0.09x0.08"), seed=4).cloud(table=0.0)
+    cloud = prepared(seen)
+    grid, _, found = hypotheses(cloud)
+    for hypothesis in found:
+        inside = grid.nodes[hypothesis.distance.ravel() < 0.0]
+        assert (np.ptp(inside, axis=0) > 0.9 * np.ptp(cloud.points, axis=0)).all()
 
 
 @pytest.mark.parametrize("solid", SOLIDS)
