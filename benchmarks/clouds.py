@@ -76,6 +76,23 @@ KINDS = (
     *("superquadric", "mug", "lbracket", "torus", "cup"),
 )
 
+HUG, BY_CLASS = (
+    "hug",
+    {
+        "round": ("sphere:0.0225", "ellipsoid:0.08x0.07x0.06", "ellipsoid:0.14x0.09x0.08"),
+        "cuboid": ("box:0.045x0.035x0.03", "box:0.06x0.045x0.08", "box:0.09x0.06x0.14"),
+        "cylinder": ("cylinder:0.016x0.045", "cylinder:0.028x0.08", "cylinder:0.035x0.14"),
+        "flat": ("box:0.045x0.04x0.015", "box:0.08x0.06x0.02", "box:0.14x0.08x0.03"),
+        "irregular": (
+            "lbracket:0.045x0.04x0.025x0.014",
+            "mug:0.038x0.08",
+            "hammer:0.14x0.05x0.012",
+        ),
+    },
+)
+"""Five classes of form, each 4.5, 8 and 14 cm long: the table of HUG-Bench (Wu et al. 2026), whose
+own meshes are not to be had here."""
+
 LONGEST = (0.05, 0.10)
 """Between what the longest side of a drawn object is drawn, m; the others are 4 cm or less short of
 it by the kind."""
@@ -96,7 +113,7 @@ class Options(HandOptions):
 
     n: NumberOption = 2
     objects: Annotated[
-        str, typer.Option(help=f"Objects or folders of meshes, or {DRAWN}: ten by the seed.")
+        str, typer.Option(help=f"Objects, folders of meshes, {HUG}, or {DRAWN}: ten by the seed.")
     ] = DRAWN
     ways: Annotated[str, typer.Option(help=f"{', '.join(WAYS)}, or all.")] = "cloud,mesh,hull"
     views: Annotated[str, typer.Option(help="Numbers of views, with commas.")] = "1,2"
@@ -123,7 +140,7 @@ def cases(options: Options) -> Iterator[Row]:
                 yield {"hand": hand, "frame": str(file), "seed": options.seed}
         return
     ways = known("way", options.ways, WAYS)
-    found = drawn_objects(options.seed) if options.objects == DRAWN else objects_of(options.objects)
+    found = listed_objects(options)
     error_model = error_model_of(options.error_model)
     shared = {name: getattr(options, name) for name in ("noise", "calibration", "apart")}
     length_of("--noise", options.noise)
@@ -144,6 +161,20 @@ def _count(text: str) -> int:
     if not text.strip().isdigit() or int(text) < 1:
         raise TaskError(f"--views {text!r} is no number of cameras; give 1, or 1,2")
     return int(text)
+
+
+def listed_objects(options: Options) -> list[tuple[str, str]]:
+    """Label and specification of the objects that were asked for."""
+    if options.objects == DRAWN:
+        return drawn_objects(options.seed)
+    if options.objects == HUG:
+        sizes = ("small", "medium", "large")
+        return [
+            (f"{kind} {size}", spec)
+            for kind, specs in BY_CLASS.items()
+            for size, spec in zip(sizes, specs, strict=True)
+        ]
+    return objects_of(options.objects)
 
 
 def drawn_objects(seed: int) -> list[tuple[str, str]]:
@@ -292,7 +323,7 @@ def measure(case: Row) -> Row:
     if plan is None:
         return row | {"right": True}
     if isinstance(plan, CloudPlan):
-        row |= {"survival": plan.survival, "tipping": plan.tipping}
+        row |= {"survival": plan.survival, "tipping": plan.tipping, "hidden": plan.hidden}
     report = simulate(
         plan,
         truth=found.truth,

@@ -100,6 +100,10 @@ def test_a_mesh_a_plan_and_a_name_are_no_clouds(tmp_path: Path) -> None:
     written(tmp_path, "plan.json", json.dumps({"format": "opposable-plan", "views": 1}).encode())
     for spec in (tmp_path / "box.ply", tmp_path / "plan.json", tmp_path / "no.ply", "box", "a.stl"):
         assert not is_cloud_file(str(spec))
+    for content in (None, b"{", b"[]"):  # missing, damaged, another's
+        if content is not None:
+            written(tmp_path, "frame.json", content)
+        assert is_cloud_file(str(tmp_path / "frame.json"))
     with pytest.raises(ObjectError, match="mesh with 12 faces"):
         read_cloud(tmp_path / "box.ply")
 

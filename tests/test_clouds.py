@@ -17,10 +17,22 @@ from planner import GraspObject, PointCloud, plan_from_cloud
 from planner.clouds.belief import CERTAIN, CORRELATED, DIFFER, LEAST_SLOPE, Belief
 from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
 from planner.clouds.hollow import lidded
-from planner.clouds.sight import _distance, _reflection
+from planner.clouds.sight import _distance, _reflection, hypotheses
 from planner.errors import ObjectError, TaskError, UncertainError
 from planner.objects import parse_object
-from planner.search.from_cloud import CLEAR, CONE_SHARE, TABLE_MU, CloudPlan, _hits, _tips, _tried
+from planner.search.from_cloud import (
+    CLEAR,
+    CONE_SHARE,
+    FELT,
+    TABLE_MU,
+    CloudPlan,
+    _hidden,
+    _hits,
+    _spheres,
+    _tips,
+    _tried,
+    _way_in,
+)
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from sim.cli import main
@@ -288,6 +300,34 @@ def test_what_cannot_be_used_is_an_error_that_says_why(name: str) -> None:
         prepared(PointCloud.create(make(), views=CAMERA))
 
 
+USABLE: dict[str, Any] = {
+    "500 points": lambda all_, alone: (alone[::8][:500], {"table": 0.0}),
+    "half a million": lambda all_, alone: (scanned("box", n=900_000).points[:500_000], {}),
+    "no table": lambda all_, alone: (alone, {}),
+    "no view": lambda all_, alone: (all_, {"views": ()}),
+    "NaN and infinite": lambda all_, alone: (
+        np.where(np.arange(len(all_))[:, None] % 7 == 0, [[np.nan, np.inf, 0.0]], all_),
+        {},
+    ),
+    "every point thrice": lambda all_, alone: (np.repeat(all_, 3, axis=0), {}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", USABLE)
+def test_every_cloud_that_is_not_refused_gives_a_plan_on_the_true_object(name: str) -> None:
+    """Fingers that go on until they feel it, 12 mm at most, come to it; beside ``BAD``."""
+    rng = np.random.default_rng(7)
+    points = scanned("box").points
+    alone = rng.permutation(points[points[:, 2] > 0.006])
+    some, more = USABLE[name](points, alone)
+    grasp = plan_from_cloud("allegro_hand", PointCloud.create(some, **{"views": CAMERA} | more))
+    true, _ = on_box(20_000, np.random.default_rng(5))
+    gaps = np.linalg.norm(true[:, None] - grasp.plan.contacts.positions, axis=2).min(axis=0)
+    assert gaps.max() < FELT + 0.003 and gaps.min() < CERTAIN / 2.0  # behind, and where seen
+    assert grasp.clearance >= CLEAR
+
+
 def test_pixels_without_depth_a_small_thing_and_outliers_are_left_out() -> None:
     rng = np.random.default_rng(3)
     small = np.array([0.15, 0.1, 0.02]) + 0.004 * rng.normal(size=(150, 3))
@@ -297,6 +337,8 @@ def test_pixels_without_depth_a_small_thing_and_outliers_are_left_out() -> None:
     said = " ".join(used.notes)
     assert "30 points without a depth" in said and "outliers" in said and "took" in said
     assert np.linalg.norm(used.points - [0.0, 0.0, 0.04], axis=1).max() < 0.075
+    beside = np.linalg.norm(used.past - [0.15, 0.1, 0.02], axis=1) < 0.02
+    assert beside.sum() > 100  # what is left out is in the way all the same
 
 
 @pytest.mark.parametrize("n", [500, 500_000])
@@ -370,6 +412,16 @@ def test_a_mirror_image_is_as_far_behind_its_plane() -> None:
     np.testing.assert_allclose(image, [[0.1, 0.2, 0.1]], atol=1e-15)
 
 
+def test_every_hypothesis_explains_what_was_seen() -> None:
+    """The best mirror image of this one is beyond the grid, and leaves a fifth of its length."""
+    seen = scan(parse_object("ellipsoid:0.14x0.09x0.08"), seed=4).cloud(table=0.0)
+    cloud = prepared(seen)
+    grid, _, found = hypotheses(cloud)
+    for hypothesis in found:
+        inside = grid.nodes[hypothesis.distance.ravel() < 0.0]
+        assert (np.ptp(inside, axis=0) > 0.9 * np.ptp(cloud.points, axis=0)).all()
+
+
 @pytest.mark.parametrize("solid", SOLIDS)
 def test_the_most_plausible_comes_first(solid: str) -> None:
     weights = [h.weight for h in belief_of(believed(solid)).hypotheses]
@@ -423,6 +475,59 @@ def test_a_hand_in_another_hypothesis_is_noticed() -> None:
                    deviations=belief.deviations[:0], before=belief.before[:0])  # fmt: skip
     assert not _hits(plan, both, belief.chosen)
     assert _hits(plan, both, len(belief.hypotheses))
+
+
+def test_what_opened_fingers_meet_on_their_way_in_is_noticed() -> None:
+    """A ball that only one hypothesis has, where a finger passes and no link is at the grasp."""
+    plan, belief = found("box", 2).plan, found("box", 2).belief
+    end = plan.task.T_world_object
+    way, _ = _way_in(plan)
+    apart = np.linalg.norm(way[:, None] - _spheres(plan, plan.q, inner=True)[0], axis=2).min(axis=1)
+    apart[belief.grid.beyond(way + belief.offset) > 0.0] = 0.0
+    place = way[apart.argmax()]
+    off = belief.grid.nodes - belief.offset - place
+    ball = np.linalg.norm(off, axis=1).reshape(belief.grid.shape) - 0.012
+    more = replace(belief.hypotheses[0], distance=np.minimum(ball, belief.hypothesis.distance))
+    both = replace(belief, hypotheses=(*belief.hypotheses, more))
+    assert not _hits(plan, belief, belief.chosen)
+    assert _hits(plan, both, len(belief.hypotheses))
+    cloud = belief.cloud
+    thing = end.act(way[np.linalg.norm(way, axis=1).argmax()])[None]  # where the way begins
+    full = replace(cloud, past=np.vstack([cloud.past, thing]), past_of=np.append(cloud.past_of, 0))
+    item = replace(plan.task.object, belief=replace(belief, cloud=full))
+    blocked = _tried(replace(plan, task=replace(plan.task, object=item)), (0.0, 0.0), 0, 0.0)
+    assert blocked.clearance < CLEAR and blocked.survival == 0.0
+
+
+def test_a_hand_behind_the_object_is_where_no_camera_saw() -> None:
+    plan, belief = found("ball").plan, found("ball").belief
+    palm = _spheres(plan, plan.q)[0].mean(axis=0)  # from the ball's middle, about
+    ahead = np.array([BALL[0] - CAMERA[0], BALL[1] - CAMERA[1], 0.0])
+    ahead *= 0.05 / np.linalg.norm(ahead)
+    base = plan.T_world_base
+    behind, before = (
+        _hidden(
+            replace(plan, T_world_base=SE3(base.rotation, base.translation - palm + way)), belief
+        )
+        for way in (ahead, -3.0 * ahead)
+    )
+    assert behind > 0.2 and before == 0.0  # it is larger than the shadow
+
+
+def test_grasps_are_planned_anew_with_the_options_of_the_first_search() -> None:
+    options = SynthesisOptions(cone_share=0.37)
+    first = replace(found("box", 2), others=(), options=options, max_attempts=1)
+    made: list[Any] = []
+
+    def counted(task: Any, *, seed: int, options: Any) -> Any:
+        made.append(options)
+        return iter(())
+
+    with patch("planner.search.from_cloud.attempts", counted):
+        assert first.after(np.zeros((0, 3))) is None
+    assert made and all(one is options for one in made)
+    again = plan_from_cloud("allegro_hand", scanned("box", views=2), options=options)
+    assert again.options is options
 
 
 def test_ordinary_margins_are_tried_where_cautious_ones_find_nothing() -> None:

@@ -308,6 +308,8 @@ class Belief:
 
     def _mean(self, p: FloatArray, k: int) -> FloatArray:
         prior = self.grid.at(self.hypotheses[k].distance, p)
+        beyond = self.grid.beyond(p)  # every hypothesis is in the grid
+        prior = np.where(beyond > 0.0, np.hypot(prior, beyond), prior)
         return np.asarray(prior + self._scale(p) * (self._correlation(p) @ self._alphas[k]))
 
     @cached_property

@@ -58,6 +58,10 @@ GAP = 0.012
 SECOND = 0.3
 """Share (-) of the largest group's points from which on a second group is a second object."""
 
+THING = 15
+"""Points of a group beside the object from which on it is a thing that a hand keeps clear of, and
+no bleeding edge."""
+
 FLAT = 1.15
 """Standard deviation across its plane, over the noise, below which a cloud is planar: a bar of 2 cm
 that lies on a table has 1.4 at a noise of 2 mm."""
@@ -146,7 +150,8 @@ class PointCloud:
         if reach > SCENE:
             raise ObjectError(
                 f"the cloud is {reach:.4g} m wide, more than {SCENE:g} m; are its numbers in "
-                "millimetres? Multiply by 0.001, or cut out the object's surroundings"
+                "millimetres? Multiply by 0.001 (of depth images: "
+                "scale), or cut out the object's surroundings"
             )
         if noise is not None:
             noise = checked_number("noise", noise, above=0, most=NOISIEST, unit="m",
@@ -361,10 +366,15 @@ def _one_object(cloud: PointCloud) -> PointCloud:
             f"the largest group of points has {sizes[first]}, {len(sizes)} groups in all, none "
             f"nearer than {1e3 * gap:.0f} mm; give at least {FEWEST} of an object"
         )
-    note = ""
-    if others:
-        note = f"took {places[0]}, left out {len(cloud) - sizes[first]} points of other things"
-    return cloud.only(group == first, note)
+    if not others:
+        return cloud
+    things = np.flatnonzero((group != first) & (sizes[group] >= THING))
+    note = f"took {places[0]}, left out {len(cloud) - sizes[first]} points of other things"
+    return replace(
+        cloud,
+        past=np.concatenate([cloud.past, cloud.points[things]]),
+        past_of=np.concatenate([cloud.past_of, cloud.view_of[things]]),
+    ).only(group == first, note)
 
 
 def _check_size(cloud: PointCloud) -> None:

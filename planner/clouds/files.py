@@ -75,8 +75,8 @@ class _Header:
 def is_cloud_file(spec: str) -> bool:
     """Whether an object's specification is the path of a cloud, and not of a mesh or a plan.
 
-    A PLY file is a cloud if it has no faces, a JSON file if it lists views; a file that is missing
-    or damaged is one if its suffix belongs to no other kind of object.
+    A PLY file is a cloud if it has no faces, a JSON file if it is none of ours, as plans are; a
+    file that is missing or damaged is one if its suffix belongs to no other kind of object.
     """
     path = Path(spec)
     suffix = path.suffix.lower()
@@ -88,9 +88,9 @@ def is_cloud_file(spec: str) -> bool:
         with path.open("rb") as stream:
             head = stream.read(LONGEST_HEADER)
     except (OSError, ValueError):  # a null character in the name
-        return False
+        return suffix == ".json"
     if suffix == ".json":
-        return b'"views"' in head and b'"opposable-' not in head
+        return b'"opposable-' not in head
     try:
         return _ply_header(path, head).faces == 0
     except ObjectError:

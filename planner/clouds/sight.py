@@ -44,7 +44,8 @@ PLACES, TURNS = 24, 9
 """Places of a plane of symmetry, and its directions within 60 degrees of the view, looked at."""
 
 VIOLATED = 0.12
-"""Share (-) of mirrored points that may lie in free space: noise and edges."""
+"""Share (-) of mirrored points that may lie in free space, and of seen points that may lie beside a
+hypothesis: noise and edges. A mirror image beyond the grid leaves slivers."""
 
 EXTRUDED = 0.3
 """Merit (-) of what is below a seen point, beside that of mirrors."""
@@ -169,6 +170,11 @@ class Grid:
         ]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
+    def beyond(self, points: FloatArray) -> FloatArray:
+        """Distances (n,), m, of points (n, 3) from the grid, 0 in it."""
+        upper = self.lower + self.spacing * (np.array(self.shape) - 1)
+        return np.asarray(np.linalg.norm(points - np.clip(points, self.lower, upper), axis=1))
+
     def at(self, values: FloatArray, points: FloatArray) -> FloatArray:
         """Values (nx, ny, nz) of nodes at points (n, 3), linear between them, constant outside."""
         from scipy.ndimage import map_coordinates
@@ -221,11 +227,17 @@ def hypotheses(cloud: PointCloud) -> tuple[Grid, Sight, tuple[Hypothesis, ...]]:
             found.append(("two mirrors", both, merit + support - 2.0 * violated))
     if table is not None:
         found.append(("extrusion", solid & _below_seen(cloud, grid), EXTRUDED))
-    kept = sorted((h for h in found if h[1].sum() > LEAST_CELLS), key=lambda h: -h[2])[:MOST]
+    solids = [
+        (name, _distance(cells, grid.spacing), merit)
+        for name, cells, merit in sorted(found, key=lambda h: -h[2])
+        if cells.sum() > LEAST_CELLS
+    ]
+    near = sight.margin + grid.spacing
+    kept = [h for h in solids if np.mean(grid.at(h[1], some) > near) <= VIOLATED][:MOST]
     weights = np.exp(np.array([merit for _, _, merit in kept]) / SUPPORT)
     out = [
-        Hypothesis(name=name, distance=_distance(cells, grid.spacing), weight=float(weight))
-        for (name, cells, _), weight in zip(kept, weights / weights.sum(), strict=True)
+        Hypothesis(name=name, distance=distance, weight=float(weight))
+        for (name, distance, _), weight in zip(kept, weights / weights.sum(), strict=True)
     ]
     return grid, sight, tuple(out)
 

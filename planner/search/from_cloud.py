@@ -5,7 +5,8 @@ certain enough. Each then has to survive what may be true instead: samples of th
 surface's process at the contacts and of the error of the object's pose. A finger goes on along its
 contact's normal until it feels the surface. A sample asks for closure with the task's friction
 and a hand clear of that hypothesis. The grasp that survives most is taken, less half of the share
-in which the first finger may tip the object instead of sliding it.
+in which the first finger may tip the object instead of sliding it, and less the share of the hand
+that is where no camera saw through.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from planner.arrays import checked_kind, checked_number
 from planner.attempt import Attempt, check_seed
 from planner.certify import Tolerance, contact_tolerances
 from planner.clouds.belief import STEP, Belief
-from planner.clouds.cloud import PointCloud
+from planner.clouds.cloud import GAP, PointCloud
 from planner.contacts import ContactSet
 from planner.errors import PlannerError, TaskError, UncertainError
 from planner.failure import Failure
@@ -102,6 +103,9 @@ class CloudPlan:
         others: The next best plans, best first, at most ``KEPT`` with this one.
         pose_error: Standard deviations of the pose's error, m and rad, that samples have.
         survives: Share of samples (-) that a plan must survive.
+        hidden: Share of the hand's volume (-), at the grasp, through which no camera saw.
+        options: Margins of the search, with which grasps are planned anew; widened ones if None.
+        max_attempts: Attempts for each hypothesis, then too.
     """
 
     plan: GraspPlan
@@ -115,6 +119,9 @@ class CloudPlan:
     others: tuple[CloudPlan, ...] = ()
     pose_error: tuple[float, float] = (0.0, 0.0)
     survives: float = SURVIVES
+    hidden: float = 0.0
+    options: SynthesisOptions | None = None
+    max_attempts: int = ATTEMPTS
 
     def after(self, felt: FloatArray, moved: SE3 | None = None) -> CloudPlan | None:
         """The next plan after a try that felt the object at places (m, 3), m; None if none is left.
@@ -122,7 +129,7 @@ class CloudPlan:
         Felt places correct the object's place along the table, and are conditions of its surface
         from then on; hypotheses that they contradict lose weight. Every other plan is verified
         where the object is then, and tried on samples again. If none is left, grasps are planned
-        anew, with another seed, the usual options and budget; not for an arm.
+        anew, with another seed; not for an arm.
 
         Args:
             felt: In the object's frame as it was planned, with which they moved.
@@ -138,22 +145,23 @@ class CloudPlan:
         for other in self.others:
             plan = _verified(other.plan, belief, there)
             if isinstance(plan, GraspPlan):
-                tried = _tried(plan, self.pose_error, plan.record.seed, 0.0)
-                if tried.survival >= self.survives:
-                    found.append(replace(tried, survives=self.survives))
-        found.sort(key=lambda p: -p.merit)
-        if not found and self.plan.arm is None:
+                found.append(_tried(plan, self.pose_error, plan.record.seed, 0.0))
+        good = [p for p in sorted(found, key=lambda p: -p.merit) if p.survival >= self.survives]
+        if not good and self.plan.arm is None:
             seed = self.plan.record.seed + NEXT_SEED
             anew = partial(_task_again, task, belief, there)
-            found = _searched(anew, belief, self.pose_error, seed, ATTEMPTS, None).kept
-            found = [replace(p, survives=self.survives) for p in found]
-        good = [p for p in found if p.survival >= self.survives]
-        return replace(good[0], others=tuple(good[1:])) if good else None
+            budget = self.max_attempts, self.options
+            found = _searched(anew, belief, self.pose_error, seed, *budget).kept
+            good = [p for p in found if p.survival >= self.survives]
+        if not good:
+            return None
+        return replace(good[0], others=tuple(good[1:]), survives=self.survives,
+                       options=self.options, max_attempts=self.max_attempts)  # fmt: skip
 
     @property
     def merit(self) -> float:
-        """By what plans are compared (-): survival less half of ``tipping``."""
-        return self.survival - 0.5 * self.tipping
+        """By what plans are compared (-): survival less half of ``tipping``, and ``hidden``."""
+        return self.survival - 0.5 * self.tipping - self.hidden
 
     @property
     def belief(self) -> Belief:
@@ -188,7 +196,8 @@ class CloudPlan:
                 f"closure is proven for errors of {position.promised or 0.0:.1f} mm or "
                 f"{normal.promised or 0.0:.0f} degrees at every contact; {self.survival:.0%} of "
                 f"{self.samples} samples of what may be true are survived; in {self.tipping:.0%} "
-                "the first finger may tip the object",
+                f"the first finger may tip the object; {self.hidden:.0%} of the hand are where no "
+                "camera saw through",
                 *self.refused,
             ]
         )
@@ -246,7 +255,8 @@ def plan_from_cloud(
     best = replace(found.kept[0], others=tuple(found.kept[1:])) if found.kept else None
     if best is None or best.survival < survives:
         raise _abstained(best, survives, belief, found.refused, found.made)
-    return replace(best, refused=tuple(found.refused), survives=survives)
+    return replace(best, refused=tuple(found.refused), survives=survives, options=options,
+                   max_attempts=max_attempts)  # fmt: skip
 
 
 @dataclass(kw_only=True)
@@ -301,15 +311,15 @@ def _add_best(
     seed: int,
     made: list[Attempt[GraspPlan]],
 ) -> None:
-    """Add the first ``PLANS`` of a search to the best ones, and its attempts to those made."""
+    """Add the first ``PLANS`` of a search that are clear, and those before, to the best ones."""
     plans = 0
     for attempt in search:
         made.append(attempt)
         if attempt.plan is None:
             continue
-        plans += 1
         beaten = kept[-1].merit if len(kept) == KEPT else 0.0
         kept.append(_tried(attempt.plan, pose_error, seed, beaten))
+        plans += kept[-1].clearance >= CLEAR  # other things in the way are often elsewhere
         kept.sort(key=lambda plan: -plan.merit)
         del kept[KEPT:]
         if plans == PLANS or kept[0].merit >= ENOUGH:
@@ -452,7 +462,9 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
     hits = [_hits(plan, belief, kind) for kind in range(len(weights))]
     lags = way - way.min(axis=1, keepdims=True)
     tips = (lags.max(axis=1) > LAG) & _tips(plan)[way.argmin(axis=1)]
-    clearance = clearance_of_points(plan, _seen(belief, plan.task.T_world_object))
+    own, others = _seen(belief, plan.task.T_world_object)
+    clearance = clearance_of_points(plan, np.concatenate([own, others]))
+    clearance = min(clearance, _clearance_of_others(plan, belief, others))
     touched &= clearance >= CLEAR
     held, left = 0, np.flatnonzero(touched & ~np.array(hits)[kinds])
     for done, k in enumerate(left):
@@ -469,6 +481,7 @@ def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: 
         normal_std=np.arctan(tilt.std(axis=0).mean(axis=1) / STEP),
         pose_error=pose_error,
         clearance=clearance,
+        hidden=_hidden(plan, belief),
     )
 
 
@@ -556,15 +569,19 @@ def clearance_of_points(plan: GraspPlan, points: FloatArray) -> float:
     return least
 
 
-def _seen(belief: Belief, T_world_object: SE3) -> FloatArray:
-    """Places (n, 3) of all that was seen but the table, and what is far; the object's moved."""
+def _seen(belief: Belief, T_world_object: SE3) -> tuple[FloatArray, FloatArray]:
+    """Places of the object (n, 3) and of other things (m, 3), m, world, that were seen nearby.
+
+    The object's as it has moved since; of other things all but the table.
+    """
     cloud, turn = belief.cloud, T_world_object.rotation
     own = (cloud.points - belief.offset) @ turn.T + T_world_object.translation
     near = np.linalg.norm(cloud.past - T_world_object.translation, axis=1) < REACH
-    points = np.concatenate([own, cloud.past[near]])
-    if cloud.table is None:
-        return points
-    return points[points[:, 2] > cloud.table + max(SURE_NOISE * cloud.noise, LEAST_ABOVE)]
+    others = cloud.past[near]
+    if cloud.table is not None:
+        least = cloud.table + max(SURE_NOISE * cloud.noise, LEAST_ABOVE)
+        own, others = own[own[:, 2] > least], others[others[:, 2] > least]
+    return own, others
 
 
 LEAST_ABOVE, SURE_NOISE = 0.003, 3.0
@@ -576,18 +593,74 @@ REACH = 0.3
 """Distance (m) from an object beyond which no part of a hand is that grasps it."""
 
 
-def _hits(plan: GraspPlan, belief: Belief, kind: int) -> bool:
-    """Whether the palm or an inner link is in another hypothesis."""
-    hand, state = plan.task.hand, HandState(plan.task.hand, plan.q)
-    spheres = [s for s in link_spheres(hand) if not s.is_pad and not s.on_tip]
+def _spheres(plan: GraspPlan, q: FloatArray, inner: bool = False) -> tuple[FloatArray, FloatArray]:
+    """Centres (n, 3), m, object's frame, and radii (n,), m, of spheres in the links at the grasp.
+
+    Args:
+        plan: Where the hand's base is.
+        q: Joints (nq,).
+        inner: Whether fingertips are left out.
+    """
+    state = HandState(plan.task.hand, q)
+    spheres = [s for s in link_spheres(plan.task.hand) if not inner or not (s.is_pad or s.on_tip)]
     T_object_base: SE3 = plan.task.T_world_object.inverse() * plan.T_world_base
     poses = [T_object_base * state.joint_pose(i) for i in range(len(state.pin_data.oMi))]
     centers = np.array([poses[s.joint_id].act(s.center) for s in spheres])
-    radii = np.array([s.radius for s in spheres])
+    return centers, np.array([s.radius for s in spheres])
+
+
+def _way_in(plan: GraspPlan) -> tuple[FloatArray, FloatArray]:
+    """The same of all links on the way in, fingers opened; of an arm's at its end."""
+    centers, radii = _spheres(plan, plan.q_pregrasp)
+    back = plan.T_world_base_start.translation - plan.T_world_base.translation
+    steps = int(np.ceil(np.linalg.norm(back) / WAY_STEP)) + 1
+    shifts = np.linspace(0.0, 1.0, steps)[:, None, None] * (
+        back @ plan.task.T_world_object.rotation
+    )
+    return (shifts + centers).reshape(-1, 3), np.tile(radii, steps)
+
+
+WAY_STEP = 0.01
+"""Distance (m) of the poses at which the way in is looked at: less than a finger is thick."""
+
+
+def _hits(plan: GraspPlan, belief: Belief, kind: int) -> bool:
+    """Whether the palm or an inner link is in another hypothesis, or any link on the way in."""
+    centers, radii = _joined(_spheres(plan, plan.q, inner=True), _way_in(plan))
     # on the chosen one the plan is verified: links are no larger than they are clear of it
     radii = np.minimum(radii, belief.mean(centers))
     gaps = belief.mean(centers, kind) - radii
     return bool(gaps.min(initial=np.inf) < -SPARE - belief.grid.spacing)
+
+
+def _clearance_of_others(plan: GraspPlan, belief: Belief, others: FloatArray) -> float:
+    """Least distance (m) of any link, at the grasp or on the way in, from points (n, 3), world.
+
+    Those as near to the object as its own may be its edge. It is twice ``CLEAR`` at most.
+    """
+    from scipy.spatial import cKDTree
+
+    pose = plan.task.T_world_object
+    things = (others - pose.translation) @ pose.rotation
+    things = things[belief.mean(things) > GAP]
+    if not len(things):
+        return 2.0 * CLEAR
+    centers, radii = _joined(_spheres(plan, plan.q), _way_in(plan))
+    return min(float((cKDTree(things).query(centers)[0] - radii).min()), 2.0 * CLEAR)
+
+
+def _joined(*spheres: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Spheres of several postures."""
+    centers, radii = zip(*spheres, strict=True)
+    return np.concatenate(centers), np.concatenate(radii)
+
+
+def _hidden(plan: GraspPlan, belief: Belief) -> float:
+    """Share (-) of the hand's volume, at the grasp, through which no camera saw."""
+    centers, radii = _spheres(plan, plan.q)
+    pose = plan.task.T_world_object
+    behind = belief.sight.behind(centers @ pose.rotation.T + pose.translation)
+    return float((radii**3)[behind >= 0.0].sum() / (radii**3).sum())
 
 
 def _commonest(failures: list[Failure]) -> str:
@@ -605,11 +678,17 @@ def _abstained(
 ) -> UncertainError:
     """Why no plan is given."""
     if best is None:
-        why = "no grasp was found whose contacts are certain enough: " + "; ".join(refused)
+        why = "no grasp was found whose contacts are certain enough"
+        failures = [a.failure for a in made if a.failure is not None]
+        common = _commonest(failures).split(";")[0]
+        why += f", {len(made)} tried: {common}" if failures else ": " + "; ".join(refused)
     elif best.clearance < CLEAR:
-        why = (
-            f"in the best grasp the hand is {1e3 * best.clearance:.1f} mm from points that were "
-            f"seen, less than {1e3 * CLEAR:g} mm: other things are in the way"
+        return UncertainError(
+            "other things are in the way: in the best grasp the hand is "
+            f"{1e3 * best.clearance:.1f} mm from what was seen, less than {1e3 * CLEAR:g} mm. Take "
+            "them away, or give another seed",
+            tuple(made),
+            best,
         )
     else:
         worst = 1e3 * float(best.position_std.max())

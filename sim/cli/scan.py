@@ -73,5 +73,5 @@ def scan(
     seen = sum(int(mask.sum()) for mask in found.on_object)
     tell(
         f"written to {output}: {item.name} from {len(found.views)} view(s), {seen} points on it; "
-        f"plan on it with: opposable run shadow_hand {output}"
+        f"plan on it with: opposable run HAND {output}"
     )
