@@ -12,7 +12,7 @@ from conftest import box_mesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.collision.idle_fingers import spread_idle
+from planner.approach.pregrasp_ik import spread_idle
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.hand_loading import load_hand

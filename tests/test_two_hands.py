@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from planner import GraspTask, plan_grasp
 from planner.approach.pregrasp_ik import OPENED_SHARE
-from planner.collision.moving_hand import moving_hand
 from planner.collision.pad_contact import pad_contacts
 from planner.errors import HandError, PlannerError, TaskError
 from planner.failure import Failure
@@ -24,6 +23,7 @@ from planner.hand_loading import load_hand
 from planner.hands.grasp_types import contact_sets
 from planner.hands.hand import Hand
 from planner.hands.two_hands import carriage_joints
+from planner.kinematics.state import moving_hand
 from planner.motion.search import check_task
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan

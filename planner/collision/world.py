@@ -20,8 +20,7 @@ from planner.collision.pair_table import (
     NearPairs,
     shape_pair,
 )
-from planner.collision.placed_pairs import PlacedPairs
-from planner.collision.sweep import Sweep, hull_pairs
+from planner.collision.placed_pairs import PlacedPairs, Sweep, hull_pairs
 from planner.errors import NotFoundError
 from planner.kinematics.state import MovingHand
 from planner.proximity.convex import DistancePair, Proximity
@@ -219,7 +218,7 @@ class CollisionWorld:
 
         Returns:
             The pair with its distance where it first is too near, None if none is: without a gap,
-            see ``planner.collision.sweep``.
+            see ``planner.collision.placed_pairs``.
         """
         self._pairs.place(T_world_base, q)
         forms = self._pairs.forms() if self._bounds.pays else None

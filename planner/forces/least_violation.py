@@ -17,8 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.numerics.dense_qp import DenseQp
-from planner.numerics.qp_workspace import qp_workspace
+from planner.numerics.qp_workspace import DenseQp, qp_workspace
 from planner.spatial import FloatArray
 
 VIOLATION_WEIGHT = 1e6

@@ -30,8 +30,7 @@ from planner.forces.screen import force_table, wrench_text
 from planner.forces.torque_limits import TorqueCase, TorqueLimits, loaded_rows
 from planner.forces.workspace import ContactWorkspace
 from planner.joints.actuation import Actuation
-from planner.numerics.dense_qp import DenseQp
-from planner.numerics.qp_workspace import DEFAULT_SOLVER, QpWorkspace, qp_workspace
+from planner.numerics.qp_workspace import DEFAULT_SOLVER, DenseQp, QpWorkspace, qp_workspace
 from planner.spatial import FloatArray
 
 STEP_TOL = 1e-6

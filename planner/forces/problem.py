@@ -33,7 +33,7 @@ import numpy as np
 from planner.contacts import ContactSet
 from planner.forces.screen import at_most, wrench_text
 from planner.forces.torque_limits import TorqueLimits
-from planner.numerics.dense_qp import DenseQp
+from planner.numerics.qp_workspace import DenseQp
 from planner.spatial import FloatArray, IntArray
 
 if TYPE_CHECKING:

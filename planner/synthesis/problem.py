@@ -29,9 +29,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision.moving_hand import moving_hand
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
+from planner.kinematics.state import moving_hand
 from planner.numerics.kernels import kernels_are_compiled
 from planner.shapes import Shape
 from planner.shapes.surface import Patch, Surface
