@@ -22,8 +22,7 @@ from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
-from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.room import LEAST_ROOM, table_room, with_room
+from planner.synthesis.options import LEAST_ROOM, SynthesisOptions, table_room, with_room
 from planner.task import GraspTask
 from planner.tolerances import EDGE_RADIUS
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from planner.quality.ball import (
     HullMeasure,
+    Interval,
+    ball_interval,
     epsilon_frogger,
     epsilon_l1,
+    epsilon_linf,
+    epsilon_round,
     measure_hull,
     volume_l1,
 )
@@ -17,7 +21,6 @@ from planner.quality.closure import (
     plainly_closed,
 )
 from planner.quality.cones import RoundCones, primitive_wrenches
-from planner.quality.interval import Interval, ball_interval, epsilon_linf, epsilon_round
 from planner.quality.report import (
     QualityReport,
     analyse,

@@ -1,10 +1,10 @@
 """Attempts that look for the best grasp instead of the first: each tries to beat those before it.
 
 Where an attempt's time goes decides what comes first. A start is solved without objectives, raised
-by ``planner.synthesis.climb`` and given up as soon as it falls behind; what it is worth is foreseen
-from the solver's own contacts, and only what would be better is projected and verified (pads,
-collisions, closure, forces, way in). Once something was found every other start lies beside one of
-the best grasps so far.
+by ``planner.synthesis.optimize`` and given up as soon as it falls behind; what it is worth is
+foreseen from the solver's own contacts, and only what would be better is projected and verified
+(pads, collisions, closure, forces, way in). Once something was found every other start lies beside
+one of the best grasps so far.
 
 Attempt i depends on the seed and on the attempts before it, never on the clock: the first n
 attempts of a seed are the same on every machine.
@@ -32,11 +32,10 @@ from planner.numerics.levenberg_marquardt import MAX_ITERATIONS
 from planner.plan import BestOf, GraspPlan
 from planner.search.metrics import Measure
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.objectives.registry import EPSILON
+from planner.synthesis.objectives import EPSILON
 from planner.synthesis.optimize import NEARLY, GraspRun
-from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
+from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions, with_room
 from planner.synthesis.problem import Candidate, GraspProblem, Start
-from planner.synthesis.room import with_room
 from planner.synthesis.seeds.draw import Seeder
 from planner.system.threads import stage
 from planner.task import GraspTask
@@ -141,7 +140,7 @@ def _attempt(
     context: ClimbingContext, rng: np.random.Generator, measure: Measure, kept: list[_Kept]
 ) -> GraspPlan | Failure:
     """Draw or vary a start, solve, climb, and verify what would be the best; ``kept`` learns."""
-    from planner.synthesis.climb import nearby_start  # here: the first grasp needs none of it
+    from planner.synthesis.optimize import nearby_start  # here: the first grasp needs none of it
 
     with stage("seed"):
         if kept and rng.random() < BESIDE:
@@ -170,7 +169,7 @@ def _climbed(
     context: ClimbingContext, start: Start, measure: Measure, best: _Kept | None
 ) -> tuple[Candidate, float] | Failure:
     """The best grasp near a start, and its value; a failure if it would not beat the best."""
-    from planner.synthesis.climb import climb, with_light_costs
+    from planner.synthesis.optimize import climb, with_light_costs
 
     task, problem, options = context.task, context.grasp_problem, context.options
     begin = planning_time()

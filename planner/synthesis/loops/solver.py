@@ -19,7 +19,6 @@ from planner.numerics.levenberg_marquardt import PATIENCE, SLOW, STALLED, LMResu
 from planner.numerics.tape import Tape, tape_of
 from planner.shapes.field.distance_field import DistanceField
 from planner.spatial import FloatArray
-from planner.synthesis.field_points import Field
 from planner.synthesis.loops.field import NO_FIELD, spline_tables
 from planner.synthesis.loops.least_squares import (
     STATUS,
@@ -30,6 +29,7 @@ from planner.synthesis.loops.least_squares import (
     Written,
     minimise,
 )
+from planner.synthesis.mesh_surface import Field
 from planner.synthesis.residuals import Residuals
 from planner.synthesis.terms.clearance import CompiledClearances
 from planner.synthesis.terms.fingers import capsule_run, capsule_tables

@@ -32,7 +32,6 @@ from planner.numerics.kernels import loops_of_kernels
 from planner.numerics.tape import Programs, Tape, programs_of, run_on_lanes, tape_of
 from planner.shapes.surface import box_clearance
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.field_points import Field
 from planner.synthesis.link_spheres import (
     SAME_POINT,
     LinkSphere,
@@ -42,8 +41,8 @@ from planner.synthesis.link_spheres import (
     moving,
 )
 from planner.synthesis.loops.field import SplineTables, taylor_at
-from planner.synthesis.symbols import GraspSymbols
-from planner.synthesis.terms.contact import PER_METRE
+from planner.synthesis.mesh_surface import Field
+from planner.synthesis.symbols import GraspSymbols, mrp_rates
 from planner.synthesis.terms.hand_points import (
     HandAt,
     HandPoints,
@@ -54,8 +53,8 @@ from planner.synthesis.terms.hand_points import (
     point_row,
     side_by_side,
 )
+from planner.synthesis.terms.standard import PER_METRE
 from planner.synthesis.terms.term import ActiveRows, Role, Row, RowSource, SphereClearance, Term
-from planner.synthesis.unknowns import mrp_rates
 from planner.system.threads import built
 
 PRESSED = 0.001
