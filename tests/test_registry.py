@@ -11,9 +11,8 @@ import pytest
 from planner.errors import ModelError, NotFoundError, TaskError
 from planner.hands.catalog import FOREIGN_HANDS, find_hand, foreign_hand_names, hand_reference
 from planner.objects import parse_object
-from planner.registry import Registry
+from planner.registry import Registry, forget_plugins
 from planner.shapes import SIZED_SHAPES
-from planner.system.plugins import forget_plugins
 
 PACKAGE = "somebodys_things"
 

@@ -46,7 +46,7 @@ SLOW = {
 
 TOO_MUCH_TO_RUN = {
     *("sim.learning", "sim.sensing.touch", "sim.manipulation", "sim.sensing.estimation"),
-    *("planner.motion", "planner.batch", "planner.shapes.decomposition", "matplotlib", "numba"),
+    *("planner.motion", "planner.batch", "planner.shapes.pieces", "matplotlib", "numba"),
 }
 """What a trial has no use for."""
 

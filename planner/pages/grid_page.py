@@ -15,7 +15,7 @@ from planner.pages.hand_model import hand_model
 from planner.pages.page import asset, pack, three_source
 from planner.pages.plan_scene import object_model
 from planner.pages.scene import Model, pose_row
-from planner.shapes.meshes.simplify import simplified
+from planner.shapes.meshes.triangles import simplified
 from planner.task import GraspTask
 
 __all__ = ["grid_html", "grid_models", "grid_script"]

@@ -20,7 +20,7 @@ from planner.pages.scene import IDENTITY_ROW, Actor, Contacts, Layer, Model, Par
 from planner.plan import GraspPlan
 from planner.shapes import Shape
 from planner.shapes.mesh import surface_points, surface_triangles
-from planner.shapes.meshes.simplify import simplified
+from planner.shapes.meshes.triangles import simplified
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask, Obstacle
 

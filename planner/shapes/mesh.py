@@ -17,9 +17,9 @@ import numpy as np
 
 from planner.errors import ObjectError
 from planner.shapes.base import ON_SURFACE, Shape, checked_points, unit
-from planner.shapes.field.distance_field import DistanceField
-from planner.shapes.field.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
+from planner.shapes.distance_field import DistanceField
 from planner.shapes.hulls import convex_geometry, hull_of
+from planner.shapes.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
 from planner.shapes.meshes.nearest_triangle import BallTree, NearestTriangles
 from planner.shapes.meshes.triangles import (
     Polyhedron,

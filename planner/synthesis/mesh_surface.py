@@ -10,7 +10,7 @@ verdict on the true surface is not.
 Distance fields in expressions: a mesh's smooth distance by its Taylor coefficients.
 
 A primitive's distance is an expression. A mesh has a sampled field, a table
-(``planner.shapes.field.distance_field``). Expressions are therefore written in the field's Taylor
+(``planner.shapes.distance_field``). Expressions are therefore written in the field's Taylor
 coefficients at the points where they need it: with the coefficients a, b, H of phi at a point y
 that depends on the unknowns,
 

@@ -1,4 +1,4 @@
-"""A mesh's distance field at one point, in loops (``planner.shapes.field.distance_field``)."""
+"""A mesh's distance field at one point, in loops (``planner.shapes.distance_field``)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.numerics.kernels import loops_of_kernels
-from planner.shapes.field.distance_field import DistanceField
+from planner.shapes.distance_field import DistanceField
 from planner.spatial import FloatArray, IntArray
 
 

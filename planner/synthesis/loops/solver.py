@@ -17,7 +17,7 @@ import numpy as np
 from planner.numerics.kernels import compile_loops
 from planner.numerics.levenberg_marquardt import PATIENCE, SLOW, STALLED, LMResult
 from planner.numerics.tape import Tape, tape_of
-from planner.shapes.field.distance_field import DistanceField
+from planner.shapes.distance_field import DistanceField
 from planner.spatial import FloatArray
 from planner.synthesis.loops.field import NO_FIELD, spline_tables
 from planner.synthesis.loops.least_squares import (
