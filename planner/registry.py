@@ -22,8 +22,9 @@ Names of this package come first. Nothing of others is imported before its name 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from functools import lru_cache
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
@@ -33,6 +34,10 @@ __all__ = ["Registry"]
 
 
 T = TypeVar("T")
+
+
+class _Home(str):
+    """Where a thing is that was not asked for yet: "module:attribute"."""
 
 
 class Registry(MutableMapping[str, T], Generic[T]):
@@ -61,7 +66,7 @@ class Registry(MutableMapping[str, T], Generic[T]):
         """
         self.kind, self.group = kind, group
         self._error, self._check = error, check
-        self._known: dict[str, T] = {}
+        self._known: dict[str, T | _Home] = {}
 
     def add(self, name: str, thing: T) -> T:
         """Add a thing; the same one may be added again.
@@ -69,13 +74,21 @@ class Registry(MutableMapping[str, T], Generic[T]):
         Raises:
             PlannerError: ``error`` of the registry: the name is another's, or it is not usable.
         """
-        if self._known.get(name, thing) is not thing:
+        if name in self._known and self[name] is not thing:
             known = getattr(self._known[name], "__name__", "there")
             raise self._error(f"{self.kind} {shown(name)} is {known} already; choose another name")
         if self._check is not None:
             self._check(name, thing)
         self._known[name] = thing
         return thing
+
+    def add_homes(self, homes: Mapping[str, str]) -> None:
+        """Add names of ours whose things are imported when they are first asked for.
+
+        Args:
+            homes: Name -> "module:attribute".
+        """
+        self._known |= {name: _Home(home) for name, home in homes.items()}
 
     def named(self, name: str, hint: str = "") -> T:
         """The thing of a name.
@@ -102,7 +115,12 @@ class Registry(MutableMapping[str, T], Generic[T]):
             if self._check is not None:
                 self._check(name, thing)
             return thing
-        return self._known[name]
+        known = self._known[name]
+        if isinstance(known, _Home):
+            module, _, attribute = known.partition(":")
+            found: T = getattr(import_module(module), attribute)
+            self._known[name] = known = found
+        return known
 
     def __setitem__(self, name: str, thing: T) -> None:
         """See ``add``."""

@@ -12,9 +12,8 @@ import pytest
 from planner.collision.world import OBJECT, CollisionWorld
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.proximity.convex import FAILED, DistancePair, GeometryPairs
+from planner.proximity.convex import FAILED, LEAST_LIMIT, DistancePair, GeometryPairs
 from planner.proximity.mesh import MeshPair
-from planner.proximity.mesh_pairs import LEAST_LIMIT
 from planner.search.grasp import plan_grasp
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray

@@ -73,7 +73,7 @@ def quick_fit(monkeypatch: pytest.MonkeyPatch) -> list[object]:
             FITTED[key] = fit_mesh_field(surface, thickness, wall=wall)
         return FITTED[key]
 
-    monkeypatch.setattr("planner.shapes.mesh.fit_mesh_field", fit)
+    monkeypatch.setattr("planner.shapes.mesh_field.fit_mesh_field", fit)
     return calls
 
 

@@ -36,8 +36,9 @@ from planner.synthesis.mesh_surface import STEEP, mesh_surface
 from planner.synthesis.optimize import NEARLY, optimize_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start, build_problem
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.seeds.mesh import FACING, MeshSeeder, opposed_pairs, seeder_for
+from planner.synthesis.seeds.mesh import FACING, MeshSeeder, opposed_pairs
 from planner.synthesis.seeds.opposition import measure_postures, opposition
 from planner.synthesis.terms.clearance import PRESSED
 from planner.synthesis.terms.registry import TERMS

@@ -53,7 +53,7 @@ from planner.synthesis.objectives import (
 from planner.synthesis.options import ProblemForm
 from planner.synthesis.problem import Start, problems_for
 from planner.synthesis.residuals import Formulation, formulate
-from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.symbols import GraspPoint
 from planner.task import GraspTask
 

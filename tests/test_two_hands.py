@@ -28,8 +28,8 @@ from planner.motion.search import check_task
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.facing_palms import PairSeeder
-from planner.synthesis.seeds.mesh import seeder_for
 from planner.system.package import models_dir
 from planner.verification.grasp import GAP_TOL, project_onto_surface
 from sim import Timeline, simulate

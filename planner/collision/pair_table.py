@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,10 +23,12 @@ from planner.errors import TaskError
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandKinematics, point_rates
 from planner.proximity.convex import DistancePair
-from planner.proximity.mesh import MeshPair
 from planner.shapes import Box, Mesh, Shape
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask, Obstacle
+
+if TYPE_CHECKING:
+    from planner.proximity.mesh import MeshPair
 
 OBJECT = "object"
 """Name of the object among the geometries."""
@@ -243,6 +245,8 @@ def _finger_pairs(hand: Hand, pairs: Sequence[tuple[int, int]]) -> NDArray[np.bo
 def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:
     """The distance query of a convex coal geometry (a) and a shape (b)."""
     if isinstance(shape, Mesh):
+        from planner.proximity.mesh import MeshPair  # here: for meshes alone
+
         return MeshPair(geometry, shape)
     return DistancePair(geometry, shape.coal_geometry())
 

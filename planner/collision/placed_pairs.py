@@ -13,7 +13,7 @@ the clearance.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,11 +23,13 @@ from planner.collision.pair_table import PairTable
 from planner.errors import TaskError
 from planner.hands.hand import Hand
 from planner.kinematics.link_bounds import LinkBounds
-from planner.proximity.convex import GeometryPairs, PairQuery
-from planner.proximity.mesh_pairs import FEW, MeshPairs
+from planner.proximity.convex import FEW, GeometryPairs, PairQuery
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
+
+if TYPE_CHECKING:
+    from planner.proximity.mesh_pairs import MeshPairs
 
 MESH_LIMIT = 0.006
 """``PlacedPairs.near`` looks no further than this (m) from a mesh; a wider search takes longer."""
@@ -56,6 +58,8 @@ class PlacedPairs:
         self.mesh: MeshPairs | None = None
         points: FloatArray | None = None
         if isinstance(shape, Mesh):
+            from planner.proximity.mesh_pairs import MeshPairs  # here: for meshes alone
+
             self.mesh = MeshPairs([g.geometry for g in hand.geometries], shape)
             points = shape.hull_vertices
         self.bounds = LinkBounds(hand.pin_model, table.model, table.pairs, table.n_hand, points)

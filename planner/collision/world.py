@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,13 @@ from planner.collision.pair_table import (
 from planner.collision.placed_pairs import PlacedPairs, Sweep, hull_pairs
 from planner.errors import NotFoundError
 from planner.kinematics.state import MovingHand
-from planner.proximity.convex import DistancePair, Proximity
-from planner.proximity.mesh import MeshPair
-from planner.proximity.mesh_pairs import LEAST_LIMIT
+from planner.proximity.convex import LEAST_LIMIT, DistancePair, Proximity
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
+
+if TYPE_CHECKING:
+    from planner.proximity.mesh import MeshPair
 
 __all__ = [
     "OBJECT",

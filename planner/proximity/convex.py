@@ -51,6 +51,12 @@ FAILED = 1e6
 """Distances (m) beyond this, of either sign, are not: coal marks a query that did not converge by
 1.8e308."""
 
+LEAST_LIMIT = 1e-5
+"""Smallest limit (m) that coal is given: its accuracy. Told 0, it would not look for a touch."""
+
+FEW = 5
+"""Geometries from which on it pays to bound their distances before they are measured."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proximity:

@@ -25,8 +25,8 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import nearly, optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions, needed_options, with_room
 from planner.synthesis.problem import Candidate, GraspProblem, Problems, Start, problems_for
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.terms.registry import TERMS
 from planner.system.threads import made_once, stage
 from planner.task import GraspTask

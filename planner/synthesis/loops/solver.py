@@ -19,7 +19,7 @@ from planner.numerics.levenberg_marquardt import PATIENCE, SLOW, STALLED, LMResu
 from planner.numerics.tape import Tape, tape_of
 from planner.shapes.distance_field import DistanceField
 from planner.spatial import FloatArray
-from planner.synthesis.loops.field import NO_FIELD, spline_tables
+from planner.synthesis.loops.clearance import NO_FIELD, CompiledClearances, spline_tables
 from planner.synthesis.loops.least_squares import (
     STATUS,
     Kept,
@@ -31,7 +31,6 @@ from planner.synthesis.loops.least_squares import (
 )
 from planner.synthesis.mesh_surface import Field
 from planner.synthesis.residuals import Residuals
-from planner.synthesis.terms.clearance import CompiledClearances
 from planner.synthesis.terms.fingers import capsule_run, capsule_tables
 from planner.synthesis.terms.hand_points import Rows, hand_at, joint_outputs, joints_of
 from planner.synthesis.terms.link_distance import LINKS, LinkDistances, link_run
