@@ -15,12 +15,13 @@ from planner.quality.ball import (
 )
 from planner.quality.closure import (
     ClosureResult,
+    RoundCones,
     closure_of_wrenches,
     force_closure,
     min_weight,
     plainly_closed,
+    primitive_wrenches,
 )
-from planner.quality.cones import RoundCones, primitive_wrenches
 from planner.quality.report import (
     QualityReport,
     analyse,

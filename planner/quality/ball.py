@@ -44,7 +44,7 @@ import numpy as np
 from planner.arrays import checked_count, float_array
 from planner.contacts import MIN_EDGES, ContactSet, Pyramid
 from planner.errors import ContactError
-from planner.quality.cones import RoundCones, check_length, contact_wrenches, primitive_wrenches
+from planner.quality.closure import RoundCones, check_length, contact_wrenches, primitive_wrenches
 from planner.spatial import FloatArray
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from planner.forces import ForceSolution
 from planner.numerics.kernels import attempt_kernels, planning_time
 from planner.numerics.levenberg_marquardt import MAX_ITERATIONS
 from planner.plan import BestOf, GraspPlan
-from planner.search.metrics import Measure
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.objectives import EPSILON
 from planner.synthesis.optimize import NEARLY, GraspRun
@@ -40,6 +39,9 @@ from planner.synthesis.seeds.draw import Seeder
 from planner.system.threads import stage
 from planner.task import GraspTask
 from planner.verification.grasp import plan_forces
+
+if TYPE_CHECKING:
+    from planner.search.metrics import Measure
 
 __all__ = ["BEST", "FALLEN_BEHIND", "FIRST", "Wanted", "improving_attempts"]
 
@@ -297,6 +299,8 @@ class Wanted:
                 "many grasps, keep='best' with max_attempts or max_cpu_s"
             )
         compares = keep == BEST or best_of is not None
+        if compares or metric is not None:
+            from planner.search.metrics import Measure  # here: the first grasp is not measured
         if metric is not None:
             Measure.of(metric)  # an error of it speaks of a metric, not of an objective
         if metric is not None and not compares:
@@ -306,13 +310,15 @@ class Wanted:
             )
         if options is None:
             options = SynthesisOptions() if metric is None else SynthesisOptions(objective=metric)
-        objective = EPSILON if options.objective == NO_OBJECTIVE else options.objective
-        measure = Measure.of(objective if metric is None else metric, options.task_wrenches)
+        measure = None
+        if compares:
+            objective = EPSILON if options.objective == NO_OBJECTIVE else options.objective
+            measure = Measure.of(objective if metric is None else metric, options.task_wrenches)
         if max_attempts is None and (keep == FIRST or max_cpu_s is None):
             max_attempts = DEFAULT_MAX_ATTEMPTS
         return cls(
             options=options,
-            measure=measure if compares else None,
+            measure=measure,
             improving=keep == BEST,
             best_of=None if keep == BEST else best_of or 1,
             max_attempts=max_attempts,

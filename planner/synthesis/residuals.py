@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.numerics.casadi_buffers import into_buffers
 from planner.numerics.levenberg_marquardt import SLOW, LMResult, levenberg_marquardt
+from planner.numerics.tape import into_buffers
 from planner.shapes.surface import Surface
 from planner.spatial import FloatArray
 from planner.synthesis.mesh_surface import COEFFICIENTS, Field
