@@ -30,7 +30,7 @@ from planner.contacts import ContactSet
 from planner.files import read_json
 from planner.objects import parse_object
 from planner.quality.ball import FROGGER_EDGES, epsilon_frogger
-from planner.quality.cones import contact_wrenches
+from planner.quality.closure import contact_wrenches
 from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.mesh_surface import surface_of

@@ -98,21 +98,19 @@ def is_finite(array: FloatArray) -> bool:
     return isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 
-def per_item(
-    what: str, value: Any, n: int, *, error: type[PlannerError] = ContactError
-) -> FloatArray:
+def per_item(what: str, value: Any, n: int) -> FloatArray:
     """A number or (n,) as (n,); infinity is allowed, NaN is not.
 
     Raises:
-        ContactError: Another shape, or NaN; ``error`` if given.
+        ContactError: Another shape, or NaN.
     """
     if type(value) is float and value == value:
         return np.full(n, value)
-    array = float_array(what, value, error=error)
+    array = float_array(what, value)
     if array.shape not in ((), (n,)):
-        raise error(f"{what} has shape {array.shape}; give a number or ({n},)")
+        raise ContactError(f"{what} has shape {array.shape}; give a number or ({n},)")
     if isnan(np.vdot(array, array)):
-        raise error(f"{what} holds NaN; give numbers")
+        raise ContactError(f"{what} holds NaN; give numbers")
     return array if array.shape else np.full(n, array)
 
 
@@ -177,14 +175,14 @@ def checked_count(
     return int(value)
 
 
-def checked_kind(name: str, value: Any, kind: type[T], error: type[PlannerError] = TaskError) -> T:
+def checked_kind(name: str, value: Any, kind: type[T]) -> T:
     """Something of a class.
 
     Raises:
-        TaskError: It is of another; ``error`` if given.
+        TaskError: It is of another.
     """
     if not isinstance(value, kind):
-        raise error(f"{name} is {shown(value)}; give a {kind.__name__}")
+        raise TaskError(f"{name} is {shown(value)}; give a {kind.__name__}")
     return value
 
 
@@ -198,7 +196,6 @@ def check_fields(
     above: float | None = None,
     infinite: bool = False,
     unit: str = "",
-    error: type[PlannerError] = TaskError,
 ) -> None:
     """Check number fields of a dataclass by one range, each as what its annotation says.
 
@@ -215,7 +212,6 @@ def check_fields(
         above: Likewise.
         infinite: Likewise.
         unit: Likewise.
-        error: Likewise.
     """
     kinds = {f.name: str(f.type) for f in fields(owner)}
     named = tuple(names) or [n for n, k in kinds.items() if k.startswith(_NUMBERS)]
@@ -227,22 +223,22 @@ def check_fields(
             low = 0 if least == -np.inf else math.ceil(least)
             low = low if above is None else max(low, math.floor(above) + 1)
             high = MOST_COUNT if most == np.inf else int(most)
-            checked_count(called, value, least=low, most=high, error=error)
+            checked_count(called, value, least=low, most=high, error=TaskError)
             continue
         if kind.startswith("float"):
             parts: Iterable[Any] = (value,)
         elif kind.startswith("tuple"):
-            array = float_array(called, value, error=error)
+            array = float_array(called, value, error=TaskError)
             length = "" if "..." in kind else f"{kind.count('float')} "
             if array.ndim != 1 or (length and len(array) != int(length)):
-                raise error(f"{called} is {shown(value)}; give {length}numbers in a row")
+                raise TaskError(f"{called} is {shown(value)}; give {length}numbers in a row")
             parts = value
         else:
-            parts = float_array(called, value, error=error).ravel().tolist()
+            parts = float_array(called, value, error=TaskError).ravel().tolist()
         for part in parts:
             checked_number(
                 called, part, least=least, most=most, above=above, infinite=infinite, unit=unit,
-                error=error,
+                error=TaskError,
             )  # fmt: skip
 
 

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arrays import checked_number, finite_array
-from planner.bridge.object_body import object_body
 from planner.errors import NotFoundError, ObjectError, shown
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
 from planner.spatial import SE3, FloatArray
@@ -355,6 +354,8 @@ def _parse_shape(spec: str, repair: bool, strict: bool) -> tuple[str, Shape, flo
         return path.stem, loaded, DEFAULT_MASS
     model = _MODEL_BODY.fullmatch(spec)
     if model:
+        from planner.bridge.object_body import object_body  # here: few objects are models' bodies
+
         body = object_body(Path(model[1]), model[2], repair=repair, strict=strict)
         return model[2], body.shape, body.mass if body.mass > 0 else DEFAULT_MASS
     kind, colon, numbers = spec.lower().partition(":")

@@ -115,8 +115,8 @@ class GraspTask:
         expected_load: What ``grip_force`` was sized for beside the weight. Fewer fingers then grip
             harder. A plan file keeps the grip alone.
         joint_error: Standard deviation of the constant error of each joint's encoder, rad: the
-            search leaves room for it where there is room (``planner.synthesis.room``). A plan file
-            keeps the plan alone.
+            search leaves room for it where there is room (``planner.synthesis.options``). A plan
+            file keeps the plan alone.
         needed: Wrenches each of which the hand must be able to produce on the object while it bears
             the weight as at the grasp.
         needed_margin: How many times each of them the planned grasp must be able to produce (-).

@@ -19,7 +19,7 @@ import pinocchio as pin
 from planner.kinematics.state import HandState
 from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, pose_change, pose_to_wxyz
-from planner.system.process import interrupts_wait
+from planner.system.threads import interrupts_wait
 from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import ContactHistory, ContactRows
 from sim.recording import PALM, Recording, Samples

@@ -24,7 +24,7 @@ from planner.arrays import LARGEST_FLOAT, finite
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError
 from planner.quality import closure_of_wrenches
-from planner.quality.cones import contact_wrenches
+from planner.quality.closure import contact_wrenches
 from planner.schema import StrictData
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 from planner.tolerances import CLOSURE_EDGES

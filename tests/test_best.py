@@ -21,7 +21,7 @@ from planner.plan import GraspPlan
 from planner.search.best import FALLEN_BEHIND
 from planner.search.grasp import attempts, plan_grasp, plans
 from planner.search.metrics import METRICS, Measure, Metric, evaluate_metrics, register_metric
-from planner.synthesis.objectives.registry import OBJECTIVES
+from planner.synthesis.objectives import OBJECTIVES
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 

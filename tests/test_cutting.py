@@ -9,13 +9,12 @@ import pytest
 import trimesh
 from conftest import of_trimesh
 
-from planner.shapes import Mesh
-from planner.shapes.decomposition import cutting
-from planner.shapes.decomposition.cutting import VOLUME_COST, Cell, Guards
-from planner.shapes.decomposition.pieces import TOLERANCE
+from planner.shapes import Mesh, cutting
+from planner.shapes.cutting import VOLUME_COST, Cell, Guards
 from planner.shapes.hulls import Hull, hull_of
 from planner.shapes.made import LBracket
-from planner.shapes.meshes.simplify import clustered, simplified
+from planner.shapes.meshes.triangles import clustered, simplified
+from planner.shapes.pieces import TOLERANCE
 from planner.spatial import FloatArray, IntArray
 
 

@@ -32,7 +32,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.shapes import Mesh
-from planner.shapes.decomposition.pieces import Pieces
+from planner.shapes.pieces import Pieces
 from planner.spatial import SE3, pose_from_wxyz
 from planner.task import GraspTask
 from sim.protocols import dexgraspbench

@@ -13,8 +13,8 @@ from hypothesis.extra.numpy import arrays
 
 from planner.errors import ObjectError
 from planner.shapes import Box, Capsule, Shape, Sphere
-from planner.shapes.field.distance_field import DistanceField, taylor_size
-from planner.shapes.field.fit import FAR_REACH, RIM_STEP, fit_field, grid_nodes
+from planner.shapes.distance_field import DistanceField, taylor_size
+from planner.shapes.field_fit import FAR_REACH, RIM_STEP, fit_field, grid_nodes
 from planner.spatial import FloatArray
 
 SHAPES: tuple[Shape, ...] = (Sphere(0.04), Box((0.05, 0.06, 0.1)), Capsule(0.012, 0.25))

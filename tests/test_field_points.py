@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planner.spatial import FloatArray
-from planner.synthesis.field_points import FieldPoints
+from planner.synthesis.mesh_surface import FieldPoints
 
 RADII = np.array([1.0, 0.7, 0.5])
 

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
-from planner.contacts.checks import check_frames
+from planner.contacts.contact_set import check_frames
 from planner.errors import ContactError
 from planner.forces import (
     ForceLoop,
@@ -28,7 +28,7 @@ from planner.forces import (
 )
 from planner.hand_loading import load_hand
 from planner.joints.actuation import Actuation
-from planner.numerics.dense_qp import DenseQp
+from planner.numerics.qp_workspace import DenseQp
 from planner.spatial import FloatArray, contact_frames
 
 W = 0.981

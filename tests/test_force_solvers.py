@@ -26,8 +26,7 @@ from planner.forces import (
 )
 from planner.forces.infeasible import outlined
 from planner.numerics import qp_workspace as workspaces
-from planner.numerics.dense_qp import DenseQp
-from planner.numerics.qp_workspace import qp_workspace
+from planner.numerics.qp_workspace import DenseQp, qp_workspace
 from planner.spatial import FloatArray
 
 FILE = Path(__file__).parent / "data" / "force_problems.json"

@@ -23,8 +23,8 @@ from planner.forces import (
     distribute_forces,
     gravity_wrench,
 )
-from planner.forces.friction_part import friction_part
-from planner.forces.screen import torque_table
+from planner.forces.limits import friction_part
+from planner.forces.problem import torque_table
 from planner.quality import primitive_wrenches
 from planner.spatial import FloatArray
 

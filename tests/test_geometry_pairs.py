@@ -12,10 +12,8 @@ import pytest
 from planner.collision.world import OBJECT, CollisionWorld
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.proximity.convex import DistancePair
-from planner.proximity.convex_pairs import GeometryPairs
+from planner.proximity.convex import FAILED, LEAST_LIMIT, DistancePair, GeometryPairs
 from planner.proximity.mesh import MeshPair
-from planner.proximity.mesh_pairs import LEAST_LIMIT
 from planner.search.grasp import plan_grasp
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
@@ -148,13 +146,15 @@ def test_a_query_that_coal_fails_at_is_asked_again(
     base, q = SE3(np.eye(3), np.array([0.0, 0.0, 0.3])), allegro.posture("open")
     truth = world.nearest(base, q)
     # so small a limit makes every distance a failure
-    monkeypatch.setattr("planner.proximity.convex_pairs.FAILED", 0.0)
+    monkeypatch.setattr("planner.proximity.convex.FAILED", 0.0)
     asked = []
     distance = DistancePair.distance
 
     def told(self: DistancePair, a: SE3, b: SE3) -> float:
         asked.append(self)
-        return distance(self, a, b)
+        with monkeypatch.context() as single:
+            single.setattr("planner.proximity.convex.FAILED", FAILED)  # of one pair, the usual
+            return distance(self, a, b)
 
     monkeypatch.setattr(DistancePair, "distance", told)
     again = world.distances(base, q)

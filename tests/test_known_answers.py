@@ -24,7 +24,7 @@ from planner.hands.two_hands import _check_faces
 from planner.motion.path import ATTITUDES, ObjectPath
 from planner.objects import parse_object
 from planner.shapes import Mesh
-from planner.shapes.field.mesh_field import _one_of_each_cube
+from planner.shapes.mesh_field import _one_of_each_cube
 from planner.spatial import SE3
 from planner.synthesis.link_capsules import closest_on_segments
 from planner.synthesis.terms.fingers import nearest

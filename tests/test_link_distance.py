@@ -16,7 +16,7 @@ from planner.synthesis.link_capsules import capsules_are_true
 from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start, problems_for
-from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.terms.link_distance import (
     LEAST_DISTANCE,
     MARGIN_IN_VIEW,

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from benchmarks.conditions import FRICTION, REGRASP_FRICTION
 from benchmarks.manipulate import Turn
-from planner.collision.resting import lift_to_rest
+from planner.collision.pair_table import lift_to_rest
 from planner.collision.world import CollisionWorld
 from planner.contacts import Contact, ContactSet
 from planner.errors import NoGraspFoundError, TaskError

@@ -19,9 +19,9 @@ from planner.collision.world import shape_pair
 from planner.errors import ObjectError
 from planner.proximity.convex import DistancePair
 from planner.shapes import Box, LBracket, Mesh, Mug, Sphere, Torus
-from planner.shapes.field.distance_field import DistanceField
-from planner.shapes.field.mesh_field import SMOOTHED_MOST, fit_mesh_field
+from planner.shapes.distance_field import DistanceField
 from planner.shapes.mesh import THIN
+from planner.shapes.mesh_field import SMOOTHED_MOST, fit_mesh_field
 from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.triangles import COVERED, cover, nearest_on_triangles, winding_number
 from planner.spatial import SE3, FloatArray
@@ -73,7 +73,7 @@ def quick_fit(monkeypatch: pytest.MonkeyPatch) -> list[object]:
             FITTED[key] = fit_mesh_field(surface, thickness, wall=wall)
         return FITTED[key]
 
-    monkeypatch.setattr("planner.shapes.mesh.fit_mesh_field", fit)
+    monkeypatch.setattr("planner.shapes.mesh_field.fit_mesh_field", fit)
     return calls
 
 

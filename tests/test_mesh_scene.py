@@ -13,8 +13,8 @@ from planner.bridge.mesh_files import HIDDEN_GROUP
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.shapes import Mesh
-from planner.shapes.decomposition.pieces import convex_pieces
 from planner.shapes.made import LBracket, Torus
+from planner.shapes.pieces import convex_pieces
 from planner.shapes.solid import solid_deviation, solid_geoms
 from planner.spatial import SE3
 from planner.system.disk_cache import CACHE_VARIABLE

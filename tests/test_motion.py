@@ -54,12 +54,11 @@ from planner.objects import parse_object
 from planner.quality import analyse, force_closure
 from planner.spatial import SE3, FloatArray, skew
 from planner.synthesis.mesh_surface import surface_of
-from planner.synthesis.objectives.joint import driving
+from planner.synthesis.objectives import driving
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.symbols import obstacles_in_object
-from planner.synthesis.terms.forces import BALANCE, CONE
-from planner.synthesis.unknowns import mrp_numeric
+from planner.synthesis.symbols import mrp_numeric, obstacles_in_object
+from planner.synthesis.terms.standard import BALANCE, CONE
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN, SWING_SHARE
 from planner.verification.geometry import contacts_at, verify_geometry

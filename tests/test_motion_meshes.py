@@ -20,7 +20,8 @@ from planner.shapes import Cylinder, Mesh, Superquadric
 from planner.spatial import SE3
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.problem import Start
-from planner.synthesis.seeds.mesh import MeshSeeder, TurningSeeder, turning_seeder_for
+from planner.synthesis.seeds import turning_seeder_for
+from planner.synthesis.seeds.mesh import MeshSeeder, TurningSeeder
 from planner.synthesis.terms.clearance import OBJECT, OBSTACLE, TABLE
 from planner.synthesis.terms.fingers import FINGERS
 from planner.task import GraspTask

@@ -33,27 +33,27 @@ from planner.search.metrics import (
 from planner.spatial import FloatArray
 from planner.synthesis import SynthesisOptions, gravity_any_direction, tool_torque
 from planner.synthesis.mesh_surface import surface_of
-from planner.synthesis.objectives.joint import (
+from planner.synthesis.objectives import (
+    EPSILON,
     LIMIT_TARGET,
     MANIPULABILITY_TARGET,
-    SINGULAR,
-    driving,
-    free_velocities,
-)
-from planner.synthesis.objectives.registry import EPSILON, OBJECTIVES, objective_parameters
-from planner.synthesis.objectives.wrench import (
     MIN_WEIGHT_TARGET,
     NORMAL_ERROR,
+    OBJECTIVES,
     POSITION_ERROR,
     ROBUSTNESS_TARGET,
+    SINGULAR,
     TASK_TARGET,
+    driving,
+    free_velocities,
     narrowed,
+    objective_parameters,
     resisted_wrenches,
 )
 from planner.synthesis.options import ProblemForm
 from planner.synthesis.problem import Start, problems_for
 from planner.synthesis.residuals import Formulation, formulate
-from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.symbols import GraspPoint
 from planner.task import GraspTask
 

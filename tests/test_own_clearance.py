@@ -30,7 +30,7 @@ from planner.synthesis.loops import solver
 from planner.synthesis.loops.solver import LoopResiduals, loop_problem
 from planner.synthesis.problem import GraspProblem, Start, problems_for
 from planner.synthesis.residuals import Residuals
-from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.terms.registry import TERMS
 
 WALL = np.array([1.0, 0.0, 0.0, 0.1])

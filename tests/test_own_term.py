@@ -25,7 +25,7 @@ from planner.synthesis import (
     register_term,
 )
 from planner.synthesis.problem import GraspProblem, Start, build_problem, problems_for
-from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.terms import clearance
 from planner.synthesis.terms.registry import STANDARD, TERMS
 

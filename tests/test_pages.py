@@ -45,7 +45,7 @@ from planner.pages.scene import Model, pose_row
 from planner.quality import primitive_wrenches
 from planner.shapes import SIZED_SHAPES
 from planner.shapes.mesh import Mesh
-from planner.shapes.meshes.simplify import simplified
+from planner.shapes.meshes.triangles import simplified
 from planner.showing import page_of
 from planner.spatial import SE3, FloatArray, minimum_jerk, pose_from_wxyz
 from sim.cli import app

@@ -11,18 +11,18 @@ import trimesh
 from conftest import of_trimesh
 
 from planner.shapes import Box, Mesh, Sphere
-from planner.shapes.decomposition import pieces as pieces_of
-from planner.shapes.decomposition.cutting import Cell, Guards, cut, half_of
-from planner.shapes.decomposition.pieces import (
+from planner.shapes import pieces as pieces_of
+from planner.shapes.cutting import Cell, Guards, cut, half_of
+from planner.shapes.hulls import clip, crossing_points, hull_of
+from planner.shapes.made import LBracket, Mug, Torus
+from planner.shapes.meshes.triangles import cover
+from planner.shapes.pieces import (
     TOLERANCE,
     Pieces,
     convex_pieces,
     deviation,
     pieces_fit,
 )
-from planner.shapes.hulls import clip, crossing_points, hull_of
-from planner.shapes.made import LBracket, Mug, Torus
-from planner.shapes.meshes.triangles import cover
 from planner.shapes.solid import solid_deviation, solid_geoms
 from planner.spatial import FloatArray
 from planner.system.disk_cache import CACHE_VARIABLE, read_arrays, write_arrays
@@ -129,7 +129,7 @@ def test_cutting_ends_where_a_plane_cuts_nothing_off(monkeypatch: pytest.MonkeyP
             raise AssertionError("the same cell is cut again and again")
         return np.array([1.0, 0.0, 0.0, 1.0])
 
-    monkeypatch.setattr("planner.shapes.decomposition.cutting._best_plane", beside)
+    monkeypatch.setattr("planner.shapes.cutting._best_plane", beside)
     hulls = cut(mesh, Guards(mesh, whole, TOLERANCE), whole, TOLERANCE)
     assert [h.volume for h in hulls] == [pytest.approx(whole.volume)]
 

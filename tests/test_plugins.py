@@ -18,8 +18,8 @@ from planner.hand_loading import load_hand
 from planner.hands.catalog import foreign_hand_names
 from planner.objects import parse_object
 from planner.plan import GraspPlan
+from planner.registry import forget_plugins
 from planner.search.grasp import plan_grasp
-from planner.system import plugins
 from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.controllers import GraspController, controller_maker
@@ -113,10 +113,10 @@ def laboratory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
     (told / "entry_points.txt").write_text(ENTRY_POINTS, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     importlib.invalidate_caches()
-    plugins.forget_plugins()
+    forget_plugins()
     yield tmp_path
     monkeypatch.undo()
-    plugins.forget_plugins()
+    forget_plugins()
     sys.modules.pop("lab_of_ours", None)
     FORMATS.pop("lab", None)
 

@@ -22,7 +22,7 @@ from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
-from planner.system.process import interrupts_wait
+from planner.system.threads import interrupts_wait
 from sim.contacts import ContactHistory, hand_contacts, merge_per_finger
 from sim.recorder import StateRecorder
 from sim.recording import PALM, Recording, RecordingData

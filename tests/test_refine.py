@@ -32,7 +32,7 @@ from planner.search.refine.rungs import NEAR, near_numbers
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import problems_for
-from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds import seeder_for
 from planner.verification.grasp import verify_grasp
 
 HANDS = ("allegro_hand", "shadow_hand")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,9 +12,8 @@ import pytest
 from planner.errors import ModelError, NotFoundError, TaskError
 from planner.hands.catalog import FOREIGN_HANDS, find_hand, foreign_hand_names, hand_reference
 from planner.objects import parse_object
-from planner.registry import Registry
+from planner.registry import Registry, forget_plugins
 from planner.shapes import SIZED_SHAPES
-from planner.system.plugins import forget_plugins
 
 PACKAGE = "somebodys_things"
 
@@ -75,3 +75,20 @@ def test_a_name_is_taken_once_and_told_where_it_is_missing() -> None:
     with pytest.raises(NotFoundError, match=r"no thing is called 'on'\. Did you mean 'one'"):
         things.named("on")
     assert list(things) == ["one"] and len(things) == 1 and "two" not in things
+
+
+def test_what_is_ours_is_imported_when_it_is_asked_for() -> None:
+    things: Registry[float] = Registry("thing")
+    things.add_homes({"far": "no_such_module:thing", "near": "math:pi"})
+    assert list(things) == ["far", "near"] and "far" in things and len(things) == 2
+    assert things["near"] is math.pi and things.named("near") is math.pi
+    with pytest.raises(ModuleNotFoundError, match="no_such_module"):
+        things["far"]
+    with pytest.raises(TaskError, match="near"):
+        things.add("near", 3.0)
+
+
+def test_our_kinds_of_shapes_are_called_as_their_classes_say() -> None:
+    for name, shape in SIZED_SHAPES.items():
+        assert shape.kind == name
+        assert shape.from_sizes(shape.default_sizes).sizes == shape.default_sizes

@@ -12,7 +12,7 @@ from conftest import box_mesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.collision.idle_fingers import spread_idle
+from planner.approach.pregrasp_ik import spread_idle
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.hand_loading import load_hand
@@ -22,8 +22,7 @@ from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
-from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.room import LEAST_ROOM, table_room, with_room
+from planner.synthesis.options import LEAST_ROOM, SynthesisOptions, table_room, with_room
 from planner.task import GraspTask
 from planner.tolerances import EDGE_RADIUS
 

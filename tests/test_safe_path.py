@@ -11,7 +11,7 @@ import pytest
 
 from planner.batch.pool import finished
 from planner.errors import TaskError
-from planner.system.process import SAFE_PATH, safe_path
+from planner.system.threads import SAFE_PATH, safe_path
 
 PROGRAM = """
 import operator

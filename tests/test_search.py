@@ -25,7 +25,7 @@ from planner.plan import GraspPlan
 from planner.search.grasp import SPARE_AFTER, Attempt, attempts, plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds import seeder_for
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import FRICTION_SHARE
 from planner.verification.grasp import verify_grasp

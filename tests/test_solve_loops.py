@@ -15,12 +15,12 @@ from planner.numerics.tape import programs_of, run_on_lanes, run_tape, tape_of
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.loops import solver
-from planner.synthesis.loops.field import spline_tables, taylor_at
+from planner.synthesis.loops.clearance import spline_tables, taylor_at
 from planner.synthesis.loops.solver import LINK_ROWS, LoopProblem, LoopResiduals, loop_problem
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start, problems_for
 from planner.synthesis.residuals import Residuals
-from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.terms.link_distance import LinkDistances
 from planner.task import Obstacle
 

@@ -11,8 +11,8 @@ from conftest import of_trimesh
 from scipy.spatial import cKDTree
 
 from planner.shapes import LBracket, Mesh, Mug, Torus
-from planner.shapes.field.fit import grid_nodes
-from planner.shapes.field.mesh_field import NEAR, Pyramid, SurfaceWalk, within_cells
+from planner.shapes.field_fit import grid_nodes
+from planner.shapes.mesh_field import NEAR, Pyramid, SurfaceWalk, within_cells
 from planner.spatial import FloatArray
 
 STEP = 0.0015

@@ -27,7 +27,7 @@ from planner.synthesis.link_spheres import LinkSphere, hull_spheres, link_sphere
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start, problems_for
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.terms.forces import LEVER, PRESS_MIN
+from planner.synthesis.terms.standard import LEVER, PRESS_MIN
 from planner.task import GraspTask, Obstacle
 
 SOFT = 4e-5

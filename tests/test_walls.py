@@ -27,7 +27,8 @@ from planner.shapes import Bowl, Channel, Cup, Mesh, Pan, Plate, Teacup, Tube
 from planner.shapes.meshes.soundness import bodies_of, faults_of
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import SKIN, surface_of
-from planner.synthesis.seeds.mesh import opposed_pairs, seeder_for
+from planner.synthesis.seeds import seeder_for
+from planner.synthesis.seeds.mesh import opposed_pairs
 from planner.verification.geometry import edge_failures, verify_geometry
 
 HERE = SE3(np.eye(3), np.zeros(3))

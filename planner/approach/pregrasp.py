@@ -21,8 +21,7 @@ from planner.approach.arm_path import (
     verify_arm_path,
     verify_lift,
 )
-from planner.approach.pregrasp_ik import PregraspIk, undetermined_joints
-from planner.collision.idle_fingers import spread_idle
+from planner.approach.pregrasp_ik import PregraspIk, spread_idle, undetermined_joints
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.hands.hand import Hand

@@ -5,10 +5,13 @@
          hand clear of object, table, obstacles and of itself
 
 with c_i the pad centres of the grasp and n_i the normals into the object. Gauss-Newton steps, each
-a quadratic programme over the joints with everything linearised (``planner.numerics.ik_step``).
+a quadratic programme over the joints with everything linearised (``planner.numerics.qp``).
 Near pairs enter only if the solution without them comes too near to something. Fingers that stand
 close to each other may have to move sideways as well while they open. Violated bounds are
 minimised; the verdict is ``planner.approach.pregrasp``'s, on the true geometry.
+
+Idle fingers, which take no part in a grasp, are spread away from everything else where joints may
+be off (``spread_idle``), before a grasp and along a motion.
 """
 
 from __future__ import annotations
@@ -22,12 +25,12 @@ from numpy.typing import NDArray
 from planner.collision.world import CollisionWorld, NearPairs
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.point_motion import point_jacobians
-from planner.kinematics.state import tip_reach
-from planner.numerics.ik_step import Barrier, Task, constrained_ik_step
+from planner.kinematics.state import point_jacobians, tip_reach
+from planner.numerics.qp import Barrier, Task, constrained_ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["OPENED_SHARE", "PregraspIk", "undetermined_joints"]
+
 
 OPENED_SHARE = 0.7
 """Share of the pre-grasp distance that every pad must really reach within its joint limits (-)."""
@@ -255,7 +258,7 @@ def _opening(
     """Where pads are on their way out, in units of a distance, and how that changes.
 
     Args:
-        jacobian: See ``planner.kinematics.point_motion``.
+        jacobian: See ``planner.kinematics.state``.
         moved_by: Likewise.
         joint_ids: Pinocchio joints (n,) that the pads move with.
         centers: Of the pads (n, 3), m, base.
@@ -272,3 +275,68 @@ def _opening(
     rates = -np.einsum("ni,nij->nj", inward, rows)
     shares = -np.einsum("ij,ij->i", moved, inward)
     return rows.reshape(3 * n, -1), (moved + inward).ravel(), rates, shares
+
+
+ROOTS = 2
+"""Joints of a finger, from its root, that move it away: abduction and flexion of the knuckle."""
+
+STEP, SWEEPS = float(np.deg2rad(2.0)), 2
+"""Change of a joint (rad) that is tried in both directions, and how often all joints are tried."""
+
+NEAR = 0.0015
+"""Distance (m) over which nearness falls by a factor e, where joints are where they are read."""
+
+PAIRS = 24
+"""Nearest pairs that count."""
+
+
+def idle_joints(hand: Hand, taking_part: tuple[str, ...]) -> list[int]:
+    """The first joints of idle fingers that are not coupled to others."""
+    matrix, _ = hand.coupling_matrix
+    coupled = (matrix != 0).any(axis=0)
+    fingers = [f for name, f in hand.fingers.items() if name not in taking_part]
+    return [int(j) for f in fingers for j in f.q_index[:ROOTS] if not coupled[j]]
+
+
+def spread_idle(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    q: FloatArray,
+    *,
+    near: float = NEAR,
+    sweeps: int = SWEEPS,
+) -> FloatArray:
+    """Joints (nq,) with idle fingers moved away, as far as that helps; the others stay.
+
+    Args:
+        world: Of the task, or without its surroundings.
+        T_world_base: Pose of the base.
+        q: Joints (nq,) to begin with.
+        near: Distance (m) over which nearness falls by a factor e.
+        sweeps: How often all joints are tried, by ``STEP`` each time.
+    """
+    hand, names = world.task.hand, world.task.finger_names
+    joints, finger_of = idle_joints(hand, names), hand.finger_of_body
+    idle = set(hand.fingers) - set(names)
+    geometries = {g.name for g in hand.geometries if finger_of.get(g.body, "") in idle}
+
+    def nearness(q: FloatArray) -> float:
+        closest = world.closest(T_world_base, q, PAIRS)
+        mine = [c.distance for c in closest if {c.first, c.second} & geometries]
+        return float(np.exp(-np.array(mine) / near).sum())
+
+    q = np.clip(q, hand.q_lower, hand.q_upper)
+    best = nearness(q)
+    for _ in range(sweeps if joints else 0):
+        before = best
+        for joint in joints:
+            for step in (STEP, -STEP):
+                tried = q.copy()
+                tried[joint] = np.clip(q[joint] + step, hand.q_lower[joint], hand.q_upper[joint])
+                value = nearness(tried)
+                if value < best:
+                    q, best = tried, value
+                    break
+        if best == before:
+            break
+    return q

@@ -41,7 +41,7 @@ from planner.plan import GraspPlan
 from planner.shapes import Shape
 from planner.shapes.mesh import surface_points
 from planner.spatial import FloatArray, IntArray, pose_from_wxyz
-from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds import seeder_for
 from planner.task import GraspTask
 
 DRAWS_PER_START = 50

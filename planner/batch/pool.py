@@ -49,7 +49,7 @@ from planner.plan import GraspPlan
 from planner.search.grasp import Attempt, plan_grasp
 from planner.shapes import Mesh, shape_key
 from planner.synthesis.options import SynthesisOptions
-from planner.system.process import on_interrupt, safe_path, unheard_by_children
+from planner.system.threads import on_interrupt, safe_path, unheard_by_children
 from planner.task import GraspTask
 
 

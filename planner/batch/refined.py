@@ -23,7 +23,7 @@ from planner.failure import Failure
 from planner.search.refine import RefinedGrasp, refine_grasp, with_fingers
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.system.process import on_interrupt
+from planner.system.threads import on_interrupt
 from planner.task import GraspTask
 
 AT_ONCE = 8

@@ -1,7 +1,10 @@
 """``PairTable``: what there is around a hand, and which pairs of geometries must not touch.
 
 It follows from a task alone and never changes. ``planner.collision.world`` measures the pairs; how
-they lie is told by ``Clearance``, one pair, and ``NearPairs``, many.
+they lie is told by ``Clearance``, one pair, and ``NearPairs``, many. ``lift_to_rest`` asks the same
+pairs where an object comes to lie when it is lowered on what carries it, by the true geometry: a
+scan that is turned by some degrees lies higher or lower on the same walls, by hundredths of a
+millimetre for round ones and by millimetres for others.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -18,13 +21,14 @@ from numpy.typing import NDArray
 
 from planner.errors import TaskError
 from planner.hands.hand import Hand
-from planner.kinematics.point_motion import point_rates
-from planner.kinematics.state import HandKinematics
+from planner.kinematics.state import HandKinematics, point_rates
 from planner.proximity.convex import DistancePair
-from planner.proximity.mesh import MeshPair
 from planner.shapes import Box, Mesh, Shape
 from planner.spatial import SE3, FloatArray, IntArray
-from planner.task import GraspTask
+from planner.task import GraspTask, Obstacle
+
+if TYPE_CHECKING:
+    from planner.proximity.mesh import MeshPair
 
 OBJECT = "object"
 """Name of the object among the geometries."""
@@ -246,5 +250,57 @@ def _finger_pairs(
 def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:
     """The distance query of a convex coal geometry (a) and a shape (b)."""
     if isinstance(shape, Mesh):
+        from planner.proximity.mesh import MeshPair  # here: for meshes alone
+
         return MeshPair(geometry, shape)
     return DistancePair(geometry, shape.coal_geometry())
+
+
+APART = 1e-6
+"""Distance (m) from what carries it at which the object lies on it; it must not be in it."""
+
+HALVINGS = 20
+"""Halvings of the range of heights: a few centimetres to less than a micrometre."""
+
+
+def lift_to_rest(
+    shape: Shape,
+    T_world_object: SE3,
+    carrying: Sequence[Obstacle],
+    lowest: float,
+    highest: float,
+) -> float | None:
+    """How far up (m) an object must go from a pose to lie on obstacles, touching none.
+
+    Args:
+        shape: Of the object.
+        T_world_object: Its pose; only its height changes.
+        carrying: What it is to lie on.
+        lowest: Where to look first, m; negative is below the pose.
+        highest: Where to look last, m.
+
+    Returns:
+        The lift; ``lowest`` where it touches nothing there; None where it is in an obstacle even at
+        ``highest``.
+    """
+    pairs = [
+        (shape_pair(Box((o.size[0], o.size[1], o.size[2])).coal_geometry(), shape), o)
+        for o in carrying
+    ]
+
+    def free(lift: float) -> bool:
+        there = SE3(
+            T_world_object.rotation, T_world_object.translation + np.array([0.0, 0.0, lift])
+        )
+        apart = (pair.distance(o.T_world_obstacle, there) for pair, o in pairs)
+        return min(apart, default=np.inf) > APART
+
+    low, high = lowest, highest
+    if free(low):
+        return low
+    if not free(high):
+        return None
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (low, middle) if free(middle) else (middle, high)
+    return high

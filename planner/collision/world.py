@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +21,16 @@ from planner.collision.pair_table import (
     NearPairs,
     shape_pair,
 )
-from planner.collision.placed_pairs import PlacedPairs
-from planner.collision.sweep import Sweep, hull_pairs
+from planner.collision.placed_pairs import PlacedPairs, Sweep, hull_pairs
 from planner.errors import NotFoundError
 from planner.kinematics.state import MovingHand
-from planner.proximity.convex import DistancePair, Proximity
-from planner.proximity.mesh import MeshPair
-from planner.proximity.mesh_pairs import LEAST_LIMIT
+from planner.proximity.convex import LEAST_LIMIT, DistancePair, Proximity
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
+
+if TYPE_CHECKING:
+    from planner.proximity.mesh import MeshPair
 
 __all__ = [
     "OBJECT",
@@ -225,7 +226,7 @@ class CollisionWorld:
 
         Returns:
             The pair with its distance where it first is too near, None if none is: without a gap,
-            see ``planner.collision.sweep``.
+            see ``planner.collision.placed_pairs``.
         """
         self._pairs.place(T_world_base, q)
         forms = self._pairs.forms() if self._bounds.pays else None

@@ -6,13 +6,14 @@ the one place where the friction cone is written in numbers.
 
 from __future__ import annotations
 
-from planner.contacts.checks import MOST_FRICTION, check_frames
 from planner.contacts.contact_set import (
     CONTACT_DIM,
+    MOST_FRICTION,
     Contact,
     ContactModel,
     ContactSet,
     check_contacts,
+    check_frames,
 )
 from planner.contacts.friction import (
     MIN_EDGES,

@@ -25,8 +25,8 @@ from planner.errors import FileFormatError, NotFoundError, TaskError, few_of, sh
 from planner.exchange.array_files import ARRAY_SUFFIXES, read_array_file
 from planner.hands.hand import Hand
 from planner.immutable import freeze
+from planner.registry import plugin, plugin_names
 from planner.spatial import SE3, FloatArray
-from planner.system.plugins import plugin, plugin_names
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -251,7 +251,7 @@ def register_format(grasp_format: GraspFormat) -> GraspFormat:
 
 
 def load_formats() -> None:
-    """Import the formats of this package and of installed ones (``planner.system.plugins``)."""
+    """Import the formats of this package and of installed ones (``planner.registry``)."""
     for name in _MODULES:
         import_module(f"planner.exchange.{name}")
     for name in plugin_names("formats"):

@@ -21,15 +21,16 @@ from planner.forces.solve import (
 from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
+    from planner.forces.build import QuadraticCost
     from planner.forces.compare import (
+        PyramidGap,
         SolverComparison,
         SolverRecord,
         compare_solvers,
+        cone_gaps,
         turning_wrenches,
     )
     from planner.forces.compliance import GraspCompliance
-    from planner.forces.costs import QuadraticCost
-    from planner.forces.gaps import PyramidGap, cone_gaps
     from planner.forces.grip import ExpectedLoad, grip_for_load
     from planner.forces.infeasible import Infeasibility, explain_infeasibility
     from planner.forces.loop import ForceLoop, ForceStep
@@ -74,12 +75,12 @@ _HOMES = {
     "ForceStep": "planner.forces.loop",
     "GraspCompliance": "planner.forces.compliance",
     "Infeasibility": "planner.forces.infeasible",
-    "PyramidGap": "planner.forces.gaps",
-    "QuadraticCost": "planner.forces.costs",
+    "PyramidGap": "planner.forces.compare",
+    "QuadraticCost": "planner.forces.build",
     "SolverComparison": "planner.forces.compare",
     "SolverRecord": "planner.forces.compare",
     "compare_solvers": "planner.forces.compare",
-    "cone_gaps": "planner.forces.gaps",
+    "cone_gaps": "planner.forces.compare",
     "explain_infeasibility": "planner.forces.infeasible",
     "grip_for_load": "planner.forces.grip",
     "solver_names": "planner.numerics.qp_workspace",

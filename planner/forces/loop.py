@@ -6,7 +6,7 @@ that changed, solves from the last answer, and recomputes the residuals.
 
 A contact that is not there now has ``max_normal`` 0: fingers join and leave, and forces ramp, by
 bounds alone. Where the wrench cannot be met, the forces are those that leave the least of it over
-(``planner.forces.least_violation``).
+(``planner.forces.solve``).
 """
 
 from __future__ import annotations
@@ -23,15 +23,13 @@ from numpy.typing import ArrayLike, NDArray
 from planner.arrays import checked_number, finite_given, float_array, per_item
 from planner.contacts import ContactSet, Pyramid, check_frames
 from planner.errors import ContactError, shown
-from planner.forces.build import EXTRA_COST, LimitArguments, build_force_problem
-from planner.forces.costs import QuadraticCost
-from planner.forces.least_violation import Relaxation
-from planner.forces.screen import force_table, wrench_text
-from planner.forces.torque_limits import TorqueCase, TorqueLimits, loaded_rows
+from planner.forces.build import EXTRA_COST, LimitArguments, QuadraticCost, build_force_problem
+from planner.forces.limits import TorqueCase, TorqueLimits, loaded_rows
+from planner.forces.problem import force_table, wrench_text
+from planner.forces.solve import Relaxation
 from planner.forces.workspace import ContactWorkspace
 from planner.joints.actuation import Actuation
-from planner.numerics.dense_qp import DenseQp
-from planner.numerics.qp_workspace import DEFAULT_SOLVER, QpWorkspace, qp_workspace
+from planner.numerics.qp_workspace import DEFAULT_SOLVER, DenseQp, QpWorkspace, qp_workspace
 from planner.spatial import FloatArray
 
 STEP_TOL = 1e-6

@@ -4,7 +4,7 @@
     subject to  G f = -wrench                  balance
                 D x <= 0                       friction pyramids
                 P'C f = 0                      passive forces (``planner.forces.compliance``)
-                low <= Z J'f - Z E e <= high   joint torques (``planner.forces.torque_limits``)
+                low <= Z J'f - Z E e <= high   joint torques (``planner.forces.limits``)
                 C x in second-order cones      head >= |tail|: round friction cones
                 lower <= x <= upper            normal forces, e
 
@@ -18,6 +18,8 @@ excess^2 costs. Forces that keep the margin cost no more then, and the whole con
 
 ``distribute_forces`` solves a problem once; ``ForceLoop`` keeps one and writes what changes. Both
 give the solver what ``ForceProblem.dense_qp`` makes, and judge its answer by the same violation.
+
+Forces and torques as tables for a terminal: what ``print`` shows of answers and of loops.
 """
 
 from __future__ import annotations
@@ -31,13 +33,90 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.forces.screen import at_most, wrench_text
-from planner.forces.torque_limits import TorqueLimits
-from planner.numerics.dense_qp import DenseQp
+from planner.forces.limits import TorqueLimits, names_of_contacts
+from planner.numerics.qp_workspace import DenseQp
 from planner.spatial import FloatArray, IntArray
 
 if TYPE_CHECKING:
     import qpsolvers
+
+
+MOST_LINES = 14
+"""Lines of a table; the rest are counted."""
+
+CARRIES = 1e-9
+"""Force of a stop (N, N m) from which on it is named."""
+
+
+def at_most(lines: Sequence[str], most: int = MOST_LINES) -> list[str]:
+    """The first lines, and how many others there are."""
+    if len(lines) <= most:
+        return list(lines)
+    return [*lines[: most - 1], f"  ... and {len(lines) - most + 1} more"]
+
+
+def wrench_text(wrench: FloatArray) -> str:
+    """A wrench (6,) with units."""
+    force, torque = (", ".join(f"{v:.3g}" for v in w + 0.0) for w in (wrench[:3], wrench[3:]))
+    return f"force ({force}) N, torque ({torque}) N m"
+
+
+def force_table(
+    names: Sequence[str], forces: FloatArray, used: FloatArray | None = None
+) -> list[str]:
+    """One line per contact.
+
+    Args:
+        names: n names.
+        forces: (n, 4), f_n, f_t1, f_t2 (N) and tau_n (N m).
+        used: (n,), share of the friction cone in use (-), where it is known.
+    """
+    width = max(len(name) for name in ("contact", *names)) + 2
+    head = (
+        f"  {'contact':{width}}{'f_n (N)':>9}{'f_t1 (N)':>10}{'f_t2 (N)':>10}{'tau_n (mN m)':>14}"
+    )
+    rows = [
+        f"  {name:{width}}{f[0]:9.3f}{f[1]:10.3f}{f[2]:10.3f}{1e3 * f[3]:14.2f}"
+        for name, f in zip(names, forces, strict=True)
+    ]
+    if used is not None:
+        head += f"{'friction used':>16}"
+        rows = [f"{row}{100 * share:14.0f} %" for row, share in zip(rows, used, strict=True)]
+    return [head, *at_most(rows)]
+
+
+def torque_table(
+    names: Sequence[str],
+    forces: FloatArray,
+    limits: FloatArray,
+    stop_names: Sequence[str],
+    stop_forces: FloatArray,
+) -> list[str]:
+    """Actuators with their limits, those nearest to one first, and the stops that carry.
+
+    Args:
+        names: nu actuators.
+        forces: (nu,), N m (N for slides).
+        limits: (nu, 2), least and greatest; may be infinite.
+        stop_names: ns stops.
+        stop_forces: (ns,), N m.
+    """
+    ends = np.where(forces >= 0.0, limits[:, 1], limits[:, 0])
+    share = np.divide(forces, ends, out=np.full(len(forces), np.inf), where=ends != 0.0)
+    share = np.where(forces == 0.0, 0.0, share)
+    rows = [
+        f"  {names[i]:16}{forces[i]:10.4f}{limits[i, 0]:10.4g}{limits[i, 1]:10.4g}"
+        f"{100 * share[i]:8.0f} %"
+        for i in np.argsort(-share, kind="stable").tolist()
+    ]
+    head = f"  {'actuator':16}{'N m':>10}{'least':>10}{'greatest':>10}{'used':>10}"
+    carried = [
+        f"{stop_names[i]} {stop_forces[i]:.4f}"
+        for i in np.flatnonzero(stop_forces > CARRIES).tolist()
+    ]
+    stops = [f"  stops that carry (N m): {', '.join(at_most(carried))}"] if carried else []
+    return [head, *at_most(rows), *stops]
+
 
 RESIDUAL_TOL = 1e-6
 """Largest residual of an answer, in units of ``ForceProblem.force_scale`` (-): 1e-6 N for a weight
@@ -183,7 +262,7 @@ class ForceProblem:
     @cached_property
     def contact_names(self) -> tuple[str, ...]:
         """A name for each contact: its finger if no other contact has it."""
-        return contact_names(self.contacts)
+        return names_of_contacts(self.contacts.fingers)
 
     def contact_forces(self, x: FloatArray) -> FloatArray:
         """Contact forces (n, 4) in the contact frames; 0 where a model transmits nothing."""
@@ -282,19 +361,3 @@ class ForceProblem:
             text += f" and {len(there) - most} more"
         sides = f"{text} = {low + 0.0:.3g}" if low == high else f"{low:.3g} <= {text} <= {high:.3g}"
         return f"  {self.row_names[i]}: {sides}"
-
-
-def contact_names(contacts: ContactSet) -> tuple[str, ...]:
-    """A name for each contact: its finger if no other contact has it, else with its number."""
-    return names_of_contacts(contacts.fingers)
-
-
-def names_of_contacts(fingers: Sequence[str]) -> tuple[str, ...]:
-    """The same from the names of the fingers."""
-    count = Counter(fingers)
-    return tuple(
-        finger
-        if finger and count[finger] == 1
-        else f"contact {i}" + (f" ({finger})" if finger else "")
-        for i, finger in enumerate(fingers)
-    )

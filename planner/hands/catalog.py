@@ -23,7 +23,7 @@ from pathlib import Path
 from planner.errors import ModelError, NotFoundError
 from planner.registry import Registry
 from planner.system.package import models_dir
-from planner.system.process import Held
+from planner.system.threads import Held
 
 __all__ = [
     "FOREIGN_HANDS",

@@ -1,6 +1,6 @@
 """Inverse kinematics of the arm that carries a hand: damped least squares within the joint limits.
 
-The task of a step (``planner.numerics.ik_step``) is the twist e from the palm's pose to the wanted
+The task of a step (``planner.numerics.qp``) is the twist e from the palm's pose to the wanted
 one, with its Jacobian over the arm's joints, both in the palm's frame and rotations weighed by
 ``LEVER``; the damping |e|^2 + ``DAMPING`` vanishes with the error (Sugihara 2011, "Solvability-
 unconcerned inverse kinematics by the Levenberg-Marquardt method").
@@ -19,7 +19,7 @@ import pinocchio as pin
 from planner.errors import HandError
 from planner.hands.arm import Arm
 from planner.hands.hand import Hand
-from planner.numerics.ik_step import Task, ik_step
+from planner.numerics.qp import Task, ik_step
 from planner.spatial import SE3, FloatArray
 
 __all__ = [

@@ -44,7 +44,7 @@ class LinkBounds:
         n_moving: int,
         points: FloatArray | None = None,
     ) -> None:
-        """Find the forms; arguments as of ``planner.proximity.convex_pairs.GeometryPairs``.
+        """Find the forms; arguments as of ``planner.proximity.convex.GeometryPairs``.
 
         Args:
             pin_model: Pinocchio's model of the hand.

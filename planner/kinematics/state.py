@@ -1,8 +1,13 @@
 """``HandState``: forward kinematics and Jacobians of a hand at one q, by Pinocchio.
 
 A ``HandState`` proves that the kinematics at its q has been computed, and stays there; a
-``MovingHand`` answers the same questions and goes from one q to the next. Everything is expressed
-in the hand's base frame; multiply by ``T_world_base`` to see it from the world.
+``MovingHand`` answers the same questions and goes from one q to the next, and ``moving_hand`` keeps
+one in every thread. Everything is expressed in the hand's base frame; multiply by ``T_world_base``
+to see it from the world.
+
+Points move with the joints by Pinocchio's Jacobian J (6, nq), many at once: it has the velocity of
+what passes the base's origin, and the angular velocity, for every joint; a joint counts for a point
+only if it moves what carries the point.
 """
 
 from __future__ import annotations
@@ -13,15 +18,24 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from planner.arrays import finite_array, float_array
 from planner.errors import HandError, ModelError, shown
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.point_motion import point_jacobians
 from planner.spatial import SE3, FloatArray, IntArray, cross, skew
+from planner.system.threads import kept_by_thread
 
-__all__ = ["HandKinematics", "HandState", "MovingHand", "joint_axes", "tip_reach"]
+__all__ = [
+    "HandKinematics",
+    "HandState",
+    "MovingHand",
+    "joint_axes",
+    "point_jacobians",
+    "point_rates",
+    "tip_reach",
+]
 
 
 class HandKinematics:
@@ -232,3 +246,50 @@ def tip_reach(hand: Hand) -> float:
         jacobian = state.point_jacobian(finger.pad.joint_id, state.pad_center(finger))[:3]
         reach = max(reach, float(np.linalg.norm(jacobian[:, finger.q_index], 2)))
     return reach
+
+
+def point_rates(
+    jacobian: FloatArray,
+    moved_by: NDArray[np.bool_],
+    joint_ids: IntArray,
+    points: FloatArray,
+    directions: FloatArray,
+) -> FloatArray:
+    """Velocities (k, nq) of points along directions per joint velocity.
+
+    Args:
+        jacobian: J (6, nq).
+        moved_by: Whether joint j moves what is fixed to Pinocchio joint i, (nq + 1, nq).
+        joint_ids: Pinocchio joints (k,) that the points move with.
+        points: (k, 3), m, in the base.
+        directions: (k, 3), base axes.
+    """
+    rates = np.hstack([directions, cross(points, directions)]) @ jacobian
+    return np.asarray(np.where(moved_by[joint_ids], rates, 0.0))
+
+
+def point_jacobians(
+    jacobian: FloatArray, moved_by: NDArray[np.bool_], joint_ids: IntArray, points: FloatArray
+) -> FloatArray:
+    """Jacobians (k, 6, nq) of points: [linear; angular] velocity, base axes.
+
+    Args:
+        jacobian: J (6, nq).
+        moved_by: See ``point_rates``.
+        joint_ids: Pinocchio joints (k,) that the points move with.
+        points: (k, 3), m, in the base.
+    """
+    spin = jacobian[3:].T
+    linear = jacobian[:3].T + cross(spin[None], points[:, None])
+    both = np.concatenate([linear, np.broadcast_to(spin, linear.shape)], axis=2)
+    return np.where(moved_by[joint_ids][:, None, :], both.transpose(0, 2, 1), 0.0)
+
+
+@kept_by_thread(8)
+def moving_hand(hand: Hand) -> MovingHand:
+    """A hand that whoever asks next in this thread moves elsewhere.
+
+    ``HandState(hand, q)`` makes Pinocchio's data anew, which takes 0.1 ms; ``.move(q)`` takes 5 us.
+    Take what is needed out of it before any other function of this package is called.
+    """
+    return MovingHand(hand, hand.q_lower)

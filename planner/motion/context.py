@@ -41,8 +41,8 @@ from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
+from planner.synthesis.seeds import turning_seeder_for
 from planner.synthesis.seeds.draw import TRIPOD, Seeder
-from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.synthesis.symbols import GraspPoint
 from planner.synthesis.terms.term import first_failure
 from planner.system.threads import kept_by_thread, made_once

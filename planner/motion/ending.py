@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.approach.pregrasp import Approach, find_approach, verify_approach
-from planner.collision.resting import lift_to_rest
+from planner.collision.pair_table import lift_to_rest
 from planner.collision.world import CollisionWorld
 from planner.failure import Failure
 from planner.motion.plan import Ending, MovementPlan

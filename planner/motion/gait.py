@@ -35,7 +35,7 @@ from planner.motion.search import MOTION_OPTIONS, PATH_TOLERANCE, UP, check_task
 from planner.motion.terms import Stance
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.opposition import frame_of
 from planner.task import GraspTask
 

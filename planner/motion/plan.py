@@ -34,7 +34,7 @@ from planner.plan import GraspPlan, JointTrajectory, Verification
 from planner.quality import ClosureResult
 from planner.showing import Shown, in_notebook
 from planner.spatial import SE3, FloatArray, shifted
-from planner.synthesis.objectives.joint import driving
+from planner.synthesis.objectives import driving
 from planner.task import GraspTask, Obstacle
 
 LIFT_S, CARRY_S, LOWER_S, OPEN_S, RETREAT_S = 0.7, 0.8, 0.6, 0.4, 0.6

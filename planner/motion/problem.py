@@ -51,7 +51,7 @@ from planner.motion.terms import (
     swing_rows,
 )
 from planner.motion.unknowns import MotionUnknowns, placement
-from planner.numerics.casadi_buffers import BufferedFunction
+from planner.numerics.tape import BufferedFunction
 from planner.shapes import Mesh, Shape
 from planner.shapes.surface import Surface
 from planner.spatial import FloatArray

@@ -26,9 +26,9 @@ from planner.motion.terms import (
     swing_rows,
 )
 from planner.motion.unknowns import OFFSET, SHARE, SHARED, Block, MotionJacobian
-from planner.numerics.casadi_buffers import BufferedFunction
+from planner.numerics.tape import BufferedFunction
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.field_points import Field
+from planner.synthesis.mesh_surface import Field
 from planner.synthesis.terms.term import Row, Term
 from planner.system.threads import stage
 

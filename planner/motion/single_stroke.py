@@ -51,7 +51,7 @@ from planner.motion.verify import FALLS, MovementVerifier, Waypoint, pressed
 from planner.plan import SolveRecord
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.synthesis.problem import Start
-from planner.synthesis.seeds.mesh import turning_seeder_for
+from planner.synthesis.seeds import turning_seeder_for
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 

@@ -48,9 +48,8 @@ from planner.synthesis.optimize import (
     TURN_SCALE,
     optimize_grasp,
 )
-from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.options import SynthesisOptions, with_room
 from planner.synthesis.problem import Start
-from planner.synthesis.room import with_room
 from planner.synthesis.terms.term import Role
 from planner.task import GraspTask
 
@@ -212,7 +211,7 @@ class _Descent:
     """Where a motion has come to, and within which bounds it may move on.
 
     Attributes:
-        has_room: Whether room for joints that are off is asked for (``planner.synthesis.room``).
+        has_room: Whether room for joints that are off is asked for (``planner.synthesis.options``).
     """
 
     def __init__(self, solver: MotionSolver, start: Start) -> None:

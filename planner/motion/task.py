@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.collision.resting import lift_to_rest
+from planner.collision.pair_table import lift_to_rest
 from planner.errors import TaskError
 from planner.hands.hand import Hand
 from planner.objects import GraspObject

@@ -62,12 +62,10 @@ from planner.kinematics.symbolic import SymbolicHand
 from planner.motion.path import ObjectPath
 from planner.shapes.surface import CODE_DIM, SIZE_DIM, Surface
 from planner.spatial import SE3, FloatArray, IntArray
-from planner.synthesis.objectives.joint import LEAST_LIMIT, LEAST_PRESS, driving
-from planner.synthesis.symbols import contact_torque
-from planner.synthesis.terms.contact import PER_METRE
-from planner.synthesis.terms.forces import BALANCE, CONE, LEVEL, PRESS, PRESS_MIN
+from planner.synthesis.objectives import LEAST_LIMIT, LEAST_PRESS, driving
+from planner.synthesis.symbols import Unknowns, contact_torque, mrp_matrix
+from planner.synthesis.terms.standard import BALANCE, CONE, LEVEL, PER_METRE, PRESS, PRESS_MIN
 from planner.synthesis.terms.term import Role, Row, Term
-from planner.synthesis.unknowns import Unknowns, mrp_matrix
 from planner.task import GraspTask
 from planner.tolerances import FRICTION_SHARE, SWING_SHARE
 

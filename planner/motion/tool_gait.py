@@ -17,7 +17,7 @@ from itertools import combinations
 
 import numpy as np
 
-from planner.collision.idle_fingers import idle_joints
+from planner.approach.pregrasp_ik import idle_joints
 from planner.collision.pad_contact import pad_contact_queries
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, ObjectError

@@ -12,7 +12,7 @@ is turned there by th = (c - 1/2) share angle about the axis a, and is off by d 
     R(a, -th) R0 M(s) = R0 M(s_k),    t_k = R(a, -th) (t - d),
 
 and s_k, t_k, q, points and forces of one knot are the unknowns of a grasp
-(``planner.synthesis.unknowns``): every term of a grasp applies to every knot.
+(``planner.synthesis.symbols``): every term of a grasp applies to every knot.
 
 ``MotionJacobian``: rows that depend on what all knots share and on one knot or two neighbours.
 
@@ -31,8 +31,8 @@ import casadi as ca
 import numpy as np
 
 from planner.spatial import FloatArray
+from planner.synthesis.symbols import Unknowns, mrp_matrix
 from planner.synthesis.terms.term import Row
-from planner.synthesis.unknowns import Unknowns, mrp_matrix
 from planner.system.threads import made_once
 
 SHARED = 7

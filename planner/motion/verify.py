@@ -36,7 +36,7 @@ from planner.plan import GraspPlan, SolveRecord
 from planner.quality import ClosureResult, force_closure
 from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray, rotation_angle
-from planner.synthesis.unknowns import Unknowns
+from planner.synthesis.symbols import Unknowns
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
 from planner.verification.geometry import contacts_of, verify_geometry

@@ -13,7 +13,7 @@ from planner.bridge import LinkSurface, link_surfaces
 from planner.hands.fingers import Pad
 from planner.hands.hand import Hand
 from planner.pages.scene import Joint, Layer, Model, Part, pose_row
-from planner.shapes.meshes.simplify import simplified
+from planner.shapes.meshes.triangles import simplified
 from planner.spatial import FloatArray
 
 __all__ = ["hand_model"]

@@ -22,9 +22,9 @@ from planner.pages.page import Page, own_scripts, without_folder
 from planner.pages.plan_scene import object_model, table_model
 from planner.pages.scene import IDENTITY_ROW, Actor, Model, Part, Scene, pose_row
 from planner.shapes import Mesh
-from planner.shapes.field.distance_field import DistanceField
+from planner.shapes.distance_field import DistanceField
 from planner.shapes.mesh import surface_triangles
-from planner.shapes.meshes.simplify import simplified
+from planner.shapes.meshes.triangles import simplified
 from planner.shapes.stable import StablePose
 from planner.spatial import FloatArray, IntArray
 

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from planner.pages.scene import Actor, Contacts, Layer, Model, Part, Scene
-from planner.shapes.meshes.simplify import clustered
+from planner.shapes.meshes.triangles import clustered
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
 __all__ = ["data_uri", "paint"]

@@ -29,7 +29,7 @@ from planner.pages.plan_scene import Stage, planned_contacts, stage_of
 from planner.pages.scene import Actor, Band, Model, Motion, Scene, pose_row, pose_rows
 from planner.plan import GraspPlan, JointTrajectory
 from planner.shapes.mesh import Mesh
-from planner.shapes.meshes.simplify import simplified
+from planner.shapes.meshes.triangles import simplified
 from planner.task import GraspTask
 from planner.version import written_by
 

@@ -20,7 +20,7 @@ from planner.pages.scene import IDENTITY_ROW, Actor, Contacts, Layer, Model, Par
 from planner.plan import GraspPlan
 from planner.shapes import Shape
 from planner.shapes.mesh import surface_points, surface_triangles
-from planner.shapes.meshes.simplify import simplified
+from planner.shapes.meshes.triangles import simplified
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask, Obstacle
 
@@ -121,15 +121,13 @@ def contact_rows(contacts: ContactSet) -> tuple[FloatArray, FloatArray, FloatArr
     return np.array(contacts.positions), np.array(contacts.normals), contacts.forces_in_axes()
 
 
-def planned_contacts(
-    sets: Sequence[ContactSet], actor: str | None = None, layer: Layer = "planned contacts"
-) -> Contacts:
+def planned_contacts(sets: Sequence[ContactSet], actor: str | None = None) -> Contacts:
     """Planned contacts for a scene: one set for all times, or one for each of its times."""
     rows = [contact_rows(s) for s in sets]
     points, normals, forces = (np.array([r[k] for r in rows]) for k in range(3))
     return Contacts(
         name="planned",
-        layer=layer,
+        layer="planned contacts",
         fingers=sets[0].fingers,
         points=points,
         normals=normals,

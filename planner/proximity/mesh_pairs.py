@@ -14,11 +14,9 @@ from typing import Any
 import coal
 import numpy as np
 
+from planner.proximity.convex import FEW, LEAST_LIMIT
 from planner.proximity.mesh import ClosedMesh, MeshPair, maybe_within
 from planner.spatial import SE3, FloatArray, IntArray
-
-LEAST_LIMIT = 1e-5
-"""Smallest limit (m) that coal is given: its accuracy. Told 0, it would not look for a touch."""
 
 
 class MeshPairs:
@@ -207,9 +205,6 @@ class MeshPairs:
 
 NO_POINTS: FloatArray = np.zeros((0, 3))
 """No inner points: of geometries that are known to be outside."""
-
-FEW = 5
-"""Geometries from which on it pays to bound their distances before they are measured."""
 
 BALLS = 3
 """Balls in a row that cover a geometry."""

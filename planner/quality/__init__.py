@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from planner.quality.ball import (
     HullMeasure,
+    Interval,
+    ball_interval,
     epsilon_frogger,
     epsilon_l1,
+    epsilon_linf,
+    epsilon_round,
     measure_hull,
     volume_l1,
 )
 from planner.quality.closure import (
     ClosureResult,
+    RoundCones,
     closure_of_wrenches,
     force_closure,
     min_weight,
     plainly_closed,
+    primitive_wrenches,
 )
-from planner.quality.cones import RoundCones, primitive_wrenches
-from planner.quality.interval import Interval, ball_interval, epsilon_linf, epsilon_round
 from planner.quality.report import (
     QualityReport,
     analyse,

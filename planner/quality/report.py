@@ -24,10 +24,8 @@ import numpy as np
 from planner.arrays import short_repr
 from planner.contacts import ContactSet, check_contacts
 from planner.errors import ContactError
-from planner.quality.ball import check_hull, measure_hull
-from planner.quality.closure import ClosureResult, force_closure
-from planner.quality.cones import RoundCones, primitive_wrenches
-from planner.quality.interval import Interval, epsilon_linf, epsilon_round
+from planner.quality.ball import Interval, check_hull, epsilon_linf, epsilon_round, measure_hull
+from planner.quality.closure import ClosureResult, RoundCones, force_closure, primitive_wrenches
 from planner.spatial import FloatArray
 from planner.tolerances import CLOSURE_EDGES
 

@@ -3,7 +3,7 @@
 The hull of unit contact wrenches (normal forces sum to 1, torques over ``length``) is taken with
 coarse friction pyramids; the outward normals of its nearest faces are the directions. The round
 cones resist a little more in each of them, and what they resist at least is epsilon: bounds that
-are proven come from ``planner.quality.interval``.
+are proven come from ``planner.quality.ball``.
 
 Faces are found by walking from face to face over their ridges. Directions u with w_k . u <= 1 for
 all wrenches w_k (about their mean) are a polytope whose vertices are the faces of the hull: at a

@@ -1,10 +1,10 @@
 """Attempts that look for the best grasp instead of the first: each tries to beat those before it.
 
 Where an attempt's time goes decides what comes first. A start is solved without objectives, raised
-by ``planner.synthesis.climb`` and given up as soon as it falls behind; what it is worth is foreseen
-from the solver's own contacts, and only what would be better is projected and verified (pads,
-collisions, closure, forces, way in). Once something was found every other start lies beside one of
-the best grasps so far.
+by ``planner.synthesis.optimize`` and given up as soon as it falls behind; what it is worth is
+foreseen from the solver's own contacts, and only what would be better is projected and verified
+(pads, collisions, closure, forces, way in). Once something was found every other start lies beside
+one of the best grasps so far.
 
 Attempt i depends on the seed and on the attempts before it, never on the clock: the first n
 attempts of a seed are the same on every machine.
@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -30,17 +30,18 @@ from planner.forces import ForceSolution
 from planner.numerics.kernels import attempt_kernels, planning_time
 from planner.numerics.levenberg_marquardt import MAX_ITERATIONS
 from planner.plan import BestOf, GraspPlan
-from planner.search.metrics import Measure
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.objectives.registry import EPSILON
+from planner.synthesis.objectives import EPSILON
 from planner.synthesis.optimize import NEARLY, GraspRun
-from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
+from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions, with_room
 from planner.synthesis.problem import Candidate, GraspProblem, Start
-from planner.synthesis.room import with_room
 from planner.synthesis.seeds.draw import Seeder
 from planner.system.threads import stage
 from planner.task import GraspTask
 from planner.verification.grasp import plan_forces
+
+if TYPE_CHECKING:
+    from planner.search.metrics import Measure
 
 __all__ = ["BEST", "FALLEN_BEHIND", "FIRST", "Wanted", "improving_attempts"]
 
@@ -141,7 +142,7 @@ def _attempt(
     context: ClimbingContext, rng: np.random.Generator, measure: Measure, kept: list[_Kept]
 ) -> GraspPlan | Failure:
     """Draw or vary a start, solve, climb, and verify what would be the best; ``kept`` learns."""
-    from planner.synthesis.climb import nearby_start  # here: the first grasp needs none of it
+    from planner.synthesis.optimize import nearby_start  # here: the first grasp needs none of it
 
     with stage("seed"):
         if kept and rng.random() < BESIDE:
@@ -170,7 +171,7 @@ def _climbed(
     context: ClimbingContext, start: Start, measure: Measure, best: _Kept | None
 ) -> tuple[Candidate, float] | Failure:
     """The best grasp near a start, and its value; a failure if it would not beat the best."""
-    from planner.synthesis.climb import climb, with_light_costs
+    from planner.synthesis.optimize import climb, with_light_costs
 
     task, problem, options = context.task, context.grasp_problem, context.options
     begin = planning_time()
@@ -298,6 +299,8 @@ class Wanted:
                 "many grasps, keep='best' with max_attempts or max_cpu_s"
             )
         compares = keep == BEST or best_of is not None
+        if compares or metric is not None:
+            from planner.search.metrics import Measure  # here: the first grasp is not measured
         if metric is not None:
             Measure.of(metric)  # an error of it speaks of a metric, not of an objective
         if metric is not None and not compares:
@@ -307,13 +310,15 @@ class Wanted:
             )
         if options is None:
             options = SynthesisOptions() if metric is None else SynthesisOptions(objective=metric)
-        objective = EPSILON if options.objective == NO_OBJECTIVE else options.objective
-        measure = Measure.of(objective if metric is None else metric, options.task_wrenches)
+        measure = None
+        if compares:
+            objective = EPSILON if options.objective == NO_OBJECTIVE else options.objective
+            measure = Measure.of(objective if metric is None else metric, options.task_wrenches)
         if max_attempts is None and (keep == FIRST or max_cpu_s is None):
             max_attempts = DEFAULT_MAX_ATTEMPTS
         return cls(
             options=options,
-            measure=measure if compares else None,
+            measure=measure,
             improving=keep == BEST,
             best_of=None if keep == BEST else best_of or 1,
             max_attempts=max_attempts,

@@ -1,6 +1,6 @@
 """Metrics of a plan: each objective of synthesis by its full definition on the true geometry.
 
-The objectives (``planner.synthesis.objectives.registry``) are smooth rows in a few directions of
+The objectives (``planner.synthesis.objectives``) are smooth rows in a few directions of
 wrench. The metrics are computed independently: with Pinocchio's Jacobians, Qhull on primitive
 wrenches, the linear programme of closure, and the planned forces. For all of them more is better.
 
@@ -11,7 +11,7 @@ wrenches, the linear programme of closure, and the planned forces. For all of th
                            resists: min over wrenches t of max {l: -l t in that hull}.
     robustness     (-)     Epsilon that remains under errors of every contact point by 2 mm and of
                            every normal by 5 degrees: of the hull with friction narrowed, less the
-                           error of the torque (``planner.synthesis.objectives.wrench``).
+                           error of the torque (``planner.synthesis.objectives``).
     torque         (-)     1 less the largest share of its limit that an actuator of the fingers
                            spends on the planned forces.
     manipulability (m/rad) Least over fingers of the geometric mean of the singular values of the
@@ -38,11 +38,13 @@ from planner.plan import GraspPlan
 from planner.quality import epsilon_l1, min_weight, primitive_wrenches
 from planner.quality.ball import flat_direction
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.objectives.joint import driving, free_velocities
-from planner.synthesis.objectives.registry import OBJECTIVES, Objective
-from planner.synthesis.objectives.wrench import (
+from planner.synthesis.objectives import (
     NORMAL_ERROR,
+    OBJECTIVES,
     POSITION_ERROR,
+    Objective,
+    driving,
+    free_velocities,
     narrowed,
     resisted_wrenches,
 )

@@ -1,11 +1,9 @@
 """Shapes that can be grasped. The origin of every shape is its centre of mass."""
 
+from typing import TYPE_CHECKING
+
 from planner.shapes.base import Shape
 from planner.shapes.box import Box
-from planner.shapes.capsule import Capsule
-from planner.shapes.cylinder import Cylinder
-from planner.shapes.ellipsoid import Ellipsoid
-from planner.shapes.made import Channel, Hammer, Knot, LBracket, Mug, Superquadric, Torus
 from planner.shapes.mesh import Mesh
 from planner.shapes.registry import (
     SIZED_SHAPES,
@@ -14,9 +12,16 @@ from planner.shapes.registry import (
     shape_key,
     shape_to_dict,
 )
-from planner.shapes.sphere import Sphere
 from planner.shapes.stable import StablePose
-from planner.shapes.vessels import Bowl, Cup, Pan, Plate, Teacup, Tube
+from planner.system.package import lazy_names
+
+if TYPE_CHECKING:
+    from planner.shapes.capsule import Capsule
+    from planner.shapes.cylinder import Cylinder
+    from planner.shapes.ellipsoid import Ellipsoid
+    from planner.shapes.made import Channel, Hammer, Knot, LBracket, Mug, Superquadric, Torus
+    from planner.shapes.sphere import Sphere
+    from planner.shapes.vessels import Bowl, Cup, Pan, Plate, Teacup, Tube
 
 __all__ = [
     "SIZED_SHAPES",
@@ -46,3 +51,26 @@ __all__ = [
     "shape_key",
     "shape_to_dict",
 ]
+
+_HOMES = {
+    "Bowl": "planner.shapes.vessels",
+    "Capsule": "planner.shapes.capsule",
+    "Channel": "planner.shapes.made",
+    "Cup": "planner.shapes.vessels",
+    "Cylinder": "planner.shapes.cylinder",
+    "Ellipsoid": "planner.shapes.ellipsoid",
+    "Hammer": "planner.shapes.made",
+    "Knot": "planner.shapes.made",
+    "LBracket": "planner.shapes.made",
+    "Mug": "planner.shapes.made",
+    "Pan": "planner.shapes.vessels",
+    "Plate": "planner.shapes.vessels",
+    "Sphere": "planner.shapes.sphere",
+    "Superquadric": "planner.shapes.made",
+    "Teacup": "planner.shapes.vessels",
+    "Torus": "planner.shapes.made",
+    "Tube": "planner.shapes.vessels",
+}
+"""Shapes that few tasks have -> the module that defines them."""
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -17,10 +17,7 @@ import numpy as np
 
 from planner.errors import ObjectError
 from planner.shapes.base import ON_SURFACE, Shape, checked_points, unit
-from planner.shapes.field.distance_field import DistanceField
-from planner.shapes.field.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
 from planner.shapes.hulls import convex_geometry, hull_of
-from planner.shapes.meshes.nearest_triangle import BallTree, NearestTriangles
 from planner.shapes.meshes.triangles import (
     Polyhedron,
     checked_triangles,
@@ -35,6 +32,9 @@ from planner.tolerances import EDGE_SPREAD
 
 if TYPE_CHECKING:
     from scipy.spatial import ConvexHull
+
+    from planner.shapes.distance_field import DistanceField
+    from planner.shapes.meshes.nearest_triangle import BallTree, NearestTriangles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,6 +292,8 @@ class Mesh(Shape):
 
     @cached_property
     def _surface(self) -> NearestTriangles:
+        from planner.shapes.meshes.nearest_triangle import NearestTriangles  # here: few are meshes
+
         return NearestTriangles(self.vertices, self.faces)
 
     @property
@@ -459,6 +461,10 @@ class Mesh(Shape):
         return self._kept_field("-coarse", np.inf) if self.thin_walled else self._fine_field
 
     def _kept_field(self, name: str, wall: float) -> DistanceField:
+        # here, as only grasps on meshes need a field
+        from planner.shapes.distance_field import DistanceField
+        from planner.shapes.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
+
         key = f"{FIELD_VERSION}-{self.digest}{name}"
         stored = read_arrays("field", key)
         if stored is not None:

@@ -21,14 +21,7 @@ import numpy as np
 from planner.errors import NotFoundError, ObjectError, shown
 from planner.registry import Registry
 from planner.shapes.base import Shape
-from planner.shapes.box import Box
-from planner.shapes.capsule import Capsule
-from planner.shapes.cylinder import Cylinder
-from planner.shapes.ellipsoid import Ellipsoid
-from planner.shapes.made import Channel, Hammer, Knot, LBracket, Mug, Superquadric, Torus
 from planner.shapes.mesh import Mesh
-from planner.shapes.sphere import Sphere
-from planner.shapes.vessels import Bowl, Cup, Pan, Plate, Teacup, Tube
 
 _S = TypeVar("_S", bound=type[Shape])
 
@@ -72,12 +65,29 @@ def register_shape(shape: _S) -> _S:
     return shape
 
 
-for _shape in (
-    *(Sphere, Box, Cylinder, Capsule, Ellipsoid),
-    *(Mug, LBracket, Torus, Hammer, Superquadric, Knot),
-    *(Cup, Teacup, Bowl, Pan, Plate, Channel, Tube),
-):
-    register_shape(_shape)
+_OURS = {
+    "sphere": "sphere:Sphere",
+    "box": "box:Box",
+    "cylinder": "cylinder:Cylinder",
+    "capsule": "capsule:Capsule",
+    "ellipsoid": "ellipsoid:Ellipsoid",
+    "mug": "made:Mug",
+    "lbracket": "made:LBracket",
+    "torus": "made:Torus",
+    "hammer": "made:Hammer",
+    "superquadric": "made:Superquadric",
+    "knot": "made:Knot",
+    "cup": "vessels:Cup",
+    "teacup": "vessels:Teacup",
+    "bowl": "vessels:Bowl",
+    "pan": "vessels:Pan",
+    "plate": "vessels:Plate",
+    "channel": "made:Channel",
+    "tube": "vessels:Tube",
+}
+"""Kind -> its module here and its class, which is imported when an object of the kind is met."""
+
+SIZED_SHAPES.add_homes({kind: f"planner.shapes.{home}" for kind, home in _OURS.items()})
 
 _FILE_KEYS = {"path", "scale", "repair", "sha256"}
 _MENDED = "mended"

@@ -37,7 +37,7 @@ def solid_geoms(shape: Shape) -> tuple[SolidGeom, ...]:
     """The geoms that together stand for a shape in MuJoCo."""
     here = SE3(np.eye(3), np.zeros(3))
     if isinstance(shape, Mesh):
-        from planner.shapes.decomposition.pieces import convex_pieces  # here: for meshes alone
+        from planner.shapes.pieces import convex_pieces  # here: for meshes alone
 
         pieces = convex_pieces(shape)
         return tuple(
@@ -56,6 +56,6 @@ def solid_deviation(shape: Shape) -> float:
     """How far (m) ``solid_geoms`` reach out of the true shape at most; 0 where they are exact."""
     if not isinstance(shape, Mesh):
         return 0.0
-    from planner.shapes.decomposition.pieces import convex_pieces
+    from planner.shapes.pieces import convex_pieces
 
     return convex_pieces(shape).deviation

@@ -1,8 +1,7 @@
 """Grasp synthesis: the problem with its terms, its starts, and its objectives."""
 
 from planner.synthesis.link_spheres import hull_spheres, link_spheres
-from planner.synthesis.objectives.registry import OBJECTIVES
-from planner.synthesis.objectives.wrench import gravity_any_direction, tool_torque
+from planner.synthesis.objectives import OBJECTIVES, gravity_any_direction, tool_torque
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start, build_problem
 from planner.synthesis.seeds.draw import Seeder

@@ -29,18 +29,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision.moving_hand import moving_hand
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
+from planner.kinematics.state import moving_hand
 from planner.numerics.kernels import kernels_are_compiled
 from planner.shapes import Shape
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.field_points import Field
-from planner.synthesis.mesh_surface import surface_of
-from planner.synthesis.options import ProblemForm, SynthesisOptions
+from planner.synthesis.mesh_surface import Field, surface_of
+from planner.synthesis.options import ProblemForm, SynthesisOptions, table_room
 from planner.synthesis.residuals import Formulation, Residuals, formulate
-from planner.synthesis.room import table_room
 from planner.synthesis.symbols import obstacles_in_object, table_in_object
 from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.term import Term, WrittenTerm, table_of

@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.numerics.casadi_buffers import into_buffers
 from planner.numerics.levenberg_marquardt import SLOW, LMResult, levenberg_marquardt
+from planner.numerics.tape import into_buffers
 from planner.shapes.surface import Surface
 from planner.spatial import FloatArray
-from planner.synthesis.field_points import COEFFICIENTS, Field
-from planner.synthesis.objectives.registry import objective_rows
+from planner.synthesis.mesh_surface import COEFFICIENTS, Field
+from planner.synthesis.objectives import objective_rows
 from planner.synthesis.options import OPTION_NAMES
-from planner.synthesis.symbols import GraspSymbols
+from planner.synthesis.symbols import GraspSymbols, Unknowns
 from planner.synthesis.terms.clearance import Clearances, SurfaceRows, surface_rows
 from planner.synthesis.terms.fingers import FingerCapsules
 from planner.synthesis.terms.link_distance import LinkDistances, TrueLinks
@@ -45,7 +45,6 @@ from planner.synthesis.terms.term import (
     WrittenTerm,
     names_of,
 )
-from planner.synthesis.unknowns import Unknowns
 from planner.system.threads import BUILDING, built, stage
 
 
@@ -116,7 +115,7 @@ def formulate(
         fingers: Fingers that take part, in order of the contacts.
         surface: Form of the shape.
         n_obstacles: Number of obstacle boxes.
-        objectives: Those of ``planner.synthesis.objectives.registry`` that have rows of their own.
+        objectives: Those of ``planner.synthesis.objectives`` that have rows of their own.
         terms: Registered terms beside the standard ones, by name.
     """
     symbols = GraspSymbols(hand, fingers, surface, n_obstacles, OPTION_NAMES)

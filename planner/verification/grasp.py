@@ -9,7 +9,7 @@ couplings,
 
     min |dq|  s.t.  n_i' J_i dq = -gap_i,   C dq = d - C q,   wrist and base as they are,
 
-repeated until gaps and couplings are met (``planner.numerics.ik_step``).
+repeated until gaps and couplings are met (``planner.numerics.qp``).
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from planner.approach.pregrasp import Approach, find_approach, verify_approach
-from planner.collision.moving_hand import moving_hand
 from planner.collision.pad_contact import pad_contact_queries, pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
@@ -32,7 +31,8 @@ from planner.forces import (
     distribute_forces,
     gravity_wrench,
 )
-from planner.numerics.ik_step import Task, ik_step
+from planner.kinematics.state import moving_hand
+from planner.numerics.qp import Task, ik_step
 from planner.objects import NeededWrench
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import ClosureResult, force_closure, plainly_closed

@@ -130,12 +130,14 @@ def run(
     the forces over time, the numbers.
     """
     from planner.files import write_plan
-    from sim.scan import scanned_truth
 
     if out_dir is not None:
         make_folder(out_dir)
-    cloud = is_cloud(object)
-    truth = scanned_truth(object) if cloud else None
+    cloud, truth = is_cloud(object), None
+    if cloud:
+        from sim.scan import scanned_truth  # here: for clouds alone
+
+        truth = scanned_truth(object)
     execute = trial.trial(truth, handover=handover_to is not None)
     trial.check_policy(hand, lambda: object_of(object, **request.told_of_object()), None)
     request, write = trial.reckoned(request), cast(Any, write_plan)

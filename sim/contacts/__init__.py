@@ -16,7 +16,14 @@ Forces belong to the positions of the same step: after ``mj_step`` both are thos
 
 from __future__ import annotations
 
-from sim.contacts.history import ContactHistory, contacts_from_mujoco, hand_contacts
+from sim.contacts.history import (
+    ContactHistory,
+    ContactRows,
+    contacts_from_mujoco,
+    hand_contacts,
+    merge_per_finger,
+    with_planned_friction,
+)
 from sim.contacts.reading import (
     NO_FORCE,
     Touch,
@@ -24,7 +31,6 @@ from sim.contacts.reading import (
     object_contacts,
     other_touches,
 )
-from sim.contacts.rows import ContactRows, merge_per_finger, with_planned_friction
 
 __all__ = [
     "NO_FORCE",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+from planner.system.package import lazy_names
 from sim.controllers.base import (
     PHASES,
     Controller,
@@ -20,10 +23,7 @@ from sim.controllers.base import (
     Target,
     UsesSenses,
 )
-from sim.controllers.follow import MotionReference
 from sim.controllers.grasp import GraspController
-from sim.controllers.impedance import ImpedanceGains
-from sim.controllers.monitors import SlipDetector
 from sim.controllers.named import (
     CONTROLLERS,
     AnyController,
@@ -33,8 +33,13 @@ from sim.controllers.named import (
     controller_name,
     named_controller,
 )
-from sim.controllers.object_impedance import ObjectImpedance
 from sim.controllers.readings import PadReading, TouchReading
+
+if TYPE_CHECKING:
+    from sim.controllers.follow import MotionReference
+    from sim.controllers.impedance import ImpedanceGains
+    from sim.controllers.monitors import SlipDetector
+    from sim.controllers.object_impedance import ObjectImpedance
 
 __all__ = [
     "CONTROLLERS",
@@ -68,3 +73,13 @@ __all__ = [
     "controller_name",
     "named_controller",
 ]
+
+_HOMES = {
+    "ImpedanceGains": "sim.controllers.impedance",
+    "MotionReference": "sim.controllers.follow",
+    "ObjectImpedance": "sim.controllers.object_impedance",
+    "SlipDetector": "sim.controllers.monitors",
+}
+"""What the usual trial does not need -> the module that defines it."""
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -11,8 +11,6 @@ from planner.errors import TaskError, shown
 from planner.plan import GraspPlan
 from planner.registry import Registry
 from sim.controllers.base import Controller
-from sim.controllers.grasp import GraspController
-from sim.controllers.object_impedance import ObjectImpedance
 
 MakeController: TypeAlias = Callable[[GraspPlan], Controller]
 """What makes a controller of a plan: a class or a function."""
@@ -25,8 +23,12 @@ CONTROLLERS: Registry[MakeController] = Registry("controller", group="controller
 """feedforward: the planned forces, turned with the object, and servos that hold the posture, but
 nothing that steers the object; impedance: a closed loop that keeps the object's pose."""
 
-CONTROLLERS.add("feedforward", GraspController)
-CONTROLLERS.add("impedance", ObjectImpedance)
+CONTROLLERS.add_homes(
+    {
+        "feedforward": "sim.controllers.grasp:GraspController",
+        "impedance": "sim.controllers.object_impedance:ObjectImpedance",
+    }
+)
 
 DEFAULT_CONTROLLER = "feedforward"
 

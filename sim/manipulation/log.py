@@ -33,7 +33,7 @@ from planner.motion.manipulation import ManipulationPlan
 from planner.motion.verify import LEAST_FORCE_LIMIT
 from planner.quality import closure_and_epsilon
 from planner.spatial import SE3, FloatArray, IntArray, signed_twist
-from planner.system.process import interrupts_wait
+from planner.system.threads import interrupts_wait
 from sim.contacts.reading import read_pads
 from sim.controllers.monitors import SLIP_SPEED
 from sim.manipulation.timeline import PHASES, ManipulationPhase

@@ -15,7 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.collision.resting import lift_to_rest
+from planner.collision.pair_table import lift_to_rest
 from planner.errors import TaskError
 from planner.shapes import Mesh
 from planner.spatial import SE3, rotation_angle

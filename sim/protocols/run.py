@@ -77,7 +77,7 @@ class Protocol:
 
 
 PROTOCOLS: Registry[Protocol | MakeCases] = Registry("protocol", group="protocols")
-"""Name -> protocol; installed packages bring more (``planner.system.plugins``). "drake", which
+"""Name -> protocol; installed packages bring more (``planner.registry``). "drake", which
 needs another package, and "errors" and "pushes", which test the controller more than the grasp,
 are run by their names alone."""
 

@@ -26,7 +26,7 @@ from planner.errors import FileFormatError, HandError, TaskError
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from planner.system.process import interrupts_wait
+from planner.system.threads import interrupts_wait
 from sim.controllers.base import PHASES, Controller, Observation, Sense
 from sim.controllers.readings import TOUCH_FORCE
 from sim.real_hand.interface import Clock, HandInterface, HandObservation, Observer

@@ -24,7 +24,7 @@ from planner.arrays import checked_number, finite
 from planner.errors import HandError, PlannerError, TaskError
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray
-from planner.system.process import interrupts_wait
+from planner.system.threads import interrupts_wait
 from sim.controllers.base import Controller, Phase
 from sim.real_hand.interface import (
     Clock,

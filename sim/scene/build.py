@@ -8,7 +8,7 @@ higher priority; here the object decides against the hand (condim 4 unless the p
 otherwise: sliding and torsion), and table and obstacles decide against the object (condim 6: with
 rolling too, so that a ball stays where it is put). So do the other numbers of a contact.
 
-A mesh collides as convex pieces that cover it (``planner.shapes.decomposition.pieces``) and is
+A mesh collides as convex pieces that cover it (``planner.shapes.pieces``) and is
 shown as it is.
 """
 

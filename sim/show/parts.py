@@ -261,13 +261,13 @@ def event_marks(events: Sequence[EventData], shift: float = 0.0) -> tuple[Mark, 
     )
 
 
-def plan_file(plan: dict[str, Any], source: str = "the report's plan") -> PlanFile:
+def plan_file(plan: dict[str, Any]) -> PlanFile:
     """A plan that a report holds, with its format checked but not its claims.
 
     Raises:
         FileFormatError: Damaged, or of another version.
     """
-    return checked_file(PlanFile, plan, source)
+    return checked_file(PlanFile, plan, "the report's plan")
 
 
 def task_of_plan(file: PlanFile, source: str = "the report's plan") -> GraspTask:

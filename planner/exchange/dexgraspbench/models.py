@@ -37,9 +37,9 @@ from planner.files import plain_name, write_json
 from planner.hands.description_toml import read_description
 from planner.hands.hand import Hand
 from planner.shapes import Shape
-from planner.shapes.decomposition.pieces import convex_pieces, deviation
 from planner.shapes.hulls import hull_of
 from planner.shapes.mesh import Mesh, surface_triangles
+from planner.shapes.pieces import convex_pieces, deviation
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
 

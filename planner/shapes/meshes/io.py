@@ -222,7 +222,7 @@ def converted_mesh(path: Path, most: int = 0) -> tuple[FloatArray, IntArray]:
     def made(file: Path) -> Triangles:
         vertices, faces = _read_link(file)
         if most:
-            from planner.shapes.meshes.simplify import simplified
+            from planner.shapes.meshes.triangles import simplified
 
             vertices, faces, _ = simplified(vertices, faces, most)
         return vertices, faces

@@ -24,9 +24,14 @@ from planner.numerics.levenberg_marquardt import (
 )
 from planner.numerics.tape import Program, run_tape
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.field_points import COEFFICIENTS
-from planner.synthesis.loops.field import SplineTables, taylor_at
-from planner.synthesis.terms.clearance import ClearanceRun, ClearanceTables, clearance_rows
+from planner.synthesis.loops.clearance import (
+    ClearanceRun,
+    ClearanceTables,
+    SplineTables,
+    clearance_rows,
+    taylor_at,
+)
+from planner.synthesis.mesh_surface import COEFFICIENTS
 from planner.synthesis.terms.fingers import CapsuleRun, CapsuleTables, finger_rows
 from planner.synthesis.terms.hand_points import HandAt, Joints, Rows, end_row, place_hand
 from planner.synthesis.terms.link_distance import LinkRun, link_rows

@@ -17,10 +17,9 @@ import numpy as np
 from planner.numerics.kernels import compile_loops
 from planner.numerics.levenberg_marquardt import PATIENCE, SLOW, STALLED, LMResult
 from planner.numerics.tape import Tape, tape_of
-from planner.shapes.field.distance_field import DistanceField
+from planner.shapes.distance_field import DistanceField
 from planner.spatial import FloatArray
-from planner.synthesis.field_points import Field
-from planner.synthesis.loops.field import NO_FIELD, spline_tables
+from planner.synthesis.loops.clearance import NO_FIELD, CompiledClearances, spline_tables
 from planner.synthesis.loops.least_squares import (
     STATUS,
     Kept,
@@ -30,8 +29,8 @@ from planner.synthesis.loops.least_squares import (
     Written,
     minimise,
 )
+from planner.synthesis.mesh_surface import Field
 from planner.synthesis.residuals import Residuals
-from planner.synthesis.terms.clearance import CompiledClearances
 from planner.synthesis.terms.fingers import capsule_run, capsule_tables
 from planner.synthesis.terms.hand_points import Rows, hand_at, joint_outputs, joints_of
 from planner.synthesis.terms.link_distance import LINKS, LinkDistances, link_run

@@ -15,11 +15,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.joints.description import OPEN, PINCH
 from planner.kinematics.arm_ik import reach
+from planner.kinematics.state import moving_hand
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import surface_of

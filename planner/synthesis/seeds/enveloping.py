@@ -13,9 +13,9 @@ from itertools import product
 import numpy as np
 import pinocchio as pin
 
-from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
 from planner.hands.fingers import Pad, Side
+from planner.kinematics.state import moving_hand
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.seeds.draw import Seeder

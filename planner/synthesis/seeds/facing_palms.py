@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
 from planner.hands.two_hands import carriage_joints
+from planner.kinematics.state import moving_hand
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.seeds.enveloping import FAR, HANDS, EnvelopingSeeder, Palm, laid
 

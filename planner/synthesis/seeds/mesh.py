@@ -26,10 +26,8 @@ from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.seeds.draw import STEEPEST, Seeder
-from planner.synthesis.seeds.enveloping import EnvelopingSeeder
 from planner.synthesis.seeds.opposition import Postures, measure_postures, opposition
 from planner.synthesis.terms.resistance import least_resisted
-from planner.task import GraspTask
 from planner.tolerances import EDGE_RADIUS, EDGE_SPREAD
 
 SAMPLES = 600
@@ -366,21 +364,3 @@ class TurningSeeder(MeshSeeder):
 
 TINY = 1e-9
 """A gradient shorter than this has no direction."""
-
-
-def seeder_for(task: GraspTask) -> Seeder:
-    """The source of starts that suits the task's contacts and object."""
-    if task.hand.pair:
-        from planner.synthesis.seeds.facing_palms import PairSeeder  # here: few hands are two
-
-        return PairSeeder(task)
-    if not task.is_of_fingertips:
-        return EnvelopingSeeder(task)
-    if not isinstance(task.object.shape, Mesh):
-        return Seeder(task)
-    return NarrowSeeder(task) if task.object.shape.narrow else MeshSeeder(task)
-
-
-def turning_seeder_for(task: GraspTask) -> Seeder:
-    """The source of starts from which the task's object is turned or moved in the hand."""
-    return TurningSeeder(task) if isinstance(task.object.shape, Mesh) else Seeder(task)

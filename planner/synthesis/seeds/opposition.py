@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.collision.moving_hand import moving_hand
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
+from planner.kinematics.state import moving_hand
 from planner.spatial import FloatArray, cross
 from planner.synthesis.link_spheres import LinkSphere
 from planner.task import GraspTask

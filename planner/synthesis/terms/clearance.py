@@ -10,16 +10,14 @@ derivatives are computed for the violated ones alone, from the joints' Jacobians
 (``planner.synthesis.terms.hand_points``). On a mesh a sphere that was far from the object is looked
 up again only when it may be near: distances change no faster than points move.
 
-Compiled loops do the same (``clearance_rows``): each distance is a program, run for all spheres
-side by side.
+Compiled loops do the same (``planner.synthesis.loops.clearance``).
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -28,11 +26,8 @@ from numpy.typing import NDArray
 from planner.errors import TaskError
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.numerics.kernels import loops_of_kernels
-from planner.numerics.tape import Programs, Tape, programs_of, run_on_lanes, tape_of
 from planner.shapes.surface import box_clearance
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.field_points import Field
 from planner.synthesis.link_spheres import (
     SAME_POINT,
     LinkSphere,
@@ -41,21 +36,15 @@ from planner.synthesis.link_spheres import (
     margin_of,
     moving,
 )
-from planner.synthesis.loops.field import SplineTables, taylor_at
-from planner.synthesis.symbols import GraspSymbols
-from planner.synthesis.terms.contact import PER_METRE
+from planner.synthesis.mesh_surface import Field
+from planner.synthesis.symbols import GraspSymbols, mrp_rates
 from planner.synthesis.terms.hand_points import (
-    HandAt,
     HandPoints,
-    Joints,
     Placement,
-    Rows,
-    move,
-    point_row,
     side_by_side,
 )
+from planner.synthesis.terms.standard import PER_METRE
 from planner.synthesis.terms.term import ActiveRows, Role, Row, RowSource, SphereClearance, Term
-from planner.synthesis.unknowns import mrp_rates
 from planner.system.threads import built
 
 PRESSED = 0.001
@@ -370,200 +359,3 @@ class Clearances(RowSource):
         gaps[near] = found[:, 0] - radius - margin
         bad = gaps[near] < 0.0
         return gaps, near[bad], found[bad, 1:4]
-
-
-class ClearanceTables(NamedTuple):
-    """The clearances of a problem for compiled loops.
-
-    Attributes:
-        joint: Joint that each point moves with (k,): the centres of all sets of spheres.
-        at: The points in its frame (k, 3), m.
-        begin: First point of each surface (s,).
-        first: Where its spheres begin among those of all surfaces, and the end (s + 1,).
-        place: Place of its term, see ``Rows``.
-        program: Its distance among ``programs``; -1 where it is looked up in the field of a mesh.
-        lanes: Where the work array of its program begins, and the end (s + 1,).
-        programs: Distances of numbers and a point.
-        point: Where the point is in the work array of each program.
-        results: Where value and gradient are (p, 4).
-    """
-
-    joint: IntArray
-    at: FloatArray
-    begin: IntArray
-    first: IntArray
-    place: IntArray
-    program: IntArray
-    lanes: IntArray
-    programs: Programs
-    point: IntArray
-    results: IntArray
-
-
-class ClearanceRun(NamedTuple):
-    """Numbers of one task, and what is known at the last evaluation; of n spheres.
-
-    Attributes:
-        least: What the distance of each sphere's centre must be (n, 2), m, in two parts.
-        known: On a mesh: last known gap (n,), m.
-        seen: On a mesh: where the centre was when it was last looked up (n, 3), m.
-        gaps: Distances less ``least`` (n,), m.
-        slopes: Gradients of the distances (n, 3).
-        lanes: Work arrays of all programs, a lane for each sphere.
-        local: The points in the frame of base, flange or root (k, 3), m.
-        placed: In the object's frame (k, 3), m.
-    """
-
-    least: FloatArray
-    known: FloatArray
-    seen: FloatArray
-    gaps: FloatArray
-    slopes: FloatArray
-    lanes: FloatArray
-    local: FloatArray
-    placed: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CompiledClearances:
-    """Clearances for compiled loops: what all runs share.
-
-    Attributes:
-        tables: See there.
-        tapes: Of each surface; None where it is looked up.
-    """
-
-    clearances: Clearances
-    tables: ClearanceTables
-    tapes: tuple[Tape | None, ...]
-
-    @classmethod
-    def of(cls, clearances: Clearances, places: Mapping[Term, int]) -> CompiledClearances | None:
-        """Lay out; None where a distance has instructions that loops do not know.
-
-        Args:
-            clearances: The clearances.
-            places: Places of the terms in ``Rows``.
-        """
-        surfaces, sets = clearances.surfaces, clearances.sets
-        functions = list(dict.fromkeys(s.distance for s in surfaces if s.distance is not None))
-        known = [tape_of(f) for f in functions]
-        tapes = [tape for tape in known if tape is not None]
-        if len(tapes) < len(known):
-            return None
-        which = [-1 if s.distance is None else functions.index(s.distance) for s in surfaces]
-        sizes = [
-            0 if k < 0 else len(tapes[k].work) * len(s.spheres)
-            for k, s in zip(which, surfaces, strict=True)
-        ]
-        begins = np.cumsum([0, *(len(spheres) for spheres in sets)])
-        points = [b for spheres in sets for b in spheres]
-        tables = ClearanceTables(
-            joint=np.array([b.joint_id for b in points], dtype=np.int64),
-            at=np.array([b.center for b in points], dtype=np.float64).reshape(-1, 3),
-            begin=begins[clearances.set_of],
-            first=clearances.first,
-            place=np.array([places[s.term] for s in surfaces], dtype=np.int64),
-            program=np.array(which, dtype=np.int64),
-            lanes=np.cumsum([0, *sizes]),
-            programs=programs_of(tapes),
-            point=np.array([tape.arguments[1] for tape in tapes], dtype=np.int64),
-            results=np.array([np.concatenate(t.results) for t in tapes]).reshape(-1, 4),
-        )
-        of_surfaces = tuple(None if k < 0 else tapes[k] for k in which)
-        return cls(clearances=clearances, tables=tables, tapes=of_surfaces)
-
-    def run(self, values: dict[str, FloatArray]) -> ClearanceRun:
-        """Numbers of a task, from parameters by name; nothing is known yet."""
-        numbers, least = self.clearances.settings(values)
-        n, k = len(least), len(self.tables.joint)
-        lanes, at = [np.zeros(0)], 0
-        for s, tape in zip(self.clearances.surfaces, self.tapes, strict=True):
-            size = s.numbers.numel()
-            if tape is not None:
-                work = tape.work.copy()
-                work[:size] = numbers[at : at + size]
-                lanes.append(np.repeat(work, len(s.spheres)))
-            at += size
-        return ClearanceRun(
-            least=least,
-            known=self.clearances.unknown_gaps(),
-            seen=np.full((n, 3), np.inf),
-            gaps=np.zeros(n),
-            slopes=np.zeros((n, 3)),
-            lanes=np.concatenate(lanes),
-            local=np.zeros((k, 3)),
-            placed=np.zeros((k, 3)),
-        )
-
-
-@loops_of_kernels
-def clearance_rows(
-    t: ClearanceTables, run: ClearanceRun, p: Joints, hand: HandAt, field: SplineTables, rows: Rows
-) -> None:
-    """Append the violated clearances: what ``Clearances`` does."""
-    for k in range(len(t.joint)):
-        joint = t.joint[k]
-        move(hand, joint, t.at, k, run.local)
-        f = p.carried[joint]
-        for i in range(3):
-            run.placed[k, i] = (
-                hand.frames[f, 3 * i] * run.local[k, 0]
-                + hand.frames[f, 3 * i + 1] * run.local[k, 1]
-                + hand.frames[f, 3 * i + 2] * run.local[k, 2]
-                + hand.frames[f, 9 + i]
-            )
-    for s in range(len(t.place)):
-        if t.program[s] < 0:
-            from_field(t, run, s, field)
-        else:
-            by_program(t, run, s)
-        shift = t.begin[s] - t.first[s]
-        for k in range(t.first[s], t.first[s + 1]):
-            if run.gaps[k] < 0.0:
-                point = k + shift
-                point_row(
-                    p, hand, rows, t.place[s], t.joint[point], run.local, point, run.gaps[k],
-                    run.slopes, k,
-                )  # fmt: skip
-
-
-@loops_of_kernels
-def by_program(t: ClearanceTables, run: ClearanceRun, s: int) -> None:
-    """Gaps and gradients of the spheres of surface s by its program, a lane for each."""
-    which, first, lanes = t.program[s], t.first[s], run.lanes
-    n, base, begin = t.first[s + 1] - first, t.lanes[s], t.begin[s]
-    for i in range(3):
-        at = base + (t.point[which] + i) * n
-        for k in range(n):
-            lanes[at + k] = run.placed[begin + k, i]
-    run_on_lanes(t.programs, which, lanes, base, n)
-    at = base + t.results[which, 0] * n
-    for k in range(n):
-        run.gaps[first + k] = lanes[at + k] - run.least[first + k, 0] - run.least[first + k, 1]
-    for i in range(3):
-        at = base + t.results[which, 1 + i] * n
-        for k in range(n):
-            run.slopes[first + k, i] = lanes[at + k]
-
-
-@loops_of_kernels
-def from_field(t: ClearanceTables, run: ClearanceRun, s: int, field: SplineTables) -> None:
-    """The same from a mesh, of the spheres that may be near since they were last looked up.
-
-    Where they were ``seen``, what is ``known`` of them; others are far.
-    """
-    shift = t.begin[s] - t.first[s]
-    for k in range(t.first[s], t.first[s + 1]):
-        run.gaps[k] = 1.0
-        far = 0.0
-        for i in range(3):
-            far += (run.placed[k + shift, i] - run.seen[k, i]) ** 2
-        if run.known[k] < FASTEST * math.sqrt(far):
-            for i in range(3):
-                run.seen[k, i] = run.placed[k + shift, i]
-            x, y, z = run.seen[k, 0], run.seen[k, 1], run.seen[k, 2]
-            taylor_at(field, x, y, z, 1, field.found, 0)
-            run.known[k] = run.gaps[k] = field.found[0] - run.least[k, 0] - run.least[k, 1]
-            for i in range(3):
-                run.slopes[k, i] = field.found[1 + i]

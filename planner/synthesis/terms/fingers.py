@@ -13,7 +13,6 @@ import numpy as np
 
 from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.field_points import Field
 from planner.synthesis.link_capsules import (
     PARALLEL,
     POINT_LENGTH,
@@ -23,8 +22,8 @@ from planner.synthesis.link_capsules import (
     finger_capsules,
     rooms_at_rest,
 )
+from planner.synthesis.mesh_surface import Field
 from planner.synthesis.symbols import GraspSymbols
-from planner.synthesis.terms.contact import PER_METRE
 from planner.synthesis.terms.hand_points import (
     HandAt,
     HandPoints,
@@ -34,6 +33,7 @@ from planner.synthesis.terms.hand_points import (
     move,
     side_by_side,
 )
+from planner.synthesis.terms.standard import PER_METRE
 from planner.synthesis.terms.term import ActiveRows, Role, Row, RowSource, Term
 
 FINGERS = Term(

@@ -23,8 +23,7 @@ import numpy as np
 from planner.hands.hand import Hand
 from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import FloatArray, IntArray, cross
-from planner.synthesis.symbols import GraspSymbols
-from planner.synthesis.unknowns import Unknowns
+from planner.synthesis.symbols import GraspSymbols, Unknowns
 
 
 @dataclass(frozen=True, kw_only=True)

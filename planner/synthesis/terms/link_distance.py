@@ -22,11 +22,11 @@ from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
 from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import SE3, FloatArray, IntArray
-from planner.synthesis.field_points import Field
-from planner.synthesis.terms.contact import PER_METRE
+from planner.synthesis.mesh_surface import Field
+from planner.synthesis.symbols import Unknowns, mrp_rates
 from planner.synthesis.terms.hand_points import Rows, end_row
+from planner.synthesis.terms.standard import PER_METRE
 from planner.synthesis.terms.term import ActiveRows, Role, Row, RowSource, Term
-from planner.synthesis.unknowns import Unknowns, mrp_rates
 
 LEAST_DISTANCE = 0.0015
 """Least distance (m) of true links without pads from object, table and obstacles."""

@@ -8,23 +8,28 @@ to other processes, and into the key of a built problem.
 from __future__ import annotations
 
 from planner.errors import NotFoundError, TaskError, shown
-from planner.synthesis.objectives.registry import OBJECTIVES
+from planner.synthesis.objectives import OBJECTIVES
 from planner.synthesis.terms.clearance import OBJECT, OBSTACLE, TABLE
-from planner.synthesis.terms.contact import ALONG, CENTER, EDGE, FACING, SURFACE, TOUCH
 from planner.synthesis.terms.fingers import FINGERS
-from planner.synthesis.terms.forces import (
+from planner.synthesis.terms.link_distance import LINKS
+from planner.synthesis.terms.resistance import RESISTANCE
+from planner.synthesis.terms.standard import (
+    ALONG,
     ARM,
     BALANCE,
+    CENTER,
     CONE,
     COUPLING,
+    EDGE,
+    FACING,
     FORCES,
     LEVEL,
     POSTURE,
     PRESS,
     STOP,
+    SURFACE,
+    TOUCH,
 )
-from planner.synthesis.terms.link_distance import LINKS
-from planner.synthesis.terms.resistance import RESISTANCE
 from planner.synthesis.terms.term import Role, Term
 
 _STANDARD: tuple[Term, ...] = (

@@ -22,7 +22,7 @@ import numpy as np
 
 from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import FloatArray, IntArray, cross
-from planner.synthesis.field_points import Field
+from planner.synthesis.mesh_surface import Field
 from planner.synthesis.symbols import TINY, GraspSymbols
 from planner.synthesis.terms.hand_points import Rows, end_row
 from planner.synthesis.terms.term import ActiveRows, Role, Row, RowSource, Term

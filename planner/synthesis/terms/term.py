@@ -25,8 +25,8 @@ import casadi as ca
 from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.field_points import Field
 from planner.synthesis.link_spheres import LinkSphere
+from planner.synthesis.mesh_surface import Field
 from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
 

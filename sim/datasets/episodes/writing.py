@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.errors import FileFormatError, TaskError
-from planner.system.process import interrupts_wait
+from planner.system.threads import interrupts_wait
 from sim.datasets.episodes.episode import (
     AnyReport,
     Asked,

@@ -16,7 +16,7 @@ import trimesh
 
 from planner.describe import proposed_description
 from planner.shapes import Mesh
-from planner.shapes.decomposition.pieces import convex_pieces
+from planner.shapes.pieces import convex_pieces
 from planner.system.disk_cache import CACHE_VARIABLE, read_arrays, write_arrays, write_text
 
 from ..hostile import array, damaged, text

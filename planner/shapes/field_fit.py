@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planner.shapes.field.distance_field import DistanceField, Level
+from planner.shapes.distance_field import DistanceField, Level
 from planner.spatial import FloatArray, IntArray
 
 RIM_STEP = 1e-5

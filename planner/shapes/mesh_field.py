@@ -22,13 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.shapes.base import Shape
-from planner.shapes.field.distance_field import DistanceField
+from planner.shapes.distance_field import DistanceField
 from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.triangles import COVERED, FACE, cover
 from planner.spatial import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
+
 
 NEAR = (2, 3, 5, 5)
 """Nodes that are measured on the finest grid, the next one, and so on: those of which a point of
@@ -90,7 +91,7 @@ class Pyramid:
             spacing: m.
         """
         if not self.last.values.size:
-            from planner.shapes.field.fit import grid_nodes  # here: of meshes that are not known
+            from planner.shapes.field_fit import grid_nodes  # here: of meshes that are not known
 
             h = spacing * BEGIN
             begin = first // BEGIN
@@ -367,7 +368,7 @@ def fit_mesh_field(
             a share of that.
         wall: Thickness (m) that the finest grid is to resolve.
     """
-    from planner.shapes.field.fit import finest_spacing, fit_field  # here: of unknown meshes
+    from planner.shapes.field_fit import finest_spacing, fit_field  # here: of unknown meshes
 
     corners = surface.corners.reshape(-1, 3)
     lower, upper = corners.min(axis=0), corners.max(axis=0)

@@ -1,6 +1,6 @@
 """A mesh as a few convex pieces that together cover it: MuJoCo collides convex geoms.
 
-The solid is cut by planes into cells (``planner.shapes.decomposition.cutting``), and a piece is the
+The solid is cut by planes into cells (``planner.shapes.cutting``), and a piece is the
 convex hull of the solid within its cell. Every point of the solid is in a piece, convex parts keep
 their true surface, and a piece exceeds the solid only where it bridges a concave part: by no more
 than the tolerance, where cutting succeeds. Afterwards pieces are merged where their common hull
@@ -20,7 +20,7 @@ from heapq import heappop, heappush
 import numpy as np
 
 from planner.shapes.base import Shape
-from planner.shapes.decomposition.cutting import Guards, cut
+from planner.shapes.cutting import Guards, cut
 from planner.shapes.hulls import Hull, hull_of
 from planner.shapes.mesh import Mesh
 from planner.shapes.meshes.triangles import cover, moments

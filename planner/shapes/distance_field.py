@@ -5,7 +5,7 @@ centimetres around it; the spacing of each coarser one is a multiple of it. A fi
 coarser one, refined to the finer grid by the two-scale relation of B-splines, plus a correction
 whose outermost coefficients are zero. So value, gradient and Hessian are continuous across the rims
 of the levels too. Beyond the coarsest level the value is |p| - r, to which the coarsest level is
-blended before its rim; what is left of a step there is below ``planner.shapes.field.fit.RIM_STEP``.
+blended before its rim; what is left of a step there is below ``planner.shapes.field_fit.RIM_STEP``.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class DistanceField:
         levels: From the finest to the coarsest.
         far_radius: Radius r of the far distance |p| - r, m.
         error: How far (m) the value is from the true distance at most, within the solid's bounding
-            box: proven when the field is fitted, see ``planner.shapes.field.fit.error_bound``.
+            box: proven when the field is fitted, see ``planner.shapes.field_fit.error_bound``.
         tables: The levels as the evaluation reads them.
     """
 

@@ -1,1 +1,0 @@
-"""A mesh as a few convex pieces, for engines that collide convex geometries."""

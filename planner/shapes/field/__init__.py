@@ -1,1 +1,0 @@
-"""The smooth signed distance of a mesh: a spline field, its fit, and its exact samples."""

@@ -1,1 +1,0 @@
-"""Objectives of grasp synthesis, one registration each."""
