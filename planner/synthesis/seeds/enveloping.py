@@ -182,15 +182,16 @@ class EnvelopingSeeder(Seeder):
         placed = zip(frames, self._spots, strict=True)
         at = np.vstack([spots @ T.rotation.T + T.translation for T, spots in placed])
         axes = np.array([T.rotation @ f.pad.axis for T, f in zip(frames, fingers, strict=True)])
-        below = -TABLE_COST * self._above_table(self._links_at(T_object_base, q)).min()
+        lowest = float(self._above_table(self._links_at(T_object_base, q)).min())
+        below = max(-TABLE_COST * lowest, 0.0)
         gaps, outward = self._from_surface(at)
         if self.task.object.shape.flat_sides is not None:
-            return self._sides_for(T_object_base, q, outward[self._spot_begins])[1] + max(below, 0)
+            return self._sides_for(T_object_base, q, outward[self._spot_begins])[1] + below
         gaps -= self._spot_radii
         facing = -(outward * axes[self._spot_of]).sum(axis=1)
         away = FACING_AWAY * np.maximum(LEAST_FACING - facing, 0.0)
         misses = np.minimum(np.abs(gaps), FARTHEST) + away
-        return float(np.minimum.reduceat(misses, self._spot_begins).sum()) + max(below, 0.0)
+        return float(np.minimum.reduceat(misses, self._spot_begins).sum()) + below
 
     def _from_surface(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distances (n,), m, of points (n, 3) from the object, and normals (n, 3) out of it.
@@ -318,9 +319,9 @@ class EnvelopingSeeder(Seeder):
         pairs = more[:, None, :, None] + more[None, :, None, :]
         pairs[np.eye(len(more), dtype=bool)] = np.inf
         pairs[:, :, sides @ sides.T > OPPOSED] = np.inf
-        i, j, k, m = np.unravel_index(int(pairs.argmin()), pairs.shape)
-        if np.isfinite(pairs[i, j, k, m]):
-            chosen[[i, j]] = k, m
+        one, other, here, there = np.unravel_index(int(pairs.argmin()), pairs.shape)
+        if np.isfinite(pairs[one, other, here, there]):
+            chosen[[one, other]] = here, there
         return chosen.tolist(), float(np.take_along_axis(cost, chosen[:, None], axis=1).sum())
 
     def _forces(self, normals: FloatArray) -> FloatArray:
