@@ -54,6 +54,9 @@ class Options(HandOptions):
     handover: Annotated[
         bool, flag("--handover", "The first of two hands hands each object to the second.")
     ] = False
+    floating: Annotated[
+        bool, flag("--floating", "No table: each object is held until it is lifted.")
+    ] = False
 
 
 def cases(options: Options) -> Iterator[Row]:
@@ -62,7 +65,10 @@ def cases(options: Options) -> Iterator[Row]:
     if options.handover and (options.carry or options.type or not error_model.ideal):
         raise TaskError("--handover goes without --carry, --type and --error-model; leave them out")
     setting = Setting(
-        joint_error=error_model.encoder_offset, grasp_type=options.type, mass=options.mass
+        joint_error=error_model.encoder_offset,
+        grasp_type=options.type,
+        mass=options.mass,
+        floating=options.floating,
     )
     physics = physics_of(options.physics, options.sim_mu)
     given = {

@@ -14,12 +14,15 @@ from test_closing import close
 from planner import GraspTask, plan_grasp
 from planner.approach.pregrasp import Approach, verify_approach
 from planner.batch.recipe import recipe_of, task_of
+from planner.bridge import LinkGeometry
 from planner.certify import bound_nearby
 from planner.collision.pad_contact import pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, NotFoundError, TaskError
 from planner.files import read_plan
 from planner.hand_loading import load_hand
+from planner.hands import link_pads
+from planner.hands.fingers import Pad
 from planner.hands.grasp_types import contact_sets
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
@@ -28,6 +31,8 @@ from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from planner.synthesis.link_spheres import link_spheres
+from planner.synthesis.problem import Start
+from planner.synthesis.seeds.enveloping import EnvelopingSeeder
 from planner.task import Obstacle
 from planner.tolerances import TOUCH_TOL
 from sim import simulate
@@ -105,6 +110,100 @@ def test_links_of_a_hand_without_a_pinch_posture_are_named_and_have_no_flanks(ha
     assert flanks and set(one.contact_parts) == set(hand.contact_parts) - flanks
     with pytest.raises(NotFoundError, match=r"(?s)'thum'.*thumb"):
         one.choose_fingers(["thum"])
+
+
+class Hull:
+    """What ``link_pads`` asks of the geometry of a hull."""
+
+    def __init__(self, points: FloatArray) -> None:
+        """Keep the corners (n, 3), m."""
+        self._points = points
+
+    def points(self) -> FloatArray:
+        return self._points
+
+
+def pad_of_hull(points: FloatArray, facing: list[float], *, of_palm: bool) -> Pad:
+    shape = {"name": "hull", "body": "link", "kind": "mesh", "size": np.zeros(3)}
+    turn = SE3(pin.exp3(np.array([0.3, -0.2, 0.5])), np.array([0.01, 0.02, 0.03]))
+    geometry = LinkGeometry(joint_id=1, T_joint_geometry=turn, geometry=Hull(points), **shape)
+    pad = link_pads._pad(geometry, turn.rotation @ np.array(facing), of_palm=of_palm)
+    back = turn.inverse()
+    axis, reach = back.rotation @ pad.axis, pad.reach @ back.rotation.T
+    return replace(pad, center=back.act(pad.center), axis=axis, reach=reach)
+
+
+def test_the_pad_of_a_hull_is_on_its_front_and_not_on_the_box_around_it() -> None:
+    """A frustum that is told to face 17 degrees aside has its flat top, seen along its normal."""
+    top, bottom = [0.04, 0.05, 0.01], [0.05, 0.06, -0.01]
+    corners = [(sx * x, sy * y, z) for x, y, z in (top, bottom) for sx in (-1, 1) for sy in (-1, 1)]
+    pad = pad_of_hull(np.array(corners), [0.3, 0.0, 1.0], of_palm=True)
+    np.testing.assert_allclose(pad.axis, [0.0, 0.0, 1.0], atol=1e-9)
+    assert (pad.center + pad.radius * pad.axis)[2] == pytest.approx(0.01, abs=1e-9)
+    assert len(pad.reach) == 2 and np.abs(pad.reach).max() < 0.05
+
+
+def test_a_round_hull_touches_along_a_line_with_its_radius() -> None:
+    turns = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
+    rim = 0.008 * np.column_stack([np.zeros(48), np.cos(turns), np.sin(turns)])
+    end = np.array([0.02, 0.0, 0.0])
+    prism = np.vstack([rim - end, rim + end])
+    pad = pad_of_hull(prism, [0.0, 0.0, 1.0], of_palm=False)
+    assert pad.radius == pytest.approx(0.008, rel=0.15)
+    np.testing.assert_allclose(np.abs(pad.reach), [[0.016, 0.0, 0.0]], atol=1e-5)
+    np.testing.assert_allclose(pad.axis, [0.0, 0.0, 1.0], atol=0.07)
+
+
+def test_a_start_assigns_opposed_sides_of_a_box_and_none_on_the_table() -> None:
+    """The thumb on one side, all else on those beside it: nothing that presses is balanced."""
+    task = GraspTask.create("shadow_hand", "box:0.072x0.061x0.068", grasp_type="power")
+    seeder = EnvelopingSeeder(task.choices[1])
+    for seed in range(12):
+        start = seeder.draw(np.random.default_rng(seed))
+        assert isinstance(start, Start)
+        normals = np.array([patch.code for patch in start.patches])
+        assert (normals @ normals.T).min() == -1.0 and normals[:, 2].min() > -1.0
+
+
+def test_fingers_of_a_start_flex_above_the_table_and_not_within_it() -> None:
+    """Palm down, far from the object; fingers whose links are in the table stay, and that costs."""
+    task = GraspTask.create("allegro_hand", "sphere:0.02", grasp_type="power").choices[1]
+    seeder, palm = EnvelopingSeeder(task), task.hand.description.palm_body
+    part, index = task.hand.contact_parts[palm].pad, task.hand.fingers["index"].q_index
+    T_base_palm = HandState(task.hand, seeder.open).joint_pose(part.joint_id)
+    turn = pin.Quaternion.FromTwoVectors(part.axis, np.array([0.0, 0.0, -1.0])).matrix()
+    flexed, above, cost = [], [], []
+    for height in (0.10, 0.06):
+        pose = SE3(turn, np.array([0.5, 0.0, height])) * T_base_palm.inverse()
+        q = seeder._closed(pose, seeder.open, np.random.default_rng(0))
+        flexed.append(np.abs(q - seeder.open)[index].max())
+        above.append(seeder._above_table(seeder._links_at(pose, q)).min())
+        cost.append(seeder._miss(pose, q))
+    assert flexed[0] > 0.5 and flexed[1] == 0.0
+    assert above[0] > 0.0 > above[1] and cost[1] > cost[0]
+
+
+def test_the_distance_from_a_mesh_in_a_start_is_nearly_the_true_one() -> None:
+    task = GraspTask.create("allegro_hand", "superquadric", grasp_type="power")
+    shape, rng = task.object.shape, np.random.default_rng(0)
+    points, normals = shape.surface_samples(200, rng)
+    away = rng.uniform(0.0, 0.03, 200)
+    gaps, outward = EnvelopingSeeder(task)._from_surface(points + away[:, None] * normals)
+    assert np.quantile(np.abs(gaps - away), 0.9) < 1e-3
+    assert np.median((outward * normals).sum(axis=1)) > 0.99
+
+
+def test_a_face_touches_between_the_places_where_it_is_looked_at(plan: GraspPlan) -> None:
+    """Moved along the palm by less than the places are apart, its gap stays that of coal."""
+    at = plan.task.finger_names.index("palm")
+    off = []
+    for x in np.linspace(0.0, 0.01, 5):
+        for y in np.linspace(0.0, 0.01, 5):
+            step = plan.T_world_base.rotation @ np.array([0.0, x, y])
+            base = SE3(plan.T_world_base.rotation, plan.T_world_base.translation + step)
+            palm = pad_contacts(plan.task, base, plan.q)[at]
+            off.append(abs(palm.gap - palm.pad_gap))
+    assert max(off) < 3e-4
 
 
 def test_joints_of_a_link_are_those_that_move_it(hand: Hand) -> None:
@@ -339,13 +438,13 @@ def test_a_palm_on_a_fixed_base_is_refused() -> None:
 
 
 def test_the_grip_is_shared_by_what_presses(hand: Hand) -> None:
-    """Of two kilogrammes: of seven contacts four press, each as hard as one of four fingertips."""
+    """Of two kilogrammes: of seven contacts four press, and the palm bears as much as they do."""
     item = parse_object("sphere:0.04", mass=2.0)
     power = GraspTask.create(hand, item, grasp_type="power")
-    assert [len(task.outermost) for task in power.choices] == [4, 4, 3]
-    assert power.grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 4))
-    assert power.grip_force == GraspTask.create(hand, item).grip_force
-    assert power.choices[2].grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 3))
+    assert [len(task.outermost) for task in power.choices] == [4, 4, 4, 3]
+    assert power.grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 2 * 4))
+    assert GraspTask.create(hand, item).grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 4))
+    assert power.choices[3].grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 2 * 3))
 
 
 def test_a_set_that_a_region_forbids_is_left_out(hand: Hand) -> None:

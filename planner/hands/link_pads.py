@@ -1,11 +1,11 @@
 """Where a hand can touch beside its fingertips: inner links of its fingers, and the palm.
 
 Called by ``Hand.contact_parts``. A link that touches is a finger that ends early: the joints up to
-that link, and a pad on it. The palm is a finger without joints, or, of one
-hand of two, with those of its carriage. Pads are proposed from the
-geometry: a capsule or cylinder touches along its line, a box or a hull with the face that looks to
-the palm's side. A long round link has a second pad, on the flank towards the finger that opposes
-the others (``flank``): there a thumb presses in a lateral grasp.
+that link, and a pad on it. The palm is a finger without joints, or, of one hand of two, with those
+of its carriage. Pads are proposed from the geometry: a capsule or cylinder touches along its line,
+a box with the face that looks to the palm's side, a hull with the line or face that its front is. A
+long round link has a second pad, on the flank towards the finger that opposes the others
+(``flank``): there a thumb presses in a lateral grasp.
 """
 
 from __future__ import annotations
@@ -33,6 +33,28 @@ FLANK_HALF_ANGLE = float(np.deg2rad(50.0))
 
 FLAT_HALF_ANGLE = float(np.deg2rad(8.0))
 """The same for the face of a box or a hull, whose one normal is the pad's axis."""
+
+STRAIGHT = 1e-3
+"""How far (m) the front of a hull may fall back where it counts as straight: what is left is closed
+when fingers are put onto the true surface."""
+
+SHORT_FACE, WIDE = 4e-3, 0.8
+"""Least half length (m) along which a hull's front counts as straight; share (-) of its half extent
+that a pad takes at most: its rim is round."""
+
+FITTED, FACING_UP = np.linspace(-0.7, 0.7, 9), 0.05
+"""Where the front is fitted, in shares of the half extents; cosine (-) between a facet of the front
+and the direction in which the pad faces."""
+
+FLAT, ONE_FACE = 0.2, float(np.cos(np.deg2rad(2.0)))
+"""Share (-) of the rays onto a hull's front from which on the face that they meet is the pad, and
+cosine between normals of one face."""
+
+STEEPEST = float(np.cos(np.deg2rad(30.0)))
+"""Cosine of the largest angle between a hull's front and where the hand says that it faces."""
+
+ROUND_HULL_ANGLE = float(np.deg2rad(45.0))
+"""Contacts of a round hull lie within this cone (rad)."""
 
 TINY = 1e-12
 """A squared length (m2) below which there is no direction."""
@@ -85,11 +107,14 @@ def link_contacts(
     palm = side.palm_body
     if (face := _largest(geometries, palm)) is not None:
         turn = model.frames[model.getBodyId(palm)].placement.rotation
-        out[palm] = _ended(model, palm, _pad(face, turn @ side.palm_normal), side.carriage.tolist())
+        pad = _pad(face, turn @ side.palm_normal, of_palm=True)
+        out[palm] = _ended(model, palm, pad, side.carriage.tolist())
     if pinch is not None:
         opposer = fingers[opposing(model, fingers, pinch)]
+        hulls = {g.name for g in geometries if g.kind == "mesh"}
         for finger in fingers:
             links = [out[b] for b in out if b in finger.bodies and finger is not opposer]
+            links = [link for link in links if link.pad.geom not in hulls]
             flanks = [_flank(model, link, opposer, pinch) for link in links]
             out |= {part.name: part for part in flanks if part is not None}
     names = {finger.name for finger in fingers}
@@ -159,8 +184,10 @@ def _extent(geometry: LinkGeometry) -> tuple[FloatArray, FloatArray]:
     return (np.array(box.max_) + box.min_) / 2, (np.array(box.max_) - box.min_) / 2
 
 
-def _pad(geometry: LinkGeometry, facing: FloatArray) -> Pad:
+def _pad(geometry: LinkGeometry, facing: FloatArray, *, of_palm: bool = False) -> Pad:
     """The pad of a link; ``facing`` (3,) is the way to the palm's side, in the joint's frame."""
+    if geometry.kind == "mesh":
+        return _hull_pad(geometry, facing, of_palm)
     placed = geometry.T_joint_geometry
     local = placed.rotation.T @ facing
     middle, half = _extent(geometry)
@@ -186,4 +213,63 @@ def _pad(geometry: LinkGeometry, facing: FloatArray) -> Pad:
         rolling_axis=axis,
         rolling_half_angle=angle,
         reach=reach @ placed.rotation.T,
+    )
+
+
+def _hull_pad(geometry: LinkGeometry, facing: FloatArray, of_palm: bool) -> Pad:
+    """The pad of a hull: where its front is as good as straight it is a line or a face, else round.
+
+    A quadric is fitted to the front of the hull, twice, the second time seen along its normal.
+    Along each of its two ways the pad reaches as far as the front falls back by ``STRAIGHT``. A way
+    along which that is short is round, with the radius of curvature; so is the narrow way of a
+    finger's link, which meets round objects with its edges.
+    """
+    from planner.system.scipy_parts import ConvexHull  # here: SciPy loads slowly
+
+    placed = geometry.T_joint_geometry
+    hull = ConvexHull(np.array(geometry.geometry.points()))
+    corners, facets = hull.points[hull.vertices], hull.equations
+    normal = placed.rotation.T @ facing
+    normal /= max(float(np.linalg.norm(normal)), TINY)
+    first = normal
+    for _ in range(2):
+        flat = corners - corners.mean(axis=0)
+        ways = np.linalg.svd(flat - np.outer(flat @ normal, normal))[2][:2]
+        low, high = (corners @ ways.T).min(axis=0), (corners @ ways.T).max(axis=0)
+        half, middle = (high - low) / 2, (high + low) / 2 @ ways
+        a, b = (v.ravel() for v in np.meshgrid(*np.outer(half, FITTED)))
+        over = np.column_stack([a, b]) @ ways + middle
+        apart, slope = over @ facets[:, :3].T + facets[:, 3], facets[:, :3] @ normal
+        up, down = slope > FACING_UP, slope < -FACING_UP
+        heights = -apart[:, up] / slope[up]
+        height, met = heights.min(axis=1), facets[up, :3][heights.argmin(axis=1)]
+        hit = height >= (-apart[:, down] / slope[down]).max(axis=1)
+        quadric = np.column_stack([np.ones_like(a), a, b, -(a**2) / 2, -(b**2) / 2])
+        fit = np.linalg.lstsq(quadric[hit], height[hit], rcond=None)[0]
+        bent = np.maximum(fit[3:], 1e-3)
+        front = middle + float(height[len(height) // 2]) * normal  # of the middle of the grid
+        alike = met[hit] @ met[hit].T > ONE_FACE
+        most = alike[alike.sum(axis=1).argmax()]
+        turned = met[hit][most].mean(axis=0) if most.mean() > FLAT else normal - fit[1:3] @ ways
+        turned /= np.linalg.norm(turned)
+        if turned @ first > STEEPEST:
+            normal = turned
+    far = np.minimum(WIDE * half, np.sqrt(2.0 * STRAIGHT / bent))
+    long = far > SHORT_FACE
+    if not of_palm:
+        long[int(np.argmin(half))] = False
+    thick = float(np.append(half[~long], np.ptp(corners @ normal) / 2).min())
+    radius = float(np.clip(1.0 / bent[~long].max(initial=1e-3), 2e-3, thick))
+    angle = FLAT_HALF_ANGLE if long.all() else ROUND_HULL_ANGLE
+    axis = placed.rotation @ normal
+    return Pad(
+        geom=geometry.name,
+        joint_id=geometry.joint_id,
+        center=np.array(placed.act(front - radius * normal)),
+        axis=axis,
+        radius=radius,
+        half_angle=angle,
+        rolling_axis=axis,
+        rolling_half_angle=angle,
+        reach=(far[:, None] * ways)[long] @ placed.rotation.T,
     )
