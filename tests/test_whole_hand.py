@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -29,6 +30,7 @@ from planner.kinematics.state import HandState
 from planner.motion.search import check_task
 from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
+from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.problem import Start
@@ -124,7 +126,7 @@ class Hull:
 
 
 def pad_of_hull(points: FloatArray, facing: list[float], *, of_palm: bool) -> Pad:
-    shape = {"name": "hull", "body": "link", "kind": "mesh", "size": np.zeros(3)}
+    shape: dict[str, Any] = {"name": "hull", "body": "link", "kind": "mesh", "size": np.zeros(3)}
     turn = SE3(pin.exp3(np.array([0.3, -0.2, 0.5])), np.array([0.01, 0.02, 0.03]))
     geometry = LinkGeometry(joint_id=1, T_joint_geometry=turn, geometry=Hull(points), **shape)
     pad = link_pads._pad(geometry, turn.rotation @ np.array(facing), of_palm=of_palm)
@@ -186,6 +188,7 @@ def test_fingers_of_a_start_flex_above_the_table_and_not_within_it() -> None:
 def test_the_distance_from_a_mesh_in_a_start_is_nearly_the_true_one() -> None:
     task = GraspTask.create("allegro_hand", "superquadric", grasp_type="power")
     shape, rng = task.object.shape, np.random.default_rng(0)
+    assert isinstance(shape, Mesh)
     points, normals = shape.surface_samples(200, rng)
     away = rng.uniform(0.0, 0.03, 200)
     gaps, outward = EnvelopingSeeder(task)._from_surface(points + away[:, None] * normals)
