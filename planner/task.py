@@ -532,12 +532,8 @@ def _carried_palms(hand: Hand, fingers: Sequence[Finger]) -> tuple[int, ...]:
 
 
 def _pressing(hand: Hand, fingers: Sequence[Finger]) -> int:
-    """How many contacts share the load: the palms of two hands, or one on each finger.
-
-    A palm bears what the fingers press onto it: it counts as they do together.
-    """
-    sides = 1 + any(not f.joints for f in fingers)
-    return max(len(_carried_palms(hand, fingers)) or sides * len(_outermost(fingers)), 1)
+    """How many contacts press with the grip: the palms of two hands, or one on each finger."""
+    return max(len(_carried_palms(hand, fingers) or _outermost(fingers)), 1)
 
 
 def _default_grip(

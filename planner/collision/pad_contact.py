@@ -22,7 +22,6 @@ from planner.collision.world import shape_pair
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import MovingHand
-from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.system.threads import kept_by_thread
 from planner.task import GraspTask
@@ -31,13 +30,9 @@ from planner.tolerances import TOUCH_TOL
 ROUND = ("sphere", "capsule")
 """Kinds of geometry whose surface is a pad's sphere where the pad may touch."""
 
-ON_LINE, ON_SIDE = 31, 21
+ON_LINE, ON_SIDE = 31, 11
 """Places along a link, and along each side of a face, at which it is looked whether it touches:
-some 2 mm and 5 mm apart, where a cylinder of 20 mm radius is 0.2 mm lower than between them."""
-
-ROUGHLY = 3e-3
-"""How much farther (m) from a mesh than the nearest place others are still looked at exactly: its
-smooth distance, which selects them, is off by less."""
+some 2 mm and 10 mm apart."""
 
 NEXT_TO = 0.005
 """Standard deviation (m) with which places count that are away from the one next to the middle: the
@@ -181,14 +176,11 @@ class PadContactQueries:
 
     def _touching_centers(self, base: SE3, middles: FloatArray) -> FloatArray:
         """Centres (n, 3) of the pads' spheres where they touch, next to the middle of all."""
-        out, middle, shape = middles.copy(), middles.mean(axis=0), self._task.object.shape
+        out, middle = middles.copy(), middles.mean(axis=0)
         for i in np.flatnonzero(self._lies).tolist():
             turn = base.rotation @ self._state.joint_pose(int(self._joints[i])).rotation
             at = middles[i] + self._shares[i] @ self._reach[i] @ turn.T
-            if isinstance(shape, Mesh):
-                rough = shape.field().value(at)
-                at = at[rough <= rough.min() + ROUGHLY]
-            points, outward = shape.closest_point(at)
+            points, outward = self._task.object.shape.closest_point(at)
             gaps = ((at - points) * outward).sum(axis=1)
             away = ((at - middle) ** 2).sum(axis=1)
             weights = np.maximum(gaps.min() + TOUCH_TOL - gaps, 0.0)
