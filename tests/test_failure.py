@@ -46,19 +46,20 @@ def test_data_of_a_file_is_finite(mass: float) -> None:
     assert Row(mass=1.0).mass == 1.0
     with pytest.raises(ValidationError) as caught:
         Row(mass=mass)
-    assert faults_of(caught.value).startswith("mass: ")
+    assert faults_of(caught.value).startswith(f"mass is {mass}; ")
 
 
 def test_faults_are_told_with_their_place_and_the_first_of_them_alone() -> None:
     with pytest.raises(ValidationError) as caught:
         Row.model_validate({"mass": 1.0, "sizes": [1.0, "x"], "colour": 3})
-    told = faults_of(caught.value).split("; ")
-    assert [fault.split(":")[0] for fault in told] == ["sizes.1", "colour"]
+    told = faults_of(caught.value)
+    assert told.startswith("sizes.1 is 'x'; ") and "; colour is no field" in told
     parts = {"rows": [{"name": "thumb", "mass": "x"}]}
     with pytest.raises(ValidationError) as caught:
         Rows.model_validate(parts)
-    assert faults_of(caught.value, parts).startswith("rows[thumb].mass: ")
-    assert faults_of(caught.value).startswith("rows.0.mass: ")
+    assert faults_of(caught.value, parts).startswith("rows[thumb].mass is 'x'; ")
+    assert faults_of(caught.value).startswith("rows.0.mass is 'x'; ")
     with pytest.raises(ValidationError) as caught:
         Row.model_validate({f"unknown_{k}": k for k in range(20)})
-    assert len(faults_of(caught.value).split("; ")) == MOST_FAULTS
+    told = faults_of(caught.value)
+    assert told.count(" is no field") + told.count(" is missing") == MOST_FAULTS

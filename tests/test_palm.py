@@ -13,11 +13,11 @@ import pinocchio as pin
 import pytest
 import qpsolvers
 
-from planner.errors import NotFoundError, TaskError
+from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.spatial import FloatArray
 from sim.palm import PalmReport, PalmSettings, reorient_in_palm
 from sim.palm.control import PalmController, _Problem
-from sim.palm.loop import _Branch, _Driver, _LookAhead, turn
+from sim.palm.loop import FRICTIONS, _Branch, _Driver, _LookAhead, turn
 from sim.palm.model import ContactStep, PalmModel, Plant, plant_of
 from sim.palm.run import lay_down, palm_scene
 
@@ -269,8 +269,10 @@ def test_fingers_stay_where_each_branch_drops(lying: Any, monkeypatch: pytest.Mo
     now, look = drive(lying, 60.0, branches=3)
     monkeypatch.setattr(look, "value", lambda *_: np.inf)
     stays = look.choose(now)
-    assert stays.away == pytest.approx(now.ctrl[lying[1].ctrl])
-    assert stays.opens_until == stays.until > now.time
+    command = now.ctrl.copy()
+    assert look._real.period(lying[1].model, now, stays) == "still"  # and is told as no opening
+    assert np.array_equal(now.ctrl, command)
+    assert stays.until > now.time
 
 
 def test_the_worse_friction_counts(lying: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -308,12 +310,32 @@ def test_what_lies_out_of_reach_is_brought_back_by_half_of_them(lying: Any) -> N
     assert backs == [False, True, False, True]
 
 
-def test_it_stays_only_within_the_tolerance_that_is_asked_for(lying: Any) -> None:
-    """A tenth of a degree beside the goal is still, sixty are not."""
-    for turned, phase in ((0.1, "still"), (60.0, "turn")):
-        now, look = drive(lying, turned)
-        branch = _Branch(away=None, goal=look._real.goal, opens_until=0.0, until=0.0)
-        assert look._real.phase(now, branch) == phase
+@pytest.mark.parametrize(("tolerance", "still"), [(5.0, True), (1.0, False)])
+def test_it_stays_only_within_the_tolerance_that_is_asked_for(
+    lying: Any, tolerance: float, still: bool
+) -> None:
+    """2.5 degrees are still within 5, and not within 1."""
+    now, look = drive(lying, 2.5)
+    asked: dict[str, Any] = {"tolerance_deg": tolerance, "hold_s": 0.5, "longest_s": 0.3, "seed": 0}
+    settings = PalmSettings(branches=1, ahead_s=0.1)
+    log = turn(lying[1], now, look._real.goal, look._real.place, settings=settings, **asked)
+    assert (set(log.phase) == {"still"}) == still
+
+
+def test_a_look_ahead_counts_place_friction_and_a_fall(lying: Any) -> None:
+    now, look = drive(lying, 60.0)
+    angle = look._cost(now)
+    look._real.place = look._real.place + np.array([0.03, 0.0, 0.0])
+    assert look._cost(now) == pytest.approx(angle + 2000.0 * 0.015, abs=0.1)
+    model = lying[1].model
+    for rubbed, share in zip(look._models, FRICTIONS, strict=True):
+        assert rubbed.geom_friction[:, 0] == pytest.approx(share * model.geom_friction[:, 0])
+        assert rubbed.pair_friction[:, :2] == pytest.approx(share * model.pair_friction[:, :2])
+    thrown = drive(lying, 60.0)[0]
+    thrown.qpos[lying[1].object_qpos[:3]] += [0.3, 0.0, 0.0]  # beside the hand
+    end = thrown.time
+    rests = _Branch(away=None, goal=np.eye(3), opens_until=end, until=end, rests=True)
+    assert look.value(0, thrown, rests) == np.inf
 
 
 def test_a_mirror_is_no_goal() -> None:
@@ -329,6 +351,12 @@ def test_a_hand_without_a_palm_up_pose_is_named() -> None:
 def test_an_object_that_rolls_off_is_told_at_once() -> None:
     with pytest.raises(TaskError, match="rolls off the palm at once"):
         reorient_in_palm("allegro_hand", CUBE, QUARTER, shift=(-0.09, 0.0))
+
+
+@pytest.mark.parametrize("given", [{"seed": -1}, {"seed": 1.5}, {"settings": "fast"}])
+def test_a_seed_or_settings_of_another_kind_are_named(given: Any) -> None:
+    with pytest.raises(PlannerError, match=next(iter(given))):
+        reorient_in_palm("allegro_hand", CUBE, QUARTER, **given)
 
 
 def test_a_setting_that_cannot_be_is_refused() -> None:

@@ -26,7 +26,7 @@ from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask, Obstacle
 
 PLAN_VERSION = 1
-"""Version of plan files that are written; 2 where the plan is the best of several."""
+"""Version of plan files that are written, where nothing asks for a later one (``PlanFile``)."""
 
 QUATERNION_TOL = 1e-3
 """How far (-) the length of a quaternion in a file may be from 1: figures typed with few digits."""
@@ -308,8 +308,11 @@ class PlanFile(StrictData):
     @model_validator(mode="after")
     def _needs_of_version(self) -> Self:
         if (self.task.joint_error_rad is not None) != (self.version == 4):
-            has = "no joint_error_rad" if self.task.joint_error_rad is None else "joint_error_rad"
-            raise ValueError(f"version {self.version} with {has}; that is in version 4 alone")
+            raise ValueError(
+                f"version {self.version} with joint_error_rad; that is in version 4 alone"
+                if self.version != 4
+                else "version 4 without joint_error_rad; every file of version 4 has it"
+            )
         if (self.task.needed is not None) != (self.version == 3) and self.version != 4:
             has = "no needed wrenches" if self.task.needed is None else "needed wrenches"
             raise ValueError(f"version {self.version} with {has}; those are in versions 3 and 4")

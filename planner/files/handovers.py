@@ -21,10 +21,10 @@ from planner.version import written_by
 
 
 class HandoverFile(StrictData):
-    """A handover as JSON."""
+    """A handover as JSON; version 2 was planned for joints that may be off."""
 
     format: Literal["opposable-handover"] = "opposable-handover"
-    version: Literal[1] = 1
+    version: Literal[1, 2] = 1
     written_by: str
     task: TaskData
     to: str
@@ -42,6 +42,7 @@ def write_handover(plan: HandoverPlan, path: Path | str) -> None:
     """
     give, take = (plan_to_dict(grasp) for grasp in plan.alone)
     file = HandoverFile(
+        version=2 if plan.task.joint_error else 1,
         written_by=written_by(),
         task=task_data(plan.task),
         to=plan.taker,

@@ -252,7 +252,8 @@ def plan_from_cloud(
         )
     task_of = partial(_task, hand, belief, mass, name, task)
     found = _searched(task_of, belief, pose_error, seed, max_attempts, options)
-    best = replace(found.kept[0], others=tuple(found.kept[1:])) if found.kept else None
+    kept = sorted(found.kept, key=lambda plan: (plan.survival < survives, -plan.merit))
+    best = replace(kept[0], others=tuple(kept[1:])) if kept else None
     if best is None or best.survival < survives:
         raise _abstained(best, survives, belief, found.refused, found.made)
     return replace(best, refused=tuple(found.refused), survives=survives, options=options,
@@ -684,9 +685,9 @@ def _abstained(
         why += f", {len(made)} tried: {common}" if failures else ": " + "; ".join(refused)
     elif best.clearance < CLEAR:
         return UncertainError(
-            "other things are in the way: in the best grasp the hand is "
-            f"{1e3 * best.clearance:.1f} mm from what was seen, less than {1e3 * CLEAR:g} mm. Take "
-            "them away, or give another seed",
+            f"in the best grasp the hand is {1e3 * best.clearance:.1f} mm from what was seen of the "
+            f"object beside its contacts, or of what stands beside it; {1e3 * CLEAR:g} mm is asked "
+            "for. Take away what stands beside it, or give another seed",
             tuple(made),
             best,
         )

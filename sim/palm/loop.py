@@ -73,13 +73,14 @@ class TurnLog:
 class _Branch:
     """What is done until a time (s): the fingers open to commands ``away`` first, unless None.
 
-    ``goal`` (3, 3) is the rotation that the controller is asked for.
+    ``goal`` (3, 3) is the rotation that the controller is asked for; nothing moves if it ``rests``.
     """
 
     away: FloatArray | None
     goal: FloatArray
     opens_until: float
     until: float
+    rests: bool = False
 
 
 class _Driver:
@@ -107,8 +108,11 @@ class _Driver:
 
     def phase(self, data: Any, branch: _Branch) -> str:
         """What is done from now on."""
-        if branch.away is not None and data.time < branch.opens_until - ROUNDING_S:
-            return "open"
+        if data.time < branch.opens_until - ROUNDING_S:
+            if branch.rests:
+                return "still"
+            if branch.away is not None:
+                return "open"
         return "still" if angle_deg(self.plant, data, self.goal) <= self._within else "turn"
 
     def period(
@@ -175,9 +179,8 @@ class _LookAhead:
         value, best = min(both, key=lambda pair: pair[0])
         if np.isfinite(value):
             return best
-        stays = data.ctrl[self._real.plant.ctrl].copy()
-        until = now + asked.open_s
-        return _Branch(away=stays, goal=self._real.goal, opens_until=until, until=until)
+        end = now + asked.open_s
+        return _Branch(away=None, goal=self._real.goal, opens_until=end, until=end, rests=True)
 
     def _openings(self, data: Any) -> list[_Branch]:
         """Branches that open the fingers, to postures near the first.

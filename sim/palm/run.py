@@ -18,7 +18,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from planner.arrays import checked_number, finite_array
+from planner.arrays import checked_kind, checked_number, finite_array
+from planner.attempt import check_seed
 from planner.bridge import compile_spec
 from planner.errors import NotFoundError, TaskError
 from planner.hands.hand import Hand
@@ -133,10 +134,12 @@ def reorient_in_palm(
         ("longest_s", longest_s),
     ):
         checked_number(name, value, above=0.0, most=1e4, error=TaskError)
+    check_seed(seed)
+    asked = None if settings is None else checked_kind("settings", settings, PalmSettings)
     check_video(None if video is None else Path(video))
     begin = time.perf_counter()
     scene, q, nest = palm_scene(hand, object, tilt=tilt, physics=physics, cradle=cradle)
-    asked = settings or PalmSettings(mu=BELIEVED * scene.physics.mu)
+    asked = asked or PalmSettings(mu=BELIEVED * scene.physics.mu)
     plant, data = plant_of(scene), mujoco.MjData(scene.model)
     lay_down(plant, data, asked, scene.task.hand.neutral, first, nest + moved)
     tape = Tape(scene.model, scene.subject) if picture or video else None
