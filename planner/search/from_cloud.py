@@ -685,9 +685,9 @@ def _abstained(
         why += f", {len(made)} tried: {common}" if failures else ": " + "; ".join(refused)
     elif best.clearance < CLEAR:
         return UncertainError(
-            f"in the best grasp the hand is {1e3 * best.clearance:.1f} mm from what was seen of the "
-            f"object beside its contacts, or of what stands beside it; {1e3 * CLEAR:g} mm is asked "
-            "for. Take away what stands beside it, or give another seed",
+            f"in the best grasp the hand is {1e3 * best.clearance:.1f} mm from what was seen of "
+            f"the object beside its contacts, or of what stands beside it; {1e3 * CLEAR:g} mm is "
+            "asked for. Take away what stands beside it, or give another seed",
             tuple(made),
             best,
         )
