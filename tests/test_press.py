@@ -159,7 +159,7 @@ def test_the_finger_presses_with_the_torque_of_the_force(plan: GraspPlan) -> Non
     for torque in (way.torque, 0.0 * way.torque):
         finger = PressingFinger(plan, replace(way, torque=torque), np.zeros(6))
         told.append([finger.step(seen.altered(time=t)) for t in (0.0, IN + STAY / 2)])
-    more = np.subtract(*told)
+    more = np.array(told[0]) - told[1]
     actuation, still = plan.task.hand.actuation, np.zeros(plan.task.hand.nq)
     pressing = actuation.commands(seen.q, still, way.torque)
     assert np.abs(more[0]).max() < 1e-9
