@@ -88,6 +88,9 @@ class Served:
                     f"there is no {file}; give {what}: a checkout of github brave-eai/dexjoco, and "
                     "the Python of an environment with the versions that it asks for"
                 )
+        # read first: a scene that does not compile leaves no process behind
+        self.model: Any = mujoco.MjModel.from_xml_path(str(checkout / MODEL))
+        self.data: Any = mujoco.MjData(self.model)
         # isolated: no module of the current folder is imported
         command = [str(python), "-I", str(LAUNCH), str(checkout), str(seed)]
         pipe = subprocess.PIPE
@@ -95,8 +98,6 @@ class Served:
         self._process = subprocess.Popen(
             command, stdin=pipe, stdout=pipe, stderr=self._said, text=True
         )
-        self.model: Any = mujoco.MjModel.from_xml_path(str(checkout / MODEL))
-        self.data: Any = mujoco.MjData(self.model)
         self.steps = 0
         self._ask({"reset": True})
         self.period: float = self.told["seconds"]
@@ -150,7 +151,7 @@ class Options(Shared):
 
 @dataclass(frozen=True, kw_only=True)
 class Where:
-    """Files of this machine."""
+    """Where DexJoCo, its Python and the description of its hand are."""
 
     scene: Path
     python: Path

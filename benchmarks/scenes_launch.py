@@ -1,6 +1,6 @@
 """Runs a task of DexJoCo in its own environment: a script of that environment's Python.
 
-    python launch.py CHECKOUT SEED     the hammer and the nail, with the seed of its randomness
+    python scenes_launch.py CHECKOUT SEED     the hammer and the nail; seed of its randomness
 
 Lines of JSON in, ``{"reset": true}`` or ``{"action": [...]}`` (flange position, quaternion w, x, y,
 z, and 16 joint targets, as its ``step`` takes them); lines out, the state of its MuJoCo after that.

@@ -67,6 +67,17 @@ def test_a_task_that_ends_says_why(checkout: Path) -> None:
         Served(checkout, Path("none"), 0)
 
 
+def test_a_scene_that_does_not_compile_starts_no_process(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (checkout / MODEL).write_text("<mujoco><nothing/></mujoco>")
+    started = []
+    monkeypatch.setattr("subprocess.Popen", lambda *_, **__: started.append(1))
+    with pytest.raises(ValueError, match="XML Error"):
+        Served(checkout, Path(sys.executable), 0)
+    assert not started
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(DEXJOCO not in os.environ, reason="DEXJOCO names no checkout of DexJoCo")
 def test_a_nail_is_driven_in_dexjoco_by_its_own_test() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -58,16 +59,23 @@ SUBSTEPS = 10
 class Owner:
     """Who owns a scene: compiles, resets and steps it; carries the hand by six servos."""
 
-    def __init__(self, friction: float = 1.0, moved: float = 0.0) -> None:
+    def __init__(
+        self,
+        friction: float = 1.0,
+        moved: float = 0.0,
+        change: Callable[[Any, Any], object] = lambda spec, hand: None,
+    ) -> None:
         """Compile it.
 
         Args:
             friction: Of the tool's grip (-).
             moved: How far a link is from where the hand's own model has it, m.
+            change: Changes the scene and the hand before they are put together.
         """
         spec = mujoco.MjSpec.from_string(TOOL.format(friction=friction))
         hand = mujoco.MjSpec.from_file(str(models_dir() / MODEL))
         hand.body("index_proximal").pos[2] += moved
+        change(spec, hand)
         place, turn = pose_to_wxyz(PALM_DOWN)
         frame = spec.body("carriage").add_frame(pos=place, quat=turn)
         spec.attach(hand, frame=frame, prefix="robot/")
@@ -172,8 +180,88 @@ def test_what_is_no_free_body_or_another_hand_is_refused(owner: Owner) -> None:
         ForeignScene(*given, "allegro_hand", "fixed")
     with pytest.raises(NotFoundError, match=r"called 'palm'\. There is: .*robot/palm"):
         ForeignScene(*given, "allegro_hand", "tool")
-    with pytest.raises(TaskError, match=r"index_\S+ of the scene is 5.0 mm from where allegro"):
+    with pytest.raises(TaskError, match=r"index_\S+ of the scene is 5.0 mm and 0.0 degrees"):
         Owner(moved=0.005).scene()
+
+
+def add_cap(spec: Any, _: Any) -> None:
+    """A part that is fixed to the tool."""
+    spec.body("tool").add_body(name="cap").add_geom(size=[0.01] * 3, mass=0.02)
+
+
+def turn_link(_: Any, hand: Any) -> None:
+    """Its origin stays where it is, those of the links after it too: it has no joint after it."""
+    tip = next(b for b in hand.bodies if b.name == "index_distal")
+    tip.quat = Rotation.from_euler("x", 5, degrees=True).as_quat(scalar_first=True)
+
+
+def turn_axis(_: Any, hand: Any) -> None:
+    """A joint at zero, so that all links stay."""
+    joint = hand.body("index_distal").first_joint()
+    joint.axis = [0.1, 1.0, 0.0]
+
+
+def change_gain(_: Any, hand: Any) -> None:
+    hand.actuators[2].gainprm[0] *= 2.0
+
+
+def change_force(_: Any, hand: Any) -> None:
+    hand.actuators[2].forcerange = [-0.1, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (add_cap, "'cap' hangs on body 'tool' of the scene; an object is one body"),
+        (turn_link, r"index_distal of the scene is 0\.0 mm and 5\.0 degrees from where allegro"),
+        (turn_axis, r"joint \S+ of the scene has axis \[.*, that of allegro_hand \["),
+        (change_gain, r"actuator \S+ of the scene has gainprm \[6\.0, "),
+        (change_force, r"actuator \S+ of the scene has forcerange \[-0\.1, 0\.1\], that of alleg"),
+    ],
+)
+def test_what_the_plan_would_not_know_is_refused(
+    change: Callable[[Any, Any], object], message: str
+) -> None:
+    with pytest.raises(TaskError, match=message):
+        Owner(change=change).scene()
+
+
+def test_a_scene_without_kinematics_is_told_so() -> None:
+    owner = Owner()
+    owner.data = mujoco.MjData(owner.model)
+    with pytest.raises(TaskError, match=r"call mujoco.mj_forward\(model, data\)"):
+        owner.scene()
+
+
+def test_what_the_scene_gives_is_no_argument(owner: Owner) -> None:
+    with pytest.raises(TaskError, match="gravity, obstacles of the task is read from the scene"):
+        owner.scene().task(gravity=[0, 0, -1], obstacles=())
+
+
+def test_a_table_is_level() -> None:
+    def plane(tilt: float) -> Owner:
+        turn = Rotation.from_euler("x", tilt, degrees=True).as_quat(scalar_first=True)
+        given = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [1, 1, 1], "pos": [0, 0, 0.4]}
+        return Owner(change=lambda spec, _: spec.worldbody.add_geom(name="g", quat=turn, **given))
+
+    assert plane(0.0).scene(table="g").task().table_height == pytest.approx(0.4)
+    with pytest.raises(TaskError, match="geom 'g' is not level"):
+        plane(5.0).scene(table="g").task()
+
+
+@pytest.mark.parametrize("carried", ["free", "fixed"])
+def test_a_carrier_with_a_free_joint_or_none_has_no_reach_here(carried: str) -> None:
+    def change(spec: Any, _: Any) -> None:
+        for joint in spec.body("carriage").find_all("joint"):
+            spec.delete(joint)
+        for actuator in list(spec.actuators):
+            spec.delete(actuator)
+        if carried == "free":
+            spec.body("carriage").add_freejoint()
+
+    scene = Owner(change=change).scene()
+    with pytest.raises(TaskError, match="is not carried by hinges and slides alone"):
+        scene.reaches(scene.T_world_base)
 
 
 def test_reach_is_that_of_the_joints_above_the_base(owner: Owner) -> None:
@@ -214,6 +302,9 @@ def test_a_tool_is_grasped_and_carried_through_its_owners_steps_alone() -> None:
         made.append(owner.data.time)
         owner.step(T_world_base, ctrl)
 
+    late = ForeignRun(plan, scene, lambda *_: mujoco.mj_step(owner.model, owner.data), period=0.02)
+    with pytest.raises(TaskError, match=r"period is 0.02 s, and the scene's step took 0.002 s"):
+        late.step("approach", 0.0)
     run = ForeignRun(plan, scene, step, period=SUBSTEPS * owner.model.opt.timestep)
     # pressed with the forces that bear the weight where the model has its centre of mass
     pressed = run.plan.contacts
@@ -230,4 +321,4 @@ def test_a_tool_is_grasped_and_carried_through_its_owners_steps_alone() -> None:
     assert force_closure(run.contacts).closed
     # nothing but its owner's steps moved time
     assert run.steps == len(made)
-    assert owner.data.time == pytest.approx(run.steps * run.timestep)
+    assert owner.data.time == pytest.approx(0.002 + run.steps * run.timestep)

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from planner.collision.world import CollisionWorld
-from planner.errors import PlannerError
+from planner.errors import ObjectError, PlannerError, TaskError
 from planner.failure import Failure
+from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.tools import Tool, load_tool
@@ -19,7 +20,8 @@ from sim.contacts.reading import _kind, _side
 from sim.scene.build import OBJECT
 from sim.scene.physics import PhysicsOptions
 from sim.tools import UseTrial, plan_tool
-from sim.tools.press import IN, LEVER, OUT, PRELOAD, REST, STAY, Press
+from sim.tools.press import IN, LEVER, OUT, PRELOAD, REST, STAY, Press, PressingFinger
+from sim.tools.trial import UseController, task_of_use
 from sim.tools.use import use_of
 
 
@@ -114,6 +116,15 @@ def test_a_spring_holds_the_lever_off_and_its_force_is_that_of_the_file() -> Non
     assert reached[1] == pytest.approx(6.0, abs=0.3)
 
 
+def test_a_lever_without_resistance_has_no_spring() -> None:
+    use, spec = press(), mujoco.MjSpec()
+    spec.worldbody.add_body(name=OBJECT).add_geom(size=[0.01, 0.01, 0.01])
+    use.friction = 0.0
+    use.add_fixture(spec, PhysicsOptions(), 0.0)
+    model = spec.compile()
+    assert float(model.joint(LEVER).stiffness.sum()) == 0.0
+
+
 def test_presses_are_counted_down_and_up() -> None:
     use = press(presses=3.0)
     stroke = np.array([0.0, 6.0, 2.0, 6.0, 0.0, 4.0, 0.0, 5.0, 1.0])  # 2.0 is not up, 4.0 not down
@@ -129,6 +140,77 @@ def test_a_press_goes_down_stays_and_comes_up(plan: GraspPlan) -> None:
     finger = press().finger(plan)
     times = (0.0, IN + STAY / 2, IN + STAY + OUT + REST / 2, 2 * IN + STAY + OUT + REST)
     assert [finger.share(t) for t in times] == pytest.approx([0.0, 1.0, 0.0, 1.0])
+
+
+def test_the_finger_presses_with_the_torque_of_the_force(plan: GraspPlan) -> None:
+    use = press()
+    way = use.finger_way(plan.task, plan.T_world_base, plan.q)
+    assert not isinstance(way, Failure)
+    # the force's work in a small motion of the joints is the torque's
+    normal = plan.task.T_world_object.rotation @ use._end(use._most)[1]
+    q, small = way.stroke[-1], 1e-6 * np.arange(1.0, 1.0 + plan.task.hand.nq)
+    pads = [HandState(plan.task.hand, at).pad_center(way.finger) for at in (q - small, q + small)]
+    moved = plan.T_world_base.rotation @ (pads[1] - pads[0])
+    work = -use.numbers["force_N"] * float(normal @ moved)
+    assert float(way.torque @ (2 * small)) == pytest.approx(work, rel=1e-3)
+    # and its drives get it while the lever is down, and before not
+    seen = UseTrial(plan, bottle()).simulation.observe("use", 0.0)
+    told = []
+    for torque in (way.torque, 0.0 * way.torque):
+        finger = PressingFinger(plan, replace(way, torque=torque), np.zeros(6))
+        told.append([finger.step(seen.altered(time=t)) for t in (0.0, IN + STAY / 2)])
+    more = np.array(told[0]) - told[1]
+    actuation, still = plan.task.hand.actuation, np.zeros(plan.task.hand.nq)
+    pressing = actuation.commands(seen.q, still, way.torque)
+    assert np.abs(more[0]).max() < 1e-9
+    assert np.allclose(more[1], pressing - actuation.commands(seen.q, still, still), atol=1e-9)
+    assert np.abs(more[1]).max() > 1e-3
+
+
+def test_the_others_are_told_what_the_press_asks_of_them(plan: GraspPlan) -> None:
+    finger = press().finger(plan)
+    controller = UseController(plan, learns=False, finger=finger)
+    seen = UseTrial(plan, bottle()).simulation.observe("use", 0.0)
+    loads = []
+    for t in (0.0, IN + STAY / 2, IN + STAY + OUT + REST / 2):
+        controller.step(seen.altered(time=t))
+        loads.append(controller.law.load.copy())
+    assert np.linalg.norm(finger._most[:3]) == pytest.approx(2.0)
+    assert np.allclose(loads[1] - loads[0], finger._most)
+    assert np.allclose(loads[2], loads[0])
+
+
+def test_each_posture_of_the_stroke_is_checked(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use = press()
+    checked = {}
+
+    def blocked(_: Any, __: Any, ___: Any, way: np.ndarray[Any, Any], angle: float) -> None:
+        checked[round(angle / use._most, 3)] = way[-1]
+
+    monkeypatch.setattr(use, "_blocked", blocked)
+    found = use.finger_way(plan.task, plan.T_world_base, plan.q)
+    assert not isinstance(found, Failure)
+    assert list(checked) == [0.0, 0.25, 0.5, 0.75, 1.0]
+    assert np.array_equal(list(checked.values()), found.stroke)
+
+
+def test_the_hand_may_be_loaded_and_the_pressing_finger_does_not_hold() -> None:
+    hand, tool = load_hand("allegro_hand"), bottle()
+    assert task_of_use(hand, tool)[0].finger_names == ("thumb", "middle", "ring")
+    named, _ = task_of_use(hand, tool, fingers=["ring", "thumb", "middle"])
+    assert named.finger_names == ("ring", "thumb", "middle")
+    with pytest.raises(TaskError, match="fingers has index, which presses the lever of spray_bo"):
+        task_of_use(hand, tool, fingers=["thumb", "index"])
+    thumb = replace(hand, fingers={"thumb": hand.fingers["thumb"]})
+    with pytest.raises(TaskError, match="has no finger but thumb to press the lever"):
+        task_of_use(thumb, tool)
+
+
+def test_a_lever_that_would_be_on_the_wrong_side_is_refused() -> None:
+    with pytest.raises(ObjectError, match=r"tip.axis is \[.*1.0\]; give \[0, 0, -1\]"):
+        use_of(replace(bottle(), axis=np.array([0.0, 0.0, 1.0])))
 
 
 def test_a_hand_on_a_part_of_the_object_has_not_collided(plan: GraspPlan) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from planner.contacts import ContactSet
+from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk, pose_change
 from sim.contacts import hand_contacts
@@ -60,7 +61,11 @@ class ForeignRun(Simulation):
         self.held = self.T_palm_object
 
     def step(self, phase: Phase, share: float) -> Observation:
-        """Have one step made; see ``Simulation.step``."""
+        """Have one step made; see ``Simulation.step``.
+
+        Raises:
+            TaskError: The first one took another time than ``period``.
+        """
         observation = self.observe(phase, share)
         self._told = observation
         self._ctrl = self._commands(observation)
@@ -68,7 +73,13 @@ class ForeignRun(Simulation):
         turn = SE3.Interpolate(_turn(self._from), _turn(self._to), s).rotation
         place = (1.0 - s) * self._from.translation + s * self._to.translation
         self.wanted = SE3(turn, place)
+        before = float(self.data.time)
         self._make_step(self.wanted, self._ctrl)
+        took = float(self.data.time) - before
+        if self.steps == 0 and abs(took - self.timestep) > 0.5 * self.scene.model.opt.timestep:
+            raise TaskError(
+                f"period is {self.timestep:g} s, and the scene's step took {took:g} s; give that"
+            )
         self.steps += 1
         return observation
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from planner.bridge.object_body import object_in_model
 from planner.errors import NotFoundError, TaskError
@@ -43,14 +44,26 @@ REACHED, REACHED_RAD = 0.001, 0.01
 REACH_STEPS, DAMPING = 200, 1e-3
 """Iterations of its inverse kinematics, and their damping (m2)."""
 
+ONE_AXIS = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+"""Joints of one coordinate."""
+
 FREE = np.array([[-np.inf], [np.inf]])
 """Range of a joint without limits."""
 
 EDGE = 0.001
 """How far (m) the bounds of a geom are widened, so that contacts on its faces lie inside."""
 
-SAME_HAND = 0.001
-"""How far (m) a link may stand from where the hand's own model has it."""
+SAME_HAND, SAME_HAND_RAD = 0.001, 0.01
+"""How far (m, rad) a link or a joint's axis may be from where the hand's own model has it."""
+
+ACTUATOR_PARTS = ("gainprm", "biasprm", "ctrllimited", "ctrlrange", "forcelimited", "forcerange")
+"""What an actuator of the scene has in common with that of the hand's own model."""
+
+LEVEL = 0.9999
+"""Least vertical part (-) of the normal of a table's top."""
+
+READ = ("hand", "object", "T_world_object", "table_height", "obstacles", "gravity")
+"""Arguments of a task that the scene gives."""
 
 
 class ForeignScene:
@@ -93,7 +106,8 @@ class ForeignScene:
 
         Raises:
             NotFoundError: The scene has no such body, geom, joint or actuator.
-            TaskError: The object is not free, or the hand is another than the scene's.
+            TaskError: The object is not free or has bodies below it, the hand is another than the
+                scene's, or the kinematics are not computed.
             PlannerError: Hand or object cannot be read.
         """
         self.model, self.data, self._prefix = model, data, prefix
@@ -104,6 +118,7 @@ class ForeignScene:
         self._joint = int(model.body_jntadr[self.object_body])
         if self._joint < 0 or model.jnt_type[self._joint] != mujoco.mjtJoint.mjJNT_FREE:
             raise TaskError(f"{what} has no free joint; name the body that has it")
+        self._check_alone(what)
         self.T_body_object, self.center = read.T_body_object, read.center
         region = None
         if touch:
@@ -144,6 +159,9 @@ class ForeignScene:
 
         Damped least squares from the posture of now, within the joints' ranges; what is in the way
         is not looked at.
+
+        Raises:
+            TaskError: A joint above the base is no hinge or slide, or there is none.
         """
         model, data, base = self.model, mujoco.MjData(self.model), self._base
         data.qpos[:] = self.data.qpos
@@ -154,6 +172,11 @@ class ForeignScene:
             first = int(model.body_jntadr[body])
             joints += range(first, first + int(model.body_jntnum[body])) if first >= 0 else ()
             body = int(model.body_parentid[body])
+        if not joints or not np.isin(model.jnt_type[joints], ONE_AXIS).all():
+            raise TaskError(
+                f"{self.hand.name} is not carried by hinges and slides alone; reaches() knows no "
+                "other carrier: decide for yourself what yours reaches"
+            )
         at, dof = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         low, high = np.where(
             model.jnt_limited[joints].astype(bool), model.jnt_range[joints].T, FREE
@@ -183,8 +206,11 @@ class ForeignScene:
             changes: Further arguments of ``GraspTask.create``.
 
         Raises:
-            TaskError: The object stands on nothing, or the task cannot work.
+            TaskError: The object stands on nothing, an argument is the scene's to give, or the task
+                cannot work.
         """
+        if given := sorted(changes.keys() & set(READ)):
+            raise TaskError(f"{', '.join(given)} of the task is read from the scene; leave it out")
         if mu is None:
             mu = min(DEFAULT_MU, FRICTION_LEFT * self._least_friction())
         gravity, pose = np.array(self.model.opt.gravity), self.T_world_object
@@ -256,21 +282,55 @@ class ForeignScene:
         body_of = {g.name: g.body for g in self.hand.geometries}
         return tuple(self._id("body", body_of[f.pad.geom]) for f in fingers)
 
+    def _check_alone(self, what: str) -> None:
+        """Refuse an object that bodies hang on: they would be missing in its shape and mass."""
+        model, body = self.model, self.object_body
+        below = np.flatnonzero(model.body_rootid == model.body_rootid[body])
+        for child in below[below != body].tolist():
+            if model.body_geomnum[child] or model.body_mass[child] > 0.0:
+                raise TaskError(
+                    f"{model.body(child).name or child!r} hangs on {what}; an object is one body: "
+                    "give its geoms to that"
+                )
+
     def _check_hand(self) -> None:
-        """Refuse a hand whose links are elsewhere than the scene's."""
-        own = self.hand.mj_model
+        """Refuse a hand whose links, axes or actuators are other than the scene's."""
+        own, name = self.hand.mj_model, self.hand.name
+        again = "describe the hand of this scene (opposable hands SCENE --describe)"
+        if not self.data.xmat[self._base].any():
+            raise TaskError(
+                "the kinematics of the scene are not computed; call mujoco.mj_forward(model, data)"
+            )
+        for part in self.hand.actuation.names:
+            there = self.model.actuator(self._prefix + part)
+            for key in ACTUATOR_PARTS:
+                mine, its = (np.asarray(getattr(a, key)) for a in (own.actuator(part), there))
+                if not np.allclose(mine, its, rtol=1e-6, atol=1e-9):
+                    raise TaskError(
+                        f"actuator {part} of the scene has {key} {its.tolist()}, that of {name} "
+                        f"{mine.tolist()}: {again}"
+                    )
         posed = mujoco.MjData(own)
-        for name, value in zip(self.hand.joint_names, self.q, strict=True):
-            posed.qpos[own.joint(name).qposadr] = value
+        for part, value in zip(self.hand.joint_names, self.q, strict=True):
+            posed.qpos[own.joint(part).qposadr] = value
         mujoco.mj_kinematics(own, posed)
         T_own = _pose(posed.body(self.hand.description.base_body))
-        for name in sorted({g.body for g in self.hand.geometries}):
-            there = self.T_world_base.actInv(self.pose(self._id("body", name)).translation)
-            off = np.linalg.norm(there - T_own.actInv(posed.body(name).xpos))
-            if off > SAME_HAND:
+        for part in sorted({g.body for g in self.hand.geometries}):
+            there = self.T_world_base.actInv(self.pose(self._id("body", part)))
+            far = T_own.actInv(_pose(posed.body(part))).actInv(there)
+            off, turned = np.linalg.norm(far.translation), np.linalg.norm(pin.log3(far.rotation))
+            if off > SAME_HAND or turned > SAME_HAND_RAD:
                 raise TaskError(
-                    f"{name} of the scene is {1e3 * off:.1f} mm from where {self.hand.name} has "
-                    "it: describe the hand of this scene (opposable hands SCENE --describe)"
+                    f"{part} of the scene is {1e3 * off:.1f} mm and {np.rad2deg(turned):.1f} "
+                    f"degrees from where {name} has it: {again}"
+                )
+        for part, joint in zip(self.hand.joint_names, self._joints, strict=True):
+            axis = self.T_world_base.rotation.T @ self.data.xaxis[joint]
+            mine = T_own.rotation.T @ posed.joint(part).xaxis
+            if np.linalg.norm(axis - mine) > SAME_HAND_RAD:
+                raise TaskError(
+                    f"joint {part} of the scene has axis {axis.round(3).tolist()}, that of {name} "
+                    f"{mine.round(3).tolist()}, in base axes: {again}"
                 )
 
     def _least_friction(self) -> float:
@@ -295,9 +355,19 @@ class ForeignScene:
         return Region(name=name, lower=tuple(middle - reach), upper=tuple(middle + reach))
 
     def _top(self, geom: int) -> float:
-        """Height (m) of the top of a plane or of a box."""
-        height = float(self.data.geom_xpos[geom][2])
-        if self.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+        """Height (m) of the top of a plane or of a box.
+
+        Raises:
+            TaskError: It is neither, or not level.
+        """
+        height, up = float(self.data.geom_xpos[geom][2]), self.data.geom_xmat[geom][6:]
+        flat = self.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE
+        if (up[2] if flat else np.abs(up).max()) < LEVEL:
+            raise TaskError(
+                f"geom {self.model.geom(geom).name!r} is not level; a table of planning is: leave "
+                "it out, or name a box among the obstacles"
+            )
+        if flat:
             return height
         return height + float(np.abs(self.data.geom_xmat[geom][6:]) @ self._box(geom)) / 2
 

@@ -148,8 +148,11 @@ class Press(Use):
                 f"{name}: its needed wrench does not balance the press; give one, with force_N = "
                 f"{force.tolist()} and no torque: it is about the tip, the lever's end"
             )
-        if abs(self.tool.axis[2]) < UPRIGHT:
-            raise ObjectError(f"{name}: its axis is not along z; a lever hangs along it")
+        if self.tool.axis[2] > -UPRIGHT:
+            raise ObjectError(
+                f"{name}: tip.axis is {self.tool.axis.tolist()}; give [0, 0, -1]: the tool stands "
+                "upright, and its lever hangs down to the tip"
+            )
         self._length, self._stroke = (n[k] * self.tool.scale for k in ("lever_m", "stroke_m"))
         self._most = float(np.arcsin(self._stroke / self._length))
         self._hinge = self.tool.tip + np.array([-THICK / 2, 0.0, self._length])
@@ -187,17 +190,31 @@ class Press(Use):
         torque = self.friction * self.numbers["force_N"] * length
         spring = (1.0 - FRICTION - PRELOAD) * torque / self._most
         hinge.stiffness = [spring, 0.0, 0.0]
-        hinge.springref = -unit * PRELOAD * torque / spring
+        hinge.springref = -unit * PRELOAD * self._most / (1.0 - FRICTION - PRELOAD)
         hinge.frictionloss = FRICTION * torque
         half = (THICK / 2, WIDE / 2, length / 2)
         add_solid(body, physics, "box", half, (0.0, 0.0, -length / 2), MASS)
 
-    def holding_fingers(self, hand: Hand) -> tuple[str, ...]:
-        """All fingers but the one that presses, the first that does not oppose the others."""
-        return tuple(name for name in hand.fingers if name != self._presser(hand))
+    def holding_fingers(self, hand: Hand, given: Sequence[str] | None = None) -> tuple[str, ...]:
+        """All fingers, or those given, but the one that presses: the index, or the first no thumb.
+
+        Raises:
+            TaskError: That one is given too, or the hand has none.
+        """
+        presser = self._presser(hand)
+        if given is not None and presser in given:
+            raise TaskError(
+                f"fingers has {presser}, which presses the lever of {self.tool.name}; leave it out"
+            )
+        return tuple(n for n in (hand.fingers if given is None else given) if n != presser)
 
     def _presser(self, hand: Hand) -> str:
         names = [name for name in hand.fingers if name != "thumb"]
+        if not names:
+            raise TaskError(
+                f"{hand.name} has no finger but {', '.join(hand.fingers)} to press the lever of "
+                f"{self.tool.name}; give a hand whose others can hold it"
+            )
         return "index" if "index" in names else names[0]
 
     def fit(self, plan: GraspPlan, task: GraspTask) -> GraspPlan | Failure:
@@ -274,7 +291,8 @@ class Press(Use):
         reach = np.array([*idle, *out[1 : ON_WAY + 1]])
         stroke = np.array(out[ON_WAY:])
         blocked = self._blocked(task, base, finger, reach, 0.0)
-        blocked = blocked or self._blocked(task, base, finger, stroke[-1:], self._most)
+        for angle, posture in zip(angles[1:].tolist(), stroke[1:], strict=True):
+            blocked = blocked or self._blocked(task, base, finger, posture[None], angle)
         return blocked or FingerWay(finger=finger, reach=reach, stroke=stroke, torque=torque)
 
     def _blocked(

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from planner.arrays import checked_number
 from planner.errors import TaskError
 from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search.grasp import Attempt
 from planner.shapes.registry import shape_key
@@ -429,8 +430,8 @@ def task_of_use(
     use = use_of(tool)
     use.yaw = yaw = checked_number("yaw", yaw, unit="rad", error=TaskError)
     if isinstance(use, Press):
-        hand = load_hand(hand)
-        changes = {"fingers": use.holding_fingers(hand), **changes}
+        hand = hand if isinstance(hand, Hand) else load_hand(hand)
+        changes["fingers"] = use.holding_fingers(hand, changes.get("fingers"))
     task = use_task(hand, tool, use.offered(yaw), obstacles=use.obstacles, **changes)
     return task, use
 
