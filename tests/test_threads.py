@@ -238,15 +238,15 @@ def test_certificates_of_threads_are_those_of_one(two_plans: list[GraspPlan]) ->
 def test_a_mesh_that_threads_share_is_prepared_once(
     allegro: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mesh = import_module("planner.shapes.mesh")
+    mesh, field = (import_module(f"planner.shapes.{name}") for name in ("mesh", "mesh_field"))
     fits = [0]
 
     def fit(*arguments: Any, **options: Any) -> Any:
         fits[0] += 1
         return true(*arguments, **options)
 
-    true = mesh.fit_mesh_field
-    monkeypatch.setattr(mesh, "fit_mesh_field", fit)
+    true = field.fit_mesh_field
+    monkeypatch.setattr(field, "fit_mesh_field", fit)
     monkeypatch.setattr(mesh, "read_arrays", lambda *_: None)
     monkeypatch.setattr(mesh, "write_arrays", lambda *_: None)
     item = parse_object("superquadric:0.05x0.06x0.08x0.6x0.6")
