@@ -362,6 +362,8 @@ def test_a_seed_or_settings_of_another_kind_are_named(given: Any) -> None:
 def test_a_setting_that_cannot_be_is_refused() -> None:
     with pytest.raises(TaskError, match="period_s"):
         PalmSettings(period_s=0.2)
+    with pytest.raises(TaskError, match="ahead_s"):
+        PalmSettings(ahead_s=1e5)
 
 
 @pytest.mark.slow

@@ -12,6 +12,9 @@ MOST = 1e6
 LONGEST = 60
 """Most steps of a horizon, sweeps, contacts and branches (-): more is no control."""
 
+LONGEST_LOOK = 10.0
+"""Longest opening and look ahead (s): each is simulated a dozen times before anything moves."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PalmSettings:
@@ -105,3 +108,4 @@ class PalmSettings:
         check_fields(self, rest, above=0.0, most=MOST)
         check_fields(self, ("period_s",), most=self.step_s, unit="s")
         check_fields(self, ("slowest",), most=1.0)
+        check_fields(self, ("ahead_s", "open_s"), most=LONGEST_LOOK, unit="s")
