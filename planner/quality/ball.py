@@ -8,11 +8,8 @@ h(u) = max_j u . w_j at the facet normal where it is least, evaluated on W itsel
 
 Time grows fast with the number of edges: about 3, 8 and 40 ms for four contacts at k = 4, 8 and 16.
 
-How far the wrenches that a grasp can apply reach along single directions, for charts.
-
-Certified intervals for epsilon where the wrench set is no polytope, or one too large to list.
-
-A convex body K that is known by its support function h(u) = max over w in K of u . w lies between
+Where the wrench set is no polytope, or one too large to list, epsilon has a certified interval. A
+convex body K that is known by its support function h(u) = max over w in K of u . w lies between
 two bounds, whatever points and directions were tried:
 
 lower   the hull of any points of K is part of K, so its largest ball about the origin is in K;

@@ -1,10 +1,9 @@
-"""Margins, weights and objectives of grasp synthesis.
+"""``SynthesisOptions``: margins, weights and objectives of grasp synthesis.
 
-Room for joints that are not where their encoders say, and above the table beside low parts.
-
-Called by the searches for grasps and motions with a task whose ``joint_error`` is above 0. They
-solve with the room first; where that fails they go on from there without it, so that a plan has
-room where there is some and is found where there is none.
+``with_room`` adds room for joints that are not where their encoders say, and above the table beside
+low parts. The searches for grasps and motions call it where a task's ``joint_error`` is above 0:
+they solve with the room first; where that fails they go on from there without it, so that a plan
+has room where there is some and is found where there is none.
 """
 
 from __future__ import annotations

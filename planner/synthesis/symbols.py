@@ -1,8 +1,7 @@
 """A grasp in symbols, in which terms and objectives are written, and a grasp in numbers.
 
-Wrenches of contacts and joint torques are expressions that terms and objectives share.
-
-Layout of the column x of unknowns of a grasp, and modified Rodrigues parameters.
+Wrenches of contacts and joint torques are expressions that terms and objectives share. Here too
+are the layout of the column x of a grasp's unknowns, and modified Rodrigues parameters.
 """
 
 from __future__ import annotations

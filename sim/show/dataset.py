@@ -1,14 +1,12 @@
 """A stored batch: a grid of thumbnails, and a page for each grasp, made when it is asked for.
 
-``DatasetTables``: what a browser asks of a stored batch, as plain data and by row.
+``DatasetTables`` is what a browser asks of a stored batch, as plain data and by row. Columns of all
+rows are sent once, poses for the rows on the screen, everything else for the row that is clicked,
+so that ten thousand rows cost no more than a few.
 
-Columns of all rows are sent once, poses for the rows on the screen, everything else for the row
-that is clicked, so that ten thousand rows cost no more than a few.
-
-``grid_html``, ``grid_script``, ``grid_models``: a grid of grasps that a server brings.
-
-Unlike a ``Page`` it is not one file: it asks its own server for columns, places of hands and pages
-of single grasps. Pictures are drawn in the browser.
+``grid_html``, ``grid_script`` and ``grid_models`` make the grid. Unlike a ``Page`` the grid is not
+one file: it asks its own server for columns, places of hands and pages of single grasps. Pictures
+are drawn in the browser.
 """
 
 from __future__ import annotations
