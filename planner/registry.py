@@ -87,7 +87,12 @@ class Registry(MutableMapping[str, T], Generic[T]):
 
         Args:
             homes: Name -> "module:attribute".
+
+        Raises:
+            PlannerError: ``error`` of the registry: a name is another's.
         """
+        if taken := sorted(homes.keys() & self._known.keys()):
+            raise self._error(f"{self.kind} {', '.join(taken)} is there already; choose another")
         self._known |= {name: _Home(home) for name, home in homes.items()}
 
     def named(self, name: str, hint: str = "") -> T:

@@ -261,6 +261,12 @@ def test_a_file_holds_it_and_is_checked(plan: HandoverPlan, tmp_path: Path) -> N
     assert np.allclose(again.both.q, plan.both.q, atol=1e-9)
     assert np.allclose(again.way_in, plan.way_in, atol=1e-9)
     assert again.lift_height == plan.lift_height
+    data = json.loads(file.read_text())
+    data["task"]["joint_error_rad"] = 0.05
+    file.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="joint_error_rad is in version 2 alone"):
+        read_handover(file)
+    write_handover(plan, file)
     with refused(f"opposable test {file} executes it"):
         one_plan(file)
     data = json.loads(file.read_text())

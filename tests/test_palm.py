@@ -17,7 +17,7 @@ from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.spatial import FloatArray
 from sim.palm import PalmReport, PalmSettings, reorient_in_palm
 from sim.palm.control import PalmController, _Problem
-from sim.palm.loop import FRICTIONS, _Branch, _Driver, _LookAhead, turn
+from sim.palm.loop import FRICTIONS, _Branch, _Driver, _LookAhead, _rubbed, turn
 from sim.palm.model import ContactStep, PalmModel, Plant, plant_of
 from sim.palm.run import lay_down, palm_scene
 
@@ -236,6 +236,10 @@ def test_its_value_is_what_comes_of_it(lying: Any) -> None:
     end = now.time + 0.3
     stays = _Branch(away=look._real.begun, goal=np.eye(3), opens_until=end, until=end)
     assert look.value(0, now, stays) == pytest.approx(60.0, abs=1.0)
+    on = _Branch(away=None, goal=look._real.goal, opens_until=now.time, until=now.time + 0.2)
+    first = look.value(0, now, on)
+    look.value(1, now, on)
+    assert look.value(0, now, on) == first  # whatever was tried between
     look._low = 1.0  # all that lies lower than a metre counts as dropped
     assert look.value(0, now, stays) == np.inf
 
@@ -327,10 +331,15 @@ def test_a_look_ahead_counts_place_friction_and_a_fall(lying: Any) -> None:
     angle = look._cost(now)
     look._real.place = look._real.place + np.array([0.03, 0.0, 0.0])
     assert look._cost(now) == pytest.approx(angle + 2000.0 * 0.015, abs=0.1)
+    assert FRICTIONS[0] < 1.0 < FRICTIONS[1]
     model = lying[1].model
     for rubbed, share in zip(look._models, FRICTIONS, strict=True):
         assert rubbed.geom_friction[:, 0] == pytest.approx(share * model.geom_friction[:, 0])
-        assert rubbed.pair_friction[:, :2] == pytest.approx(share * model.pair_friction[:, :2])
+    pair = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom name='a' size='1'/><body><geom name='b' size='1'/></body>"
+        "</worldbody><contact><pair geom1='a' geom2='b' friction='1 1 1 1 1'/></contact></mujoco>"
+    )
+    assert _rubbed(pair, 0.5).pair_friction[0] == pytest.approx([0.5, 0.5, 1.0, 1.0, 1.0])
     thrown = drive(lying, 60.0)[0]
     thrown.qpos[lying[1].object_qpos[:3]] += [0.3, 0.0, 0.0]  # beside the hand
     end = thrown.time

@@ -86,6 +86,9 @@ def test_what_is_ours_is_imported_when_it_is_asked_for() -> None:
         things["far"]
     with pytest.raises(TaskError, match="near"):
         things.add("near", 3.0)
+    with pytest.raises(TaskError, match="near is there already"):
+        things.add_homes({"near": "math:e"})
+    assert things["near"] is math.pi
 
 
 def test_our_kinds_of_shapes_are_called_as_their_classes_say() -> None:

@@ -6,9 +6,9 @@ Reading puts the two grasps together anew, with every check of planning.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from planner.errors import FileFormatError
 from planner.failure import Failure
@@ -31,6 +31,12 @@ class HandoverFile(StrictData):
     lift_height_m: float = Field(gt=0, allow_inf_nan=False)
     give: dict[str, Any]
     take: dict[str, Any]
+
+    @model_validator(mode="after")
+    def _of_version(self) -> Self:
+        if (self.task.joint_error_rad is not None) != (self.version == 2):
+            raise ValueError("joint_error_rad is in version 2 alone, and every task there has it")
+        return self
 
 
 def write_handover(plan: HandoverPlan, path: Path | str) -> None:

@@ -35,7 +35,7 @@ FLAT_HALF_ANGLE = float(np.deg2rad(8.0))
 """The same for the face of a box or a hull, whose one normal is the pad's axis."""
 
 STRAIGHT = 1e-3
-"""How far (m) the front of a hull may fall back where it counts as straight: what is left is closed
+"""How far (m) the front of a hull may fall back where it counts as straight: the rest is closed
 when fingers are put onto the true surface."""
 
 SHORT_FACE, WIDE = 4e-3, 0.8

@@ -14,7 +14,7 @@ joint torques of the planned force.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -109,6 +109,9 @@ class FingerWay:
 
 class Press(Use):
     """One finger presses the lever of the tool."""
+
+    best_of: ClassVar[int] = 2
+    """Few grasps let the finger reach the lever."""
 
     defaults: ClassVar[Mapping[str, float]] = MappingProxyType(
         {
@@ -216,6 +219,10 @@ class Press(Use):
                 f"{self.tool.name}; give a hand whose others can hold it"
             )
         return "index" if "index" in names else names[0]
+
+    def fitting(self) -> Callable[[GraspPlan, GraspTask], GraspPlan | Failure]:
+        """``fit``."""
+        return self.fit
 
     def fit(self, plan: GraspPlan, task: GraspTask) -> GraspPlan | Failure:
         """The grasp turned about the tool's axis, the finger at the lever; or why there is none.

@@ -26,7 +26,7 @@ from planner.search.grasp import Attempt
 from planner.shapes.registry import shape_key
 from planner.spatial import FloatArray, IntArray, signed_twist
 from planner.task import GraspTask
-from planner.tools import BEST_OF, Tool, load_tool, plan_use, use_data, use_task
+from planner.tools import Tool, load_tool, plan_use, use_data, use_task
 from sim.controllers import PHASES, Observation, Phase
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.object_impedance import ObjectImpedance
@@ -35,8 +35,7 @@ from sim.report import FingerComparison, TrialReport
 from sim.scene.carrier import Timeline, carrier_of
 from sim.scene.gantry import Gantry
 from sim.simulation import Simulation
-from sim.tools.press import Press, PressingFinger
-from sim.tools.use import DOWN, Use, needs_gantry, use_of
+from sim.tools.use import DOWN, OwnFinger, Use, needs_gantry, use_of
 from sim.trial import Trial, TrialKeywords, TrialOptions, run_grasp_phase, why_not_lifted
 from sim.verdict import (
     Fault,
@@ -57,9 +56,6 @@ MOST_RESIST = 100.0
 
 SAME_POSE = 1e-6
 """How far entries of two poses (-, m) may differ that are one: a plan file rounds."""
-
-FITTED = 2
-"""Grasps of which the best is taken where one finger must reach a lever: few let it."""
 
 USING: tuple[Phase, ...] = ("engage", "use", "withdraw")
 """Phases between the squeeze and the hold."""
@@ -103,7 +99,7 @@ class UseController(ObjectImpedance):
     turning_time: ClassVar[float] = 0.0
 
     def __init__(
-        self, plan: GraspPlan, *, learns: bool = True, finger: PressingFinger | None = None
+        self, plan: GraspPlan, *, learns: bool = True, finger: OwnFinger | None = None
     ) -> None:
         """Note how hard the fingers press in the plan while the needed wrenches are produced.
 
@@ -246,7 +242,7 @@ class UseTrial(Trial):
                 controller=UseController(
                     plan,
                     learns=self.use.lasting,
-                    finger=self.use.finger(plan) if isinstance(self.use, Press) else None,
+                    finger=self.use.finger(plan),
                 ),
                 thresholds=asked.thresholds or USE_THRESHOLDS,
             ),
@@ -429,9 +425,9 @@ def task_of_use(
     """
     use = use_of(tool)
     use.yaw = yaw = checked_number("yaw", yaw, unit="rad", error=TaskError)
-    if isinstance(use, Press):
-        hand = hand if isinstance(hand, Hand) else load_hand(hand)
-        changes["fingers"] = use.holding_fingers(hand, changes.get("fingers"))
+    hand = hand if isinstance(hand, Hand) else load_hand(hand)
+    if (holding := use.holding_fingers(hand, changes.get("fingers"))) is not None:
+        changes["fingers"] = holding
     task = use_task(hand, tool, use.offered(yaw), obstacles=use.obstacles, **changes)
     return task, use
 
@@ -468,6 +464,6 @@ def plan_tool(
         seed=seed,
         max_attempts=max_attempts,
         progress=progress,
-        best_of=FITTED if isinstance(use, Press) else BEST_OF,
-        fit=use.fit if isinstance(use, Press) else None,
+        best_of=use.best_of,
+        fit=use.fitting(),
     )

@@ -9,21 +9,24 @@ when the fingers press.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, Protocol, TypeAlias
 
 import mujoco
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from planner.errors import ObjectError, TaskError
+from planner.failure import Failure
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.registry import Registry
 from planner.spatial import SE3, FloatArray, shifted
 from planner.task import GraspTask, Obstacle
-from planner.tools import Tool, use_data, use_numbers
-from sim.controllers import Phase
+from planner.tools import BEST_OF, Tool, use_data, use_numbers
+from sim.controllers import Observation, Phase
 from sim.scene.build import OBSTACLE_PREFIX, WORLD_BIT
 from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
@@ -60,6 +63,21 @@ class Motion:
     done: bool = False
 
 
+class OwnFinger(Protocol):
+    """Drives a finger that does not hold the tool.
+
+    Attributes:
+        actuators: (nu,), which are the finger's.
+        load: (6,), what the others are to give now, base axes, N and N m.
+    """
+
+    actuators: NDArray[np.bool_]
+    load: FloatArray
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) of which the finger's count."""
+
+
 class Use(ABC):
     """One use of one tool.
 
@@ -79,6 +97,9 @@ class Use(ABC):
 
     lasting: ClassVar[bool] = True
     """Whether the tool is loaded for longer than moments, so that the hand may learn the load."""
+
+    best_of: ClassVar[int] = BEST_OF
+    """Grasps of which the best is taken."""
 
     yaw: float = 0.0
     """Turn of tool and fixture about the vertical, rad; may be set."""
@@ -131,6 +152,30 @@ class Use(ABC):
     @abstractmethod
     def add_fixture(self, spec: Any, physics: PhysicsOptions, yaw: float) -> None:
         """Add the fixture's bodies to a ``mujoco.MjSpec``."""
+
+    def holding_fingers(
+        self, hand: Hand, given: Sequence[str] | None = None
+    ) -> Sequence[str] | None:
+        """Names of the fingers that hold the tool; those given, or the hand's own if None.
+
+        Raises:
+            TaskError: The use needs one of those given for something else.
+        """
+        del hand
+        return given
+
+    def fitting(self) -> Callable[[GraspPlan, GraspTask], GraspPlan | Failure] | None:
+        """What makes a grasp of the body alone one for the use; None if all grasps are searched."""
+        return None
+
+    def finger(self, plan: GraspPlan) -> OwnFinger | None:
+        """What drives a finger that does not hold; None where all do.
+
+        Raises:
+            TaskError: It cannot be done in this grasp.
+        """
+        del plan
+        return None
 
     @abstractmethod
     def way(self, plan: GraspPlan) -> list[SE3]:
