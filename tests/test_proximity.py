@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gc
 import itertools
+import subprocess
+import sys
 
 import coal
 import mujoco
@@ -250,3 +252,32 @@ def test_geometries_that_cannot_be_asked() -> None:
         DistancePair(coal.Sphere(0.1), mesh)
     with pytest.raises(ModelError, match="'geometry_a' is a Sphere, not a coal geometry"):
         DistancePair(Sphere(0.1), mesh)
+
+
+ASKED = """
+import sys
+import coal
+import numpy as np
+import pinocchio as pin
+from planner.proximity.convex import DistancePair
+
+turn = np.array([0.3, 0.5, 0.7]) if sys.argv[1] == "turned" else np.zeros(3)
+there = pin.SE3(pin.exp3(turn), np.array([3.0, 2.0, 1.0]))
+DistancePair(coal.Capsule(1.0, 1.0), coal.Box(1.0, 2.0, 3.0)).distance(pin.SE3.Identity(), there)
+rng = np.random.default_rng(0)
+pair = DistancePair(coal.Capsule(0.01, 0.05), coal.Box(0.06, 0.06, 0.16))
+for _ in range(100):
+    place = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(0.0, 0.1, 3))
+    print(pair.distance(place, pin.SE3.Identity()).hex())
+"""
+
+
+def test_what_was_asked_before_does_not_change_a_digit() -> None:
+    """Also where the first box that a process asked about was turned, or along its axes."""
+    command = [sys.executable, "-c", ASKED]
+    turned, straight = (
+        subprocess.run([*command, first], capture_output=True, text=True, check=True).stdout
+        for first in ("turned", "straight")
+    )
+    assert len(turned.split()) == 100
+    assert turned == straight
