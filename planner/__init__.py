@@ -13,8 +13,7 @@ loading MuJoCo, Pinocchio, coal or CasADi.
 from typing import TYPE_CHECKING
 
 from planner.showing import register_notebook, register_page
-from planner.system.package import lazy_names
-from planner.version import __version__
+from planner.system.package import __version__, lazy_names
 
 if TYPE_CHECKING:
     from planner.batch import GraspSet, plan_grasps, plan_several, refine_grasps

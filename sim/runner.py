@@ -21,7 +21,7 @@ from typing import Any, TypeAlias, TypeVar
 from rich.console import Console
 
 from planner.batch.pool import LOKY, end_with, finished
-from planner.version import written_by
+from planner.system.package import written_by
 from sim.progress import ProgressBar
 
 __all__ = ["Check", "Runner", "made_with"]

@@ -68,7 +68,6 @@ GROUPS: dict[str, list[str]] = {
         "planner.exchange",
         "planner.registry",
         "planner.schema",
-        "planner.version",
     ],
     "Simulation and trials": [
         "sim.trial",

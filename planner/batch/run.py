@@ -42,8 +42,8 @@ from planner.search.best import Wanted
 from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, attempts
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.options import SynthesisOptions
+from planner.system.package import written_by
 from planner.task import GraspTask
-from planner.version import written_by
 
 
 @dataclass(frozen=True, kw_only=True)

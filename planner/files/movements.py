@@ -43,7 +43,7 @@ from planner.motion.verify import MovementVerifier, Waypoint
 from planner.plan import GraspPlan
 from planner.schema import Finite, NotNegative, StrictData, Vector3
 from planner.spatial import FloatArray
-from planner.version import written_by
+from planner.system.package import written_by
 
 SAME = 1e-9
 """How far (rad, m) the first knot of a file may be from its grasp."""

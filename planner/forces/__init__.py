@@ -21,6 +21,7 @@ from planner.forces.solve import (
 from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
+    from planner.contacts.friction import ExpectedLoad, grip_for_load
     from planner.forces.build import QuadraticCost
     from planner.forces.compare import (
         PyramidGap,
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
         turning_wrenches,
     )
     from planner.forces.compliance import GraspCompliance
-    from planner.forces.grip import ExpectedLoad, grip_for_load
     from planner.forces.infeasible import Infeasibility, explain_infeasibility
     from planner.forces.loop import ForceLoop, ForceStep
     from planner.forces.workspace import turned_frames
@@ -70,7 +70,7 @@ __all__ = [
 
 _HOMES = {
     "DEFAULT_SOLVER": "planner.numerics.qp_workspace",
-    "ExpectedLoad": "planner.forces.grip",
+    "ExpectedLoad": "planner.contacts.friction",
     "ForceLoop": "planner.forces.loop",
     "ForceStep": "planner.forces.loop",
     "GraspCompliance": "planner.forces.compliance",
@@ -82,7 +82,7 @@ _HOMES = {
     "compare_solvers": "planner.forces.compare",
     "cone_gaps": "planner.forces.compare",
     "explain_infeasibility": "planner.forces.infeasible",
-    "grip_for_load": "planner.forces.grip",
+    "grip_for_load": "planner.contacts.friction",
     "solver_names": "planner.numerics.qp_workspace",
     "turned_frames": "planner.forces.workspace",
     "turning_wrenches": "planner.forces.compare",

@@ -311,7 +311,7 @@ def _row(name: str, result: RefinedGrasp, path: Path) -> dict[str, Any]:
 def _report(
     file: Path, rows: list[dict[str, Any]], total: int, assumed: Sequence[str]
 ) -> dict[str, Any]:
-    from planner.version import written_by
+    from planner.system.package import written_by
 
     return {
         "format": "opposable-refined",
