@@ -7,14 +7,14 @@ from functools import cached_property
 
 import numpy as np
 
-from planner.approach.arm_path import ArmPath
 from planner.attempt import SearchRecord
+from planner.collision.arm_path import ArmPath
 from planner.collision.world import Clearance
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.forces import ForceSolution
 from planner.immutable import freeze
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.quality import QualityReport, analyse
 from planner.showing import Shown, in_notebook
 from planner.spatial import SE3, FloatArray, interpolate_path, minimum_jerk
@@ -120,7 +120,7 @@ class JointTrajectory:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GraspPlan(Shown):
-    """A grasp that passed every check of ``planner.verification.geometry`` and the force QP.
+    """A grasp that passed every check of ``planner.verification`` and the force QP.
 
     Like its task it never changes: poses and arrays are read-only copies.
 

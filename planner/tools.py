@@ -49,7 +49,7 @@ from planner.failure import Failure
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.joints.description import PINCH
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import GraspObject, NeededWrench, Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
 from planner.schema import StrictData, Vector3, faults_of
@@ -61,7 +61,7 @@ from planner.spatial import SE3, FloatArray, fixed_array
 from planner.synthesis.options import SynthesisOptions
 from planner.system.package import models_dir
 from planner.task import GraspTask, Obstacle
-from planner.verification.grasp import NO_NEEDED
+from planner.verification import NO_NEEDED
 
 __all__ = ["Tool", "load_tool", "plan_use", "read_tool", "tool_names", "use_task"]
 

@@ -20,7 +20,7 @@ from manipulations import QUICK, turned_cylinder, turned_cylinder_report
 from planner.errors import NotFoundError, TaskError
 from planner.hand_loading import load_hand
 from planner.joints.actuation import Actuation
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask

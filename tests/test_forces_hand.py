@@ -19,7 +19,7 @@ from planner.forces import (
 )
 from planner.hand_loading import load_hand
 from planner.joints.actuation import Actuation
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 
 MASS, G = 0.1, 9.81
 WEIGHT = gravity_wrench(MASS, [0, 0, -G])

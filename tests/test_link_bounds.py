@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.approach.pregrasp import CLOSING_SHARES
+from planner.collision import form_kernels
+from planner.collision.link_bounds import LinkBounds
+from planner.collision.pregrasp import CLOSING_SHARES
 from planner.collision.world import FAR, CollisionWorld
 from planner.hands.hand import Hand
-from planner.kinematics import form_kernels
-from planner.kinematics.link_bounds import LinkBounds
 from planner.numerics.kernels import attempt_kernels, compile_loops, compiled_searches
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray

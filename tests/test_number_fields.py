@@ -21,7 +21,7 @@ from planner.contacts import Contact, ContactSet
 from planner.errors import ObjectError, PlannerError, TaskError
 from planner.forces import ExpectedLoad
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.path import ObjectPath, check_place
 from planner.objects import GraspObject, NeededWrench
 from planner.quality import analyse, force_closure

@@ -12,7 +12,7 @@ import pytest
 
 from planner import GraspTask, plan_grasp
 from planner.errors import TaskError
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.numerics.kernels import compiled_searches
 from planner.spatial import SE3, FloatArray
 from planner.synthesis import (

@@ -32,7 +32,7 @@ from planner.errors import FileFormatError, NotFoundError
 from planner.files import plan_to_dict, read_plan
 from planner.hands.catalog import hand_names
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.pages.blocks import resisted_forces
 from planner.pages.described import named_joints
 from planner.pages.hand_model import hand_model

@@ -23,7 +23,7 @@ from planner.errors import HandError, NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import TouchRegion, parse_object, parse_region
 from planner.search.finishing import verified_on_surface
 from planner.search.refine import Movement, RefinedGrasp, with_fingers
@@ -33,7 +33,7 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import problems_for
 from planner.synthesis.seeds import seeder_for
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 HANDS = ("allegro_hand", "shadow_hand")
 OBJECTS = ("sphere", "box", "cylinder", "mug", "torus")

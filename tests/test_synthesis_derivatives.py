@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import parse_object
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_capsules import (

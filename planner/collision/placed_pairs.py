@@ -19,17 +19,17 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planner.collision.link_bounds import LinkBounds
 from planner.collision.pair_table import PairTable
 from planner.errors import TaskError
 from planner.hands.hand import Hand
-from planner.kinematics.link_bounds import LinkBounds
-from planner.proximity.convex import FEW, GeometryPairs, PairQuery
 from planner.shapes import Mesh
+from planner.shapes.convex_pairs import FEW, GeometryPairs, PairQuery
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
 if TYPE_CHECKING:
-    from planner.proximity.mesh_pairs import MeshPairs
+    from planner.collision.mesh_pairs import MeshPairs
 
 MESH_LIMIT = 0.006
 """``PlacedPairs.near`` looks no further than this (m) from a mesh; a wider search takes longer."""
@@ -58,7 +58,7 @@ class PlacedPairs:
         self.mesh: MeshPairs | None = None
         points: FloatArray | None = None
         if isinstance(shape, Mesh):
-            from planner.proximity.mesh_pairs import MeshPairs  # here: for meshes alone
+            from planner.collision.mesh_pairs import MeshPairs  # here: for meshes alone
 
             self.mesh = MeshPairs([g.geometry for g in hand.geometries], shape)
             points = shape.hull_vertices

@@ -23,14 +23,14 @@ from planner.collision.pair_table import (
 )
 from planner.collision.placed_pairs import PlacedPairs, Sweep, hull_pairs
 from planner.errors import NotFoundError
-from planner.kinematics.state import MovingHand
-from planner.proximity.convex import LEAST_LIMIT, DistancePair, Proximity
+from planner.kinematics import MovingHand
 from planner.shapes import Mesh
+from planner.shapes.convex_pairs import LEAST_LIMIT, DistancePair, Proximity
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
 if TYPE_CHECKING:
-    from planner.proximity.mesh import MeshPair
+    from planner.collision.mesh_distance import MeshPair
 
 __all__ = [
     "OBJECT",

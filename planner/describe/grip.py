@@ -13,7 +13,7 @@ from planner.describe.report import Findings, PadRow, PostureRow
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.joints.description import TaxelDescription
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import FloatArray
 
 LEAST_PRESS = 1.5

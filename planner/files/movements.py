@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from planner.approach.pregrasp import Approach
+from planner.collision.pregrasp import Approach
 from planner.errors import FileFormatError, TaskError, shown
 from planner.failure import Failure
 from planner.files.data import ArmData, ContactData, LaterData, PlanFile, PoseData

@@ -20,7 +20,7 @@ from planner.bridge.pinocchio_model import body_name
 from planner.errors import HandError, NotFoundError
 from planner.joints.couplings import Coupling, check_couplings, independent_couplings
 from planner.joints.description import FingerDescription, HandDescription
-from planner.proximity.convex import DistancePair
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["Finger", "Pad", "Resolver", "Side"]

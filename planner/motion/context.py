@@ -29,7 +29,7 @@ import numpy as np
 from planner.attempt import Attempt, run_attempts
 from planner.errors import TaskError
 from planner.failure import Failure
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.path import ObjectPath
 from planner.motion.plan import Knot, MotionRecord, MovementPlan
 from planner.motion.problem import motion_problem_for

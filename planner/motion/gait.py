@@ -19,7 +19,7 @@ import numpy as np
 from planner.arrays import checked_number
 from planner.attempt import Attempt, nothing_found, search
 from planner.errors import NoGraspFoundError, TaskError
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.context import MotionContext, attempts_in_turn
 from planner.motion.order import NO_ORDER, Lift, NoOrder, Order, find_order
 from planner.motion.path import (

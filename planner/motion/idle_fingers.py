@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.approach.pregrasp_ik import idle_joints, spread_idle
+from planner.collision.pregrasp_ik import idle_joints, spread_idle
 from planner.collision.world import CollisionWorld
 from planner.motion.plan import MovementPlan
 

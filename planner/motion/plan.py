@@ -21,13 +21,13 @@ from typing import TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from planner.approach.pregrasp import Approach, way_back
 from planner.attempt import SearchRecord
+from planner.collision.pregrasp import Approach, way_back
 from planner.contacts import Contact, ContactSet
 from planner.errors import TaskError
 from planner.forces import ForceSolution
 from planner.immutable import freeze
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.path import ObjectPath
 from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
 from planner.plan import GraspPlan, JointTrajectory, Verification

@@ -35,15 +35,14 @@ from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.hands.fingers import Finger
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.motion.order import NoOrder, Order, find_order, holding, standing
 from planner.motion.plan import MovementPlan, Relocation
 from planner.numerics.qp import Barrier, Task, constrained_ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL, SWING_VERDICT_SHARE, TOUCH_TOL
-from planner.verification.geometry import contacts_of
-from planner.verification.grasp import plan_forces
+from planner.verification import contacts_of, plan_forces
 
 HOLDING_GRIP = 0.5
 """Least normal force (N) of the fingers that hold, where the task's grip force is infeasible: a

@@ -17,8 +17,8 @@ from itertools import combinations
 
 import numpy as np
 
-from planner.approach.pregrasp_ik import idle_joints
 from planner.collision.pad_contact import pad_contact_queries
+from planner.collision.pregrasp_ik import idle_joints
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, ObjectError
 from planner.failure import Failure
@@ -34,7 +34,7 @@ from planner.spatial import FloatArray
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL
 from planner.tools import ASKED_CLEARANCE, Tool
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 ROUND = 2e-4
 """Largest difference (m) of the distances of a handle's points from the axis: that of a polygon of

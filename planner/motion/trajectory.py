@@ -26,8 +26,7 @@ import pinocchio as pin
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from planner.errors import TaskError
-from planner.kinematics.arm_ik import palm_path, palm_pose
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand, palm_path, palm_pose
 from planner.numerics.qp import Task, ik_step
 from planner.plan import GraspPlan, JointTrajectory
 from planner.spatial import SE3, FloatArray, IntArray, interpolate_path, minimum_jerk

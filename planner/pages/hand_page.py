@@ -14,7 +14,7 @@ from planner.arrays import short_names
 from planner.describe import CheckReport
 from planner.hands.hand import Hand
 from planner.joints.couplings import nearest_on_couplings
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.pages.blocks import Block, Command, Facts, Sentence
 from planner.pages.described import described_lines, named_joints
 from planner.pages.hand_model import hand_model

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 
 from planner.contacts import ContactSet
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.pages.hand_model import hand_model
 from planner.pages.painter import data_uri, paint
 from planner.pages.plan_scene import Stage, planned_contacts

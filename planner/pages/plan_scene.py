@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 from planner.contacts import ContactSet
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.pages.hand_model import hand_model
 from planner.pages.scene import IDENTITY_ROW, Actor, Contacts, Layer, Model, Part, View, pose_row
 from planner.plan import GraspPlan

@@ -38,7 +38,7 @@ from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.seeds.draw import Seeder
 from planner.system.threads import stage
 from planner.task import GraspTask
-from planner.verification.grasp import plan_forces
+from planner.verification import plan_forces
 
 if TYPE_CHECKING:
     from planner.search.metrics import Measure

@@ -20,7 +20,7 @@ from planner.synthesis.symbols import GraspPoint
 from planner.synthesis.terms.term import Term, first_failure
 from planner.system.threads import kept_by_thread, stage
 from planner.task import GraspTask
-from planner.verification.grasp import (
+from planner.verification import (
     project_onto_surface,
     verify_grasp,
     with_palm_on_surface,

@@ -10,7 +10,7 @@ one problem per hand and kind of shape serves every size and every assignment.
 largest of the face distances, softened over ``SOFTNESS``, for boxes and cylinders, which for balls
 of 8 mm or more is within 0.08 mm of a lower bound of the true distance (the worst is straight above
 a box's corner); first-order accurate for ellipsoids. The verdict is always on the true geometry,
-see ``planner.verification.geometry``.
+see ``planner.verification``.
 """
 
 from __future__ import annotations

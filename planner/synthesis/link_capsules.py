@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.bridge import LinkGeometry
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState, MovingHand
+from planner.kinematics import HandState, MovingHand
 from planner.spatial import FloatArray
 from planner.synthesis.link_spheres import fill, span
 

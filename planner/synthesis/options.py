@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.arrays import check_fields
 from planner.errors import NotFoundError, TaskError, shown
-from planner.kinematics.state import tip_reach
+from planner.kinematics import tip_reach
 from planner.objects import NeededWrench
 from planner.shapes import Mesh
 from planner.spatial import FloatArray

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import moving_hand
+from planner.kinematics import moving_hand
 from planner.numerics.kernels import kernels_are_compiled
 from planner.shapes import Shape
 from planner.shapes.surface import Patch, Surface

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState, MovingHand
+from planner.kinematics import HandState, MovingHand
 from planner.plan import GraspPlan
 from planner.shapes.base import Shape
 from planner.spatial import SE3, FloatArray, skew

@@ -43,7 +43,7 @@ from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, contact_frames, cross, minimum_jerk
 from planner.tolerances import CLOSURE_EDGES, FRICTION_SHARE
-from planner.verification.grasp import force_arguments, no_forces
+from planner.verification import force_arguments, no_forces
 from sim.controllers.base import Observation, Recloses, Sense
 from sim.controllers.calibration import Calibration
 from sim.controllers.closing import GuardedClosing

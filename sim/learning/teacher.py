@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 
 from planner.errors import TaskError
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.controllers import (

@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from planner.approach.arm_path import ArmPath
+from planner.collision.arm_path import ArmPath
 from planner.errors import TaskError
-from planner.kinematics.arm_ik import palm_path, palm_pose
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand, palm_path, palm_pose
 from planner.motion.gait import Relocation
 from planner.motion.idle_fingers import out_of_the_way
 from planner.motion.manipulation import ManipulationPlan

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import NotFoundError
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.controllers import (

@@ -23,7 +23,7 @@ from planner.attempt import check_seed
 from planner.bridge import compile_spec
 from planner.errors import NotFoundError, TaskError
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.path import checked_rotation
 from planner.objects import GraspObject
 from planner.spatial import SE3, FloatArray

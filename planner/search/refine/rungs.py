@@ -29,7 +29,7 @@ import numpy as np
 
 from planner.failure import Failure
 from planner.hands.hand import Hand
-from planner.kinematics.state import moving_hand
+from planner.kinematics import moving_hand
 from planner.plan import GraspPlan
 from planner.search.finishing import finished, true_links
 from planner.search.refine.pose import JOINT_UNIT, LENGTH_UNIT, TURN_UNIT, GivenPose, UnderPads

@@ -17,7 +17,7 @@ from planner.errors import FileFormatError, TaskError
 from planner.files import write_json
 from planner.files.disk import Journal
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.system.package import written_by
 from planner.task import GraspTask

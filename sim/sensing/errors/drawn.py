@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.hands.hand import Hand
-from planner.kinematics.state import joint_axes
+from planner.kinematics import joint_axes
 from planner.spatial import FloatArray
 from sim.sensing.errors.model import ErrorModel
 

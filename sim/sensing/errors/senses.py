@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from planner.contacts import ContactSet
 from planner.errors import TaskError
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.spatial import SE3, FloatArray, cross
 from planner.task import GraspTask
 from sim.controllers import Observation, Phase

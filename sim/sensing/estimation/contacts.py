@@ -35,7 +35,7 @@ import numpy as np
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.shapes.base import Shape
 from planner.spatial import FloatArray, IntArray, contact_frames, cross, skew
 from sim.sensing.estimation.state import Estimate

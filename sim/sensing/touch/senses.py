@@ -23,7 +23,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.registry import Registry
 from planner.spatial import SE3, FloatArray, cross, skew

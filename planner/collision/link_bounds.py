@@ -17,7 +17,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kinematics.form_kernels import (
+from planner.collision.form_kernels import (
     BOX,
     CAPSULE,
     CYLINDER,
@@ -26,7 +26,7 @@ from planner.kinematics.form_kernels import (
     bound_pairs,
     place_forms,
 )
-from planner.kinematics.state import joint_axes
+from planner.kinematics import joint_axes
 from planner.numerics.kernels import kernels_are_compiled
 from planner.spatial import SE3, FloatArray, IntArray
 
@@ -44,7 +44,7 @@ class LinkBounds:
         n_moving: int,
         points: FloatArray | None = None,
     ) -> None:
-        """Find the forms; arguments as of ``planner.proximity.convex.GeometryPairs``.
+        """Find the forms; arguments as of ``planner.shapes.convex_pairs.GeometryPairs``.
 
         Args:
             pin_model: Pinocchio's model of the hand.
