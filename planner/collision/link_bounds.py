@@ -27,7 +27,6 @@ from planner.collision.form_kernels import (
     place_forms,
 )
 from planner.kinematics import joint_axes
-from planner.numerics.kernels import kernels_are_compiled
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["LinkBounds"]
@@ -74,11 +73,6 @@ class LinkBounds:
         self._parents = np.array(list(pin_model.parents), dtype=np.int64)
         self._joints = _matrices(list(pin_model.jointPlacements))
         self._axes = joint_axes(pin_model)
-
-    @property
-    def pays(self) -> bool:
-        """Whether bounds take less time than asking coal: where kernels are compiled."""
-        return kernels_are_compiled()
 
     def place(self, q: FloatArray, fixed: Sequence[SE3]) -> FloatArray:
         """Poses (b, n, 3, 4) of all forms at configurations, in the base.

@@ -59,7 +59,7 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics import HandState
 from planner.motion.path import ObjectPath
-from planner.shapes.surface import CODE_DIM, SIZE_DIM, Surface
+from planner.shapes.base import CODE_DIM, SIZE_DIM, Surface
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.synthesis.objectives import LEAST_LIMIT, LEAST_PRESS, driving
 from planner.synthesis.symbols import SymbolicHand, Unknowns, contact_torque, mrp_matrix

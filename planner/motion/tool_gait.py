@@ -29,7 +29,7 @@ from planner.motion.regrasp import LOADED_ROOM
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.task import SEEDS_APART
 from planner.shapes import Mesh
-from planner.shapes.cylinder import Cylinder
+from planner.shapes.round import Cylinder
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL

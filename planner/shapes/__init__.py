@@ -16,11 +16,9 @@ from planner.shapes.stable import StablePose
 from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
-    from planner.shapes.capsule import Capsule
-    from planner.shapes.cylinder import Cylinder
     from planner.shapes.ellipsoid import Ellipsoid
     from planner.shapes.made import Channel, Hammer, Knot, LBracket, Mug, Superquadric, Torus
-    from planner.shapes.sphere import Sphere
+    from planner.shapes.round import Capsule, Cylinder, Sphere
     from planner.shapes.vessels import Bowl, Cup, Pan, Plate, Teacup, Tube
 
 __all__ = [
@@ -54,10 +52,10 @@ __all__ = [
 
 _HOMES = {
     "Bowl": "planner.shapes.vessels",
-    "Capsule": "planner.shapes.capsule",
+    "Capsule": "planner.shapes.round",
     "Channel": "planner.shapes.made",
     "Cup": "planner.shapes.vessels",
-    "Cylinder": "planner.shapes.cylinder",
+    "Cylinder": "planner.shapes.round",
     "Ellipsoid": "planner.shapes.ellipsoid",
     "Hammer": "planner.shapes.made",
     "Knot": "planner.shapes.made",
@@ -65,7 +63,7 @@ _HOMES = {
     "Mug": "planner.shapes.made",
     "Pan": "planner.shapes.vessels",
     "Plate": "planner.shapes.vessels",
-    "Sphere": "planner.shapes.sphere",
+    "Sphere": "planner.shapes.round",
     "Superquadric": "planner.shapes.made",
     "Teacup": "planner.shapes.vessels",
     "Torus": "planner.shapes.made",

@@ -18,8 +18,7 @@ import casadi as ca
 import coal
 import numpy as np
 
-from planner.shapes.base import Boxed, checked_points, sign, unit
-from planner.shapes.surface import Surface, WholeSurface, soft_norm
+from planner.shapes.base import Boxed, Surface, WholeSurface, checked_points, sign, soft_norm, unit
 from planner.spatial import FloatArray
 
 ITERATIONS = 60

@@ -462,18 +462,19 @@ class Mesh(Shape):
 
     def _kept_field(self, name: str, wall: float) -> DistanceField:
         # here, as only grasps on meshes need a field
-        from planner.shapes.distance_field import DistanceField
-        from planner.shapes.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
+        from planner.shapes.distance_field import FIELD_VERSION, DistanceField
 
         key = f"{FIELD_VERSION}-{self.digest}{name}"
         stored = read_arrays("field", key)
         if stored is not None:
             try:
                 known = DistanceField.from_arrays(stored)
-                if field_fits(self, self.vertices, known):
+                if known.fits(self, self.vertices):
                     return known
             except (KeyError, ValueError, IndexError, TypeError):  # TypeError: rows for numbers
                 pass  # of another form: made anew
+        from planner.shapes.mesh_field import fit_mesh_field  # here: most fields are kept
+
         field = fit_mesh_field(self._surface, self.wall_thickness, wall=wall)
         write_arrays("field", key, field.to_arrays())
         return field

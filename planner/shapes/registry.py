@@ -66,10 +66,10 @@ def register_shape(shape: _S) -> _S:
 
 
 _OURS = {
-    "sphere": "sphere:Sphere",
+    "sphere": "round:Sphere",
     "box": "box:Box",
-    "cylinder": "cylinder:Cylinder",
-    "capsule": "capsule:Capsule",
+    "cylinder": "round:Cylinder",
+    "capsule": "round:Capsule",
     "ellipsoid": "ellipsoid:Ellipsoid",
     "mug": "made:Mug",
     "lbracket": "made:LBracket",

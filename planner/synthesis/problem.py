@@ -34,7 +34,7 @@ from planner.hands.hand import Hand
 from planner.kinematics import moving_hand
 from planner.numerics.kernels import kernels_are_compiled
 from planner.shapes import Shape
-from planner.shapes.surface import Patch, Surface
+from planner.shapes.base import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import Field, surface_of
 from planner.synthesis.options import ProblemForm, SynthesisOptions, table_room

@@ -24,7 +24,7 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.numerics.levenberg_marquardt import SLOW, LMResult, levenberg_marquardt
 from planner.numerics.tape import into_buffers
-from planner.shapes.surface import Surface
+from planner.shapes.base import Surface
 from planner.spatial import FloatArray
 from planner.synthesis.mesh_surface import COEFFICIENTS, Field
 from planner.synthesis.objectives import objective_rows

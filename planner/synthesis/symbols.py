@@ -20,7 +20,7 @@ import numpy as np
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics import joint_axes
-from planner.shapes.surface import CODE_DIM, SIZE_DIM, Surface
+from planner.shapes.base import CODE_DIM, SIZE_DIM, Surface
 from planner.spatial import SE3, FloatArray, skew
 from planner.task import GraspTask
 

@@ -33,7 +33,7 @@ from planner.kinematics import moving_hand
 from planner.plan import GraspPlan
 from planner.search.finishing import finished, true_links
 from planner.search.refine.pose import JOINT_UNIT, LENGTH_UNIT, TURN_UNIT, GivenPose, UnderPads
-from planner.shapes.surface import Patch, Surface
+from planner.shapes.base import Patch, Surface
 from planner.spatial import FloatArray
 from planner.synthesis.optimize import MEND_ITERATIONS, NEARLY, GraspRun
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
