@@ -10,7 +10,7 @@ what passes the base's origin, and the angular velocity, for every joint; a join
 only if it moves what carries the point.
 
 ``reach`` moves the arm that carries a hand: damped least squares within the joint limits. The task
-of a step (``planner.numerics.qp``) is the twist e from the palm's pose to the wanted one, with its
+of a step (``numerics.least_squares``) is the twist e from the palm's pose to the wanted one, with its
 Jacobian over the arm's joints, both in the palm's frame and rotations weighed by ``LEVER``; the
 damping |e|^2 + ``DAMPING`` vanishes with the error (Sugihara 2011, "Solvability-unconcerned inverse
 kinematics by the Levenberg-Marquardt method"). One start can end in a local minimum, so several are
@@ -33,7 +33,7 @@ from planner.errors import HandError, ModelError, shown
 from planner.hands.arm import Arm
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.numerics.qp import Task, ik_step
+from planner.numerics.least_squares import Task, ik_step
 from planner.spatial import SE3, FloatArray, IntArray, cross, skew
 from planner.system.threads import kept_by_thread
 

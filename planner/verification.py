@@ -12,7 +12,7 @@ couplings,
 
     min |dq|  s.t.  n_i' J_i dq = -gap_i,   C dq = d - C q,   wrist and base as they are,
 
-repeated until gaps and couplings are met (``planner.numerics.qp``).
+repeated until gaps and couplings are met (``planner.numerics.least_squares``).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from planner.forces import (
     gravity_wrench,
 )
 from planner.kinematics import moving_hand
-from planner.numerics.qp import Task, ik_step
+from planner.numerics.least_squares import Task, ik_step
 from planner.objects import NeededWrench
 from planner.plan import GraspPlan, SolveRecord, Verification
 from planner.quality import ClosureResult, force_closure, plainly_closed

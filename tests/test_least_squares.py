@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from planner.hands.hand import Hand
-from planner.numerics.levenberg_marquardt import LMResult, levenberg_marquardt
+from planner.numerics.least_squares import LMResult, levenberg_marquardt
 from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray

@@ -5,7 +5,8 @@
          hand clear of object, table, obstacles and of itself
 
 with c_i the pad centres of the grasp and n_i the normals into the object. Gauss-Newton steps, each
-a quadratic programme over the joints with everything linearised (``planner.numerics.qp``).
+a quadratic programme over the joints with everything linearised
+(``planner.numerics.least_squares``).
 Near pairs enter only if the solution without them comes too near to something. Fingers that stand
 close to each other may have to move sideways as well while they open. Violated bounds are
 minimised; the verdict is ``planner.collision.pregrasp``'s, on the true geometry.
@@ -26,7 +27,7 @@ from planner.collision.world import CollisionWorld, NearPairs
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics import point_jacobians, tip_reach
-from planner.numerics.qp import Barrier, Task, constrained_ik_step
+from planner.numerics.least_squares import Barrier, Task, constrained_ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["OPENED_SHARE", "PregraspIk", "undetermined_joints"]

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from planner.forces.infeasible import Infeasibility, explain_infeasibility
     from planner.forces.loop import ForceLoop, ForceStep
     from planner.forces.workspace import turned_frames
-    from planner.numerics.qp_workspace import DEFAULT_SOLVER, solver_names
+    from planner.numerics.qp import DEFAULT_SOLVER, solver_names
 
 __all__ = [
     "DEFAULT_SOLVER",
@@ -69,7 +69,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "DEFAULT_SOLVER": "planner.numerics.qp_workspace",
+    "DEFAULT_SOLVER": "planner.numerics.qp",
     "ExpectedLoad": "planner.contacts.friction",
     "ForceLoop": "planner.forces.loop",
     "ForceStep": "planner.forces.loop",
@@ -83,7 +83,7 @@ _HOMES = {
     "cone_gaps": "planner.forces.compare",
     "explain_infeasibility": "planner.forces.infeasible",
     "grip_for_load": "planner.contacts.friction",
-    "solver_names": "planner.numerics.qp_workspace",
+    "solver_names": "planner.numerics.qp",
     "turned_frames": "planner.forces.workspace",
     "turning_wrenches": "planner.forces.compare",
 }

@@ -29,7 +29,7 @@ from planner.forces.problem import force_table, wrench_text
 from planner.forces.solve import Relaxation
 from planner.forces.workspace import ContactWorkspace
 from planner.joints.actuation import Actuation
-from planner.numerics.qp_workspace import DEFAULT_SOLVER, DenseQp, QpWorkspace, qp_workspace
+from planner.numerics.qp import DEFAULT_SOLVER, DenseQp, QpWorkspace, qp_workspace
 from planner.spatial import FloatArray
 
 STEP_TOL = 1e-6

@@ -34,7 +34,7 @@ import numpy as np
 
 from planner.contacts import ContactSet
 from planner.forces.limits import TorqueLimits, names_of_contacts
-from planner.numerics.qp_workspace import DenseQp
+from planner.numerics.qp import DenseQp
 from planner.spatial import FloatArray, IntArray
 
 if TYPE_CHECKING:

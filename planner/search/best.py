@@ -28,7 +28,7 @@ from planner.errors import NotFoundError, TaskError, shown
 from planner.failure import Failure
 from planner.forces import ForceSolution
 from planner.numerics.kernels import attempt_kernels, planning_time
-from planner.numerics.levenberg_marquardt import MAX_ITERATIONS
+from planner.numerics.least_squares import MAX_ITERATIONS
 from planner.plan import BestOf, GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.objectives import EPSILON

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.numerics.levenberg_marquardt import SLOW, LMResult, levenberg_marquardt
+from planner.numerics.least_squares import SLOW, LMResult, levenberg_marquardt
 from planner.numerics.tape import into_buffers
 from planner.shapes.base import Surface
 from planner.spatial import FloatArray
