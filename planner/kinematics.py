@@ -10,11 +10,11 @@ what passes the base's origin, and the angular velocity, for every joint; a join
 only if it moves what carries the point.
 
 ``reach`` moves the arm that carries a hand: damped least squares within the joint limits. The task
-of a step (``numerics.least_squares``) is the twist e from the palm's pose to the wanted one, with its
-Jacobian over the arm's joints, both in the palm's frame and rotations weighed by ``LEVER``; the
-damping |e|^2 + ``DAMPING`` vanishes with the error (Sugihara 2011, "Solvability-unconcerned inverse
-kinematics by the Levenberg-Marquardt method"). One start can end in a local minimum, so several are
-tried: the given posture, then random ones that are always the same.
+of a step (``planner.numerics.least_squares``) is the twist e from the palm's pose to the wanted
+one, with its Jacobian over the arm's joints, both in the palm's frame and rotations weighed by
+``LEVER``; the damping |e|^2 + ``DAMPING`` vanishes with the error (Sugihara 2011, "Solvability-
+unconcerned inverse kinematics by the Levenberg-Marquardt method"). One start can end in a local
+minimum, so several are tried: the given posture, then random ones that are always the same.
 """
 
 from __future__ import annotations

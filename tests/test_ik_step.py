@@ -1,4 +1,4 @@
-"""``planner.numerics.least_squares``: steps by least squares within limits, and those that keep away."""
+"""Steps of inverse kinematics by least squares within limits, and those that keep away."""
 
 from __future__ import annotations
 

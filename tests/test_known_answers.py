@@ -26,8 +26,7 @@ from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.shapes.mesh_field import _one_of_each_cube
 from planner.spatial import SE3
-from planner.synthesis.link_capsules import closest_on_segments
-from planner.synthesis.terms.fingers import nearest
+from planner.synthesis.terms.fingers import closest_on_segments, nearest
 from planner.task import GraspTask
 from sim.crosscheck import reader
 from sim.manipulation.run import ManipulationRun

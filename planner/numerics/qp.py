@@ -41,8 +41,8 @@ ALLOWED_TOL = 1e-8
 """Largest violation (-) of a row or a bound by a solution, over the larger of its largest unknown
 and 1."""
 
-_PRIMAL_TOL = 1e-10
-"""DAQP's own largest violation (-)."""
+_DAQP_SETTINGS = {"primal_tol": 1e-10}
+"""DAQP's default lets limits be violated by 1e-6, which verdicts would refuse."""
 
 _EQUALITY = 5
 """DAQP's mark of a limit that is an equality."""
@@ -104,7 +104,7 @@ def run_daqp(
     n = len(q)
     hessian = np.zeros((n, n)) if p is None else np.ascontiguousarray(p, dtype=np.float64)
     sense = np.where(least == most, _EQUALITY, 0).astype(np.int32)
-    options: dict[str, Any] = {"primal_tol": _PRIMAL_TOL, **settings}
+    options: dict[str, Any] = {**_DAQP_SETTINGS, **settings}
     table = np.ascontiguousarray(a, dtype=np.float64)
     gradient = np.ascontiguousarray(q, dtype=np.float64)
     x, _, flag, info = daqp.solve(hessian, gradient, table, most, least, sense, **options)
@@ -225,12 +225,6 @@ DEFAULT_SOLVER = "daqp"
 CONE_SOLVER = "clarabel"
 """The solver of programmes with second-order cones."""
 
-_DAQP_SETTINGS = {"primal_tol": _PRIMAL_TOL}
-"""DAQP's default lets limits be violated by 1e-6, which verdicts would refuse."""
-
-_DAQP_EQUALITY = 5
-"""DAQP's mark of a row that is an equality."""
-
 _OPTIONS: dict[str, dict[str, Any]] = {
     "clarabel": {"tol_feas": 1e-9, "tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10},
     "highs": {"qp_iteration_limit": 1000},
@@ -340,7 +334,7 @@ class _Daqp(_Workspace):
         super().__init__(qp)
         m, n = qp.a.shape
         self._sense = np.zeros(n + m, dtype=np.int32)
-        self._sense[n : n + qp.equalities] = _DAQP_EQUALITY
+        self._sense[n : n + qp.equalities] = _EQUALITY
         self._model: Any = None
 
     def solve(self) -> bool:

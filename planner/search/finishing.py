@@ -12,11 +12,11 @@ from planner.collision.world import CollisionWorld
 from planner.failure import Failure
 from planner.plan import GraspPlan, SolveRecord
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.link_capsules import capsules_are_true
 from planner.synthesis.optimize import nearly
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem
 from planner.synthesis.symbols import GraspPoint
+from planner.synthesis.terms.fingers import capsules_are_true
 from planner.synthesis.terms.term import Term, first_failure
 from planner.system.threads import kept_by_thread, stage
 from planner.task import GraspTask

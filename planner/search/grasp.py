@@ -23,11 +23,16 @@ from planner.search.best import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted, impro
 from planner.search.finishing import UNSOLVED, finished, true_geometry, true_links
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import nearly, optimize_grasp
-from planner.synthesis.options import ProblemForm, SynthesisOptions, needed_options, with_room
+from planner.synthesis.options import (
+    TERMS,
+    ProblemForm,
+    SynthesisOptions,
+    needed_options,
+    with_room,
+)
 from planner.synthesis.problem import Candidate, GraspProblem, Problems, Start, problems_for
 from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.terms.registry import TERMS
 from planner.system.threads import made_once, stage
 from planner.task import GraspTask
 

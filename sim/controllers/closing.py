@@ -32,7 +32,7 @@ from planner.hands.hand import Hand
 from planner.kinematics import HandState, MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, IntArray, minimum_jerk
-from planner.synthesis.link_capsules import closest_on_segments, collision_pairs, finger_capsules
+from planner.synthesis.terms.fingers import closest_on_segments, collision_pairs, finger_capsules
 from sim.controllers.base import Observation
 from sim.controllers.readings import TOUCH_FORCE
 
