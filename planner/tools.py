@@ -41,7 +41,6 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from planner.arrays import check_fields, checked_kind, finite_array
-from planner.attempt import Attempt, nothing_found, search
 from planner.certify.breaking import breaking_along
 from planner.collision.world import CollisionWorld
 from planner.errors import NotFoundError, ObjectError, TaskError, shown
@@ -53,6 +52,7 @@ from planner.kinematics import HandState
 from planner.objects import GraspObject, NeededWrench, Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
 from planner.schema import StrictData, Vector3, faults_of
+from planner.search.attempt import Attempt, nothing_found, search
 from planner.search.best import best_of_made
 from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, attempts
 from planner.shapes import SIZED_SHAPES, Mesh, Shape

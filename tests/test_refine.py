@@ -25,7 +25,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics import HandState
 from planner.objects import TouchRegion, parse_object, parse_region
-from planner.search.finishing import verified_on_surface
+from planner.search.attempt import verified_on_surface
 from planner.search.refine import Movement, RefinedGrasp, with_fingers
 from planner.search.refine.pose import palm_pose, under_pads
 from planner.search.refine.rungs import NEAR, near_numbers

@@ -39,7 +39,6 @@ GROUPS: dict[str, list[str]] = {
     "Tasks and planning": [
         "planner.task",
         "planner.search",
-        "planner.attempt",
         "planner.plan",
         "planner.synthesis",
         "planner.verification",

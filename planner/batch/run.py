@@ -26,7 +26,6 @@ from weakref import finalize
 
 import numpy as np
 
-from planner.attempt import Attempt, nothing_found, search
 from planner.batch.dataset import GraspSet
 from planner.batch.diversity import GraspFeatures, distances
 from planner.batch.pool import BatchObject, batch_jobs, check_backend, default_backend, planned_rows
@@ -38,6 +37,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
+from planner.search.attempt import Attempt, nothing_found, search
 from planner.search.best import Wanted
 from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, attempts
 from planner.spatial import FloatArray, IntArray

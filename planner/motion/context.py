@@ -26,7 +26,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from planner.attempt import Attempt, run_attempts
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.kinematics import HandState
@@ -37,6 +36,7 @@ from planner.motion.solve import MotionCandidate, MotionSolver
 from planner.motion.terms import Stance
 from planner.motion.verify import MovementVerifier
 from planner.plan import SolveRecord
+from planner.search.attempt import Attempt, run_attempts
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions

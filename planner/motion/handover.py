@@ -28,7 +28,6 @@ import numpy as np
 import pinocchio as pin
 
 from planner.arrays import checked_kind, checked_number
-from planner.attempt import Attempt, check_seed, nothing_found
 from planner.collision.pregrasp import APPROACH_CLEARANCE, CLOSING_SHARES, STANDOFF, Approach
 from planner.collision.world import TABLE_SIZE, CollisionWorld
 from planner.errors import NotFoundError, TaskError
@@ -39,6 +38,7 @@ from planner.hands.two_hands import carriage_joints
 from planner.immutable import freeze
 from planner.numerics.kernels import planning_time
 from planner.plan import GraspPlan
+from planner.search.attempt import Attempt, check_seed, nothing_found
 from planner.search.grasp import attempts
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask, Obstacle

@@ -21,7 +21,6 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from planner.attempt import nothing_found
 from planner.collision.arm_path import LIFT_HEIGHT, verify_arm_path
 from planner.collision.pregrasp import way_back
 from planner.collision.world import CollisionWorld
@@ -48,6 +47,7 @@ from planner.motion.search import MotionAttempt, motion_attempts
 from planner.motion.task import with_fingers
 from planner.motion.verify import FALLS, MovementVerifier, Waypoint, pressed
 from planner.plan import SolveRecord
+from planner.search.attempt import nothing_found
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds import turning_seeder_for

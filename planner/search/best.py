@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from planner.attempt import Attempt, recorded
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError, shown
@@ -30,6 +29,7 @@ from planner.forces import ForceSolution
 from planner.numerics.kernels import attempt_kernels, planning_time
 from planner.numerics.least_squares import MAX_ITERATIONS
 from planner.plan import BestOf, GraspPlan
+from planner.search.attempt import Attempt, recorded
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.objectives import EPSILON
 from planner.synthesis.optimize import NEARLY, GraspRun

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from pinocchio import exp3
 
 from planner.arrays import checked_kind, checked_number
-from planner.attempt import Attempt, check_seed
 from planner.certify import Tolerance, contact_tolerances
 from planner.clouds.belief import STEP, Belief
 from planner.clouds.cloud import GAP, PointCloud
@@ -37,6 +36,7 @@ from planner.kinematics import HandState
 from planner.objects import DEFAULT_MASS, GraspObject
 from planner.plan import GraspPlan
 from planner.quality import force_closure, plainly_closed
+from planner.search.attempt import Attempt, check_seed
 from planner.search.grasp import attempts
 from planner.shapes import Mesh
 from planner.shapes.mesh import surface_triangles

@@ -14,13 +14,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
 from planner.plan import GraspPlan
+from planner.search.attempt import (
+    UNSOLVED,
+    Attempt,
+    check_seed,
+    finished,
+    nothing_found,
+    run_attempts,
+    search,
+    true_geometry,
+    true_links,
+)
 from planner.search.best import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted, improving_attempts
-from planner.search.finishing import UNSOLVED, finished, true_geometry, true_links
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import nearly, optimize_grasp
 from planner.synthesis.options import (

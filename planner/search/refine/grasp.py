@@ -22,13 +22,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.attempt import Attempt
 from planner.collision.pad_contact import pad_contacts
 from planner.failure import Failure
 from planner.immutable import freeze
 from planner.numerics.kernels import attempt_kernels
 from planner.plan import GraspPlan, SolveRecord
-from planner.search.finishing import true_geometry, verified_on_surface
+from planner.search.attempt import Attempt, true_geometry, verified_on_surface
 from planner.search.refine.pose import (
     GivenPose,
     Movement,

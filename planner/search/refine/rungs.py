@@ -31,7 +31,7 @@ from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.kinematics import moving_hand
 from planner.plan import GraspPlan
-from planner.search.finishing import finished, true_links
+from planner.search.attempt import finished, true_links
 from planner.search.refine.pose import JOINT_UNIT, LENGTH_UNIT, TURN_UNIT, GivenPose, UnderPads
 from planner.shapes.base import Patch, Surface
 from planner.spatial import FloatArray
