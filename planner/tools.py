@@ -52,8 +52,7 @@ from planner.kinematics import HandState
 from planner.objects import GraspObject, NeededWrench, Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
 from planner.schema import StrictData, Vector3, faults_of
-from planner.search.attempt import Attempt, nothing_found, search
-from planner.search.best import best_of_made
+from planner.search.attempt import Attempt, best_of_made, nothing_found, search
 from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, attempts
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
 from planner.shapes.made import fans, stacked

@@ -38,8 +38,7 @@ from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.search.attempt import Attempt, nothing_found, search
-from planner.search.best import Wanted
-from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, attempts
+from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, Wanted, attempts
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.options import SynthesisOptions
 from planner.system.package import written_by

@@ -23,7 +23,7 @@ from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
 from planner.numerics.kernels import attempt_kernels, planning_time
-from planner.plan import GraspPlan, SolveRecord
+from planner.plan import BestOf, GraspPlan, SolveRecord
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import nearly
 from planner.synthesis.options import SynthesisOptions
@@ -44,6 +44,7 @@ __all__ = [
     "Attempt",
     "Built",
     "SearchContext",
+    "best_of_made",
     "check_seed",
     "finished",
     "nothing_found",
@@ -304,3 +305,26 @@ def nothing_found(what: str, made: Sequence[Attempt[PlanT]], remedy: str) -> NoG
     return NoGraspFoundError(
         f"no {what} in {len(made)} attempts: {'; '.join(told)}. {remedy}", tuple(made)
     )
+
+
+def best_of_made(
+    plan: GraspPlan,
+    made: Sequence[Attempt[GraspPlan]],
+    *,
+    metric: str,
+    value: float,
+    improving: bool = False,
+) -> GraspPlan:
+    """A plan with the record of the attempts that it is the best of.
+
+    Args:
+        plan: The best.
+        made: All attempts.
+        metric: By what.
+        value: What it is worth by that.
+        improving: Whether attempts built on each other.
+    """
+    found = sum(attempt.plan is not None for attempt in made)
+    best = BestOf(found=found, metric=metric, value=value, improving=improving)
+    spent = sum(attempt.cpu_s for attempt in made)
+    return replace(plan, record=replace(plan.record, attempts=len(made), cpu_s=spent, best=best))

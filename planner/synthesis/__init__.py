@@ -5,7 +5,7 @@ from planner.synthesis.objectives import OBJECTIVES, gravity_any_direction, tool
 from planner.synthesis.options import TERMS, SynthesisOptions, register_term
 from planner.synthesis.problem import GraspProblem, Start, build_problem
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.symbols import GraspPoint, GraspSymbols
+from planner.synthesis.symbols import GraspPoint, GraspSymbols, SymbolicHand
 from planner.synthesis.terms.term import Role, Rows, SphereClearance, Term
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "Seeder",
     "SphereClearance",
     "Start",
+    "SymbolicHand",
     "SynthesisOptions",
     "Term",
     "build_problem",

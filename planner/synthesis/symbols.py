@@ -24,8 +24,6 @@ from planner.shapes.base import CODE_DIM, SIZE_DIM, Surface
 from planner.spatial import SE3, FloatArray, skew
 from planner.task import GraspTask
 
-__all__ = ["SymbolicHand"]
-
 
 @dataclass(frozen=True)
 class _Placement:
