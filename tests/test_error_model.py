@@ -42,7 +42,7 @@ from sim.sensing.errors import (
     named_errors,
     register_errors,
 )
-from sim.sensing.errors.drawn import stream
+from sim.sensing.errors.model import stream
 from sim.sensing.errors.senses import Drift, RealSenses
 from sim.sensing.errors.trial import RealDrive, center_offset
 from sim.simulation import Simulation

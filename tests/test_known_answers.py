@@ -15,8 +15,8 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from planner.bridge.structure import JointPart
-from planner.describe.report import LEAST_HEIGHT, fitting_objects
-from planner.describe.servos import missing_servos
+from planner.describe.drive import missing_servos
+from planner.describe.proposal import LEAST_HEIGHT, fitting_objects
 from planner.errors import HandError
 from planner.failure import Failure
 from planner.hand_loading import load_hand

@@ -29,8 +29,8 @@ from planner.shapes import SIZED_SHAPES, Box, Mesh
 from planner.spatial import SE3, contact_frames
 from planner.synthesis.options import SynthesisOptions
 from planner.tools import load_tool
+from sim.controllers.base import PadReading
 from sim.controllers.impedance import ImpedanceGains
-from sim.controllers.readings import PadReading
 from sim.crosscheck.parts import Tolerances
 from sim.datasets.episodes.episode import Asked
 from sim.datasets.reset_states.starts import Draws, StatesAsked

@@ -18,7 +18,7 @@ from plain_check import doubts
 
 from benchmarks.refine import perturbed
 from planner import GraspPlan, GraspTask, plan_grasp, refine_grasp, refine_grasps
-from planner.batch.refined import _packed, _Reader
+from planner.batch.run import _packed, _Reader
 from planner.errors import HandError, NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
@@ -472,7 +472,7 @@ def test_results_come_one_by_one_and_stop_when_nobody_asks(
         made.append(1)
         return refine_grasp(*args, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("planner.batch.refined.refine_grasp", counted)
+    monkeypatch.setattr("planner.batch.run.refine_grasp", counted)
     results = refine_grasps(task, poses)
     assert next(results)[0] == 0
     assert len(made) == 1

@@ -22,7 +22,7 @@ from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, NotFoundError, TaskError
 from planner.files import read_plan
 from planner.hand_loading import load_hand
-from planner.hands import link_pads
+from planner.hands import fingers as link_pads
 from planner.hands.fingers import Pad
 from planner.hands.grasp_types import contact_sets
 from planner.hands.hand import Hand

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.bridge import LinkGeometry
-from planner.describe.report import Findings
+from planner.describe.proposal import Findings
 from planner.hands.hand import Hand
 from planner.joints.couplings import nearest_on_couplings
 from planner.kinematics import HandState

@@ -15,8 +15,17 @@ import trimesh
 
 from planner.contacts import ContactSet
 from planner.kinematics import HandState
-from planner.pages.hand_model import hand_model
-from planner.pages.scene import IDENTITY_ROW, Actor, Contacts, Layer, Model, Part, View, pose_row
+from planner.pages.scene import (
+    IDENTITY_ROW,
+    Actor,
+    Contacts,
+    Layer,
+    Model,
+    Part,
+    View,
+    hand_model,
+    pose_row,
+)
 from planner.plan import GraspPlan
 from planner.shapes import Shape
 from planner.shapes.mesh import surface_points, surface_triangles

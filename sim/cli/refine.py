@@ -28,7 +28,7 @@ from sim.cli.judge import check_rows, judge, sets_of_ours, sets_of_theirs
 from sim.cli.options import SCENE, JsonOption, argument, command, flag, option
 from sim.cli.reading import ReadingOptions, listed_plans, our_kind
 from sim.cli.tasks import TaskOptions
-from sim.progress import ProgressBar
+from sim.runner import ProgressBar
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -35,8 +35,7 @@ from planner.kinematics import HandState, MovingHand
 from planner.plan import GraspPlan
 from planner.shapes.base import Shape
 from planner.spatial import SE3, FloatArray, skew
-from sim.controllers.base import Observation
-from sim.controllers.readings import PadReading
+from sim.controllers.base import Observation, PadReading
 
 OFFSET = np.deg2rad(2.0)
 """Prior standard deviation (rad) of a joint's offset: between a good calibration and a bad one."""

@@ -33,8 +33,7 @@ from planner.kinematics import HandState, MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, IntArray, minimum_jerk
 from planner.synthesis.terms.fingers import closest_on_segments, collision_pairs, finger_capsules
-from sim.controllers.base import Observation
-from sim.controllers.readings import TOUCH_FORCE
+from sim.controllers.base import TOUCH_FORCE, Observation
 
 
 class Neighbours:

@@ -40,7 +40,7 @@ from planner.arrays import check_fields
 from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
-from sim.controllers.readings import PoseUncertainty
+from sim.controllers.base import PoseUncertainty
 
 DEVIATIONS = 3.0
 """How many standard deviations of the estimate, the largest so far, it may take back (-)."""

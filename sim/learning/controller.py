@@ -31,8 +31,8 @@ from sim.controllers import (
     Reference,
     Sense,
 )
+from sim.controllers.base import TOUCH_FORCE
 from sim.controllers.monitors import ContactSchedule
-from sim.controllers.readings import TOUCH_FORCE
 from sim.learning.policy import ACTION_SCALE, RATE_HZ, Policy
 from sim.learning.senses import AIM, SENSES, Playback, SenseHistory
 

@@ -44,9 +44,9 @@ from sim.controllers import (
     Target,
     controller_for,
 )
+from sim.controllers.base import TOUCH_FORCE
 from sim.controllers.monitors import ContactSchedule
 from sim.controllers.object_impedance import REFERENCE_PHASES
-from sim.controllers.readings import TOUCH_FORCE
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,8 +1,7 @@
 """Tactile pads: arrays of taxels, what follows from their images, and cheaper senses of touch."""
 
-from sim.controllers.readings import EXACT
-from sim.sensing.touch.binary import BinarySense
-from sim.sensing.touch.effort import EffortSense
+from sim.controllers.base import EXACT
+from sim.sensing.touch.effort import BinarySense, EffortSense
 from sim.sensing.touch.estimate import ContactEstimate, ContactEstimator, TaxelFrictionEstimator
 from sim.sensing.touch.exact import (
     PadContact,
