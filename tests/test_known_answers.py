@@ -31,7 +31,7 @@ from planner.task import GraspTask
 from sim.crosscheck import reader
 from sim.manipulation.run import ManipulationRun
 from sim.sensing.errors import ERROR_MODELS
-from sim.sensing.touch.estimate import GRID, ContactEstimate, TaxelFrictionEstimator
+from sim.sensing.touch.layout import GRID, ContactEstimate, TaxelFrictionEstimator
 
 
 def test_nearest_points_of_segments_are_those_of_least_squares() -> None:

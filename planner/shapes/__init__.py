@@ -16,9 +16,8 @@ from planner.shapes.stable import StablePose
 from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
-    from planner.shapes.ellipsoid import Ellipsoid
     from planner.shapes.made import Channel, Hammer, Knot, LBracket, Mug, Superquadric, Torus
-    from planner.shapes.round import Capsule, Cylinder, Sphere
+    from planner.shapes.round import Capsule, Cylinder, Ellipsoid, Sphere
     from planner.shapes.vessels import Bowl, Cup, Pan, Plate, Teacup, Tube
 
 __all__ = [
@@ -56,7 +55,7 @@ _HOMES = {
     "Channel": "planner.shapes.made",
     "Cup": "planner.shapes.vessels",
     "Cylinder": "planner.shapes.round",
-    "Ellipsoid": "planner.shapes.ellipsoid",
+    "Ellipsoid": "planner.shapes.round",
     "Hammer": "planner.shapes.made",
     "Knot": "planner.shapes.made",
     "LBracket": "planner.shapes.made",

@@ -70,7 +70,7 @@ _OURS = {
     "box": "box:Box",
     "cylinder": "round:Cylinder",
     "capsule": "round:Capsule",
-    "ellipsoid": "ellipsoid:Ellipsoid",
+    "ellipsoid": "round:Ellipsoid",
     "mug": "made:Mug",
     "lbracket": "made:LBracket",
     "torus": "made:Torus",

@@ -46,6 +46,7 @@ from sim.controllers.base import (
     Reference,
     Sense,
 )
+from sim.controllers.calibration import StopCorrection
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import (
     EstimateCorrection,
@@ -53,7 +54,6 @@ from sim.controllers.impedance import (
     ImpedanceLaw,
     effective_inertia,
 )
-from sim.controllers.joint_stops import StopCorrection
 from sim.controllers.monitors import ContactSchedule, InfeasibilityMonitor, SlipDetector
 from sim.controllers.torques import HoldingTorques, twist_of
 
