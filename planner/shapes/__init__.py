@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from planner.shapes.base import Shape
 from planner.shapes.box import Box
+from planner.shapes.hulls import StablePose
 from planner.shapes.mesh import Mesh
 from planner.shapes.registry import (
     SIZED_SHAPES,
@@ -12,7 +13,6 @@ from planner.shapes.registry import (
     shape_key,
     shape_to_dict,
 )
-from planner.shapes.stable import StablePose
 from planner.system.package import lazy_names
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ import numpy as np
 
 from planner.arrays import checked_number, float_array
 from planner.errors import ObjectError, shown
-from planner.shapes.stable import StablePose
+from planner.shapes.hulls import StablePose
 from planner.spatial import SE3, FloatArray
 
 SOFTNESS = 0.002

@@ -23,7 +23,7 @@ from planner.shapes.base import (
     edge_margin,
     sign,
 )
-from planner.shapes.stable import StablePose, stable_poses
+from planner.shapes.hulls import StablePose, stable_poses
 from planner.spatial import FloatArray, fixed_array
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.errors import ObjectError
 from planner.shapes.base import ON_SURFACE, Shape, checked_points, unit
-from planner.shapes.hulls import convex_geometry, hull_of
+from planner.shapes.hulls import StablePose, convex_geometry, hull_of, stable_poses
 from planner.shapes.meshes.triangles import (
     Polyhedron,
     checked_triangles,
@@ -25,7 +25,6 @@ from planner.shapes.meshes.triangles import (
     pierced,
     winding_number,
 )
-from planner.shapes.stable import StablePose, stable_poses
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
 from planner.tolerances import EDGE_SPREAD
