@@ -21,10 +21,18 @@ from sim.controllers.base import MeasuredPose
 from sim.sensing.errors import ErrorModel
 from sim.sensing.errors.senses import Drift
 from sim.sensing.estimation import ContactNoise, ObjectEstimator, SensorErrors
-from sim.sensing.estimation.contacts import Grip, TipKinematics, Tips, rolling, touch_equations
 from sim.sensing.estimation.estimator import PERIOD
 from sim.sensing.estimation.filter import FOUND, LOST, TOO_MANY, LossDetector, PoseFilter
-from sim.sensing.estimation.state import Estimate, PoseMeasurement, SensorSample
+from sim.sensing.estimation.state import (
+    Estimate,
+    Grip,
+    PoseMeasurement,
+    SensorSample,
+    TipKinematics,
+    Tips,
+    rolling,
+    touch_equations,
+)
 
 DT = 0.002
 FINE = 1e-6

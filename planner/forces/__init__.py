@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from planner.forces.compliance import GraspCompliance
     from planner.forces.infeasible import Infeasibility, explain_infeasibility
     from planner.forces.loop import ForceLoop, ForceStep
-    from planner.forces.workspace import turned_frames
+    from planner.forces.problem import turned_frames
     from planner.numerics.qp import DEFAULT_SOLVER, solver_names
 
 __all__ = [
@@ -84,7 +84,7 @@ _HOMES = {
     "explain_infeasibility": "planner.forces.infeasible",
     "grip_for_load": "planner.contacts.friction",
     "solver_names": "planner.numerics.qp",
-    "turned_frames": "planner.forces.workspace",
+    "turned_frames": "planner.forces.problem",
     "turning_wrenches": "planner.forces.compare",
 }
 """What a plan does not need -> the module that defines it."""

@@ -31,21 +31,19 @@ from planner.arrays import check_fields
 from planner.spatial import SE3, FloatArray, skew
 from planner.task import GraspTask
 from sim.controllers import Event
-from sim.sensing.estimation.contacts import (
-    Grip,
-    Motion,
-    TipKinematics,
-    Tips,
-    nearest,
-    rolling,
-    touch_equations,
-)
 from sim.sensing.estimation.state import (
     Estimate,
+    Grip,
+    Motion,
     PoseMeasurement,
     SensorErrors,
     SensorSample,
+    TipKinematics,
+    Tips,
     about_origin,
+    nearest,
+    rolling,
+    touch_equations,
 )
 
 FARTHEST = 22.5
