@@ -47,7 +47,7 @@ from benchmarks.summary import (
 from planner.certify import smallest_breaking
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from planner.verification.grasp import with_grip
+from planner.verification import with_grip
 from sim.cli.execution import error_model_of
 from sim.cli.options import ErrorModelOption
 from sim.controllers import CONTROLLERS, ObjectImpedance

@@ -20,7 +20,7 @@ from benchmarks.common import MESHES, PRIMITIVES, cells_of, known, plan_of
 from benchmarks.summary import counted, of, share, summary, table_data
 from planner.errors import TaskError
 from planner.plan import GraspPlan
-from planner.verification.grasp import plan_forces
+from planner.verification import plan_forces
 from sim.cli.execution import error_model_of
 from sim.cli.options import ErrorModelOption
 from sim.creep import CREEP_BUDGET, least_creep, remedies

@@ -31,7 +31,7 @@ from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.search.refine import refine_grasp
 from planner.spatial import SE3, FloatArray
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 from sim.cli.options import numbers
 from sim.tables import Row
 

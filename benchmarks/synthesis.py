@@ -35,8 +35,8 @@ from benchmarks.common import (
     task_of,
 )
 from benchmarks.summary import Cell, Frame, amount, of, parts, ratio, summary
-from planner.approach.pregrasp import APPROACH_KINDS
 from planner.batch import GraspFeatures, diversity
+from planner.collision.pregrasp import APPROACH_KINDS
 from planner.errors import PlannerError, TaskError
 from planner.numerics.kernels import compiled_searches
 from planner.quality.ball import epsilon_frogger, epsilon_l1

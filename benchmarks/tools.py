@@ -17,8 +17,8 @@ import typer
 from benchmarks.bench import HandOptions
 from benchmarks.common import checked_hand
 from benchmarks.summary import counted, of, share, summary
-from planner.attempt import SearchRecord
 from planner.errors import NoGraspFoundError
+from planner.plan import SearchRecord
 from planner.tools import load_tool
 from sim.scene.physics import PhysicsOptions
 from sim.tables import Row

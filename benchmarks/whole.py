@@ -36,7 +36,7 @@ from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GraspTask
-from planner.verification.grasp import force_arguments
+from planner.verification import force_arguments
 from sim.creep import compliance_of
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.tables import Row

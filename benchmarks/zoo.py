@@ -24,7 +24,7 @@ from benchmarks.bench import NumberOption
 from benchmarks.bench import Options as Shared
 from benchmarks.summary import table_data
 from planner.describe import check_hand, propose, write_proposal
-from planner.describe.report import fitting_objects
+from planner.describe.proposal import fitting_objects
 from planner.errors import FileFormatError, NoGraspFoundError, NotFoundError, PlannerError
 from planner.hand_loading import load_hand
 from planner.hands.catalog import foreign_hand_names, hand_names

@@ -16,7 +16,7 @@ sys.path.insert(0, str(HERE))
 # a dozen plans for examples of formats: compiling loops for them would take longer than they do
 os.environ.setdefault("OPPOSABLE_COMPILE", "0")
 
-from planner.version import __version__  # noqa: E402
+from planner.system.package import __version__  # noqa: E402
 
 SearchEnglish.stem = cache(SearchEnglish.stem)  # type: ignore[method-assign]  # each word once
 Parser.parse_definition = lambda parser: None  # type: ignore[assignment, method-assign]  # for literalinclude

@@ -13,8 +13,7 @@ loading MuJoCo, Pinocchio, coal or CasADi.
 from typing import TYPE_CHECKING
 
 from planner.showing import register_notebook, register_page
-from planner.system.package import lazy_names
-from planner.version import __version__
+from planner.system.package import __version__, lazy_names
 
 if TYPE_CHECKING:
     from planner.batch import GraspSet, plan_grasps, plan_several, refine_grasps
@@ -25,8 +24,7 @@ if TYPE_CHECKING:
     from planner.forces import distribute_forces
     from planner.hand_loading import hand_from_model, hand_from_spec, load_hand
     from planner.hands.hand import Hand
-    from planner.kinematics.state import HandState
-    from planner.kinematics.symbolic import SymbolicHand
+    from planner.kinematics import HandState
     from planner.motion import (
         GaitPlan,
         HandoverPlan,
@@ -48,6 +46,7 @@ if TYPE_CHECKING:
     from planner.search.grasp import attempts, plan_grasp, plans
     from planner.search.refine import refine_grasp
     from planner.spatial import SE3
+    from planner.synthesis.symbols import SymbolicHand
     from planner.task import GraspTask, Obstacle
     from planner.tools import Tool, load_tool, plan_use, use_task
 
@@ -117,7 +116,7 @@ _HOMES = {
     "hand_from_model": "planner.hand_loading",
     "hand_from_spec": "planner.hand_loading",
     "load_hand": "planner.hand_loading",
-    "HandState": "planner.kinematics.state",
+    "HandState": "planner.kinematics",
     "HandoverPlan": "planner.motion",
     "ManipulationPlan": "planner.motion",
     "MotionPlan": "planner.motion",
@@ -128,7 +127,7 @@ _HOMES = {
     "PlannerError": "planner.errors",
     "PointCloud": "planner.clouds",
     "SE3": "planner.spatial",
-    "SymbolicHand": "planner.kinematics.symbolic",
+    "SymbolicHand": "planner.synthesis.symbols",
     "Tool": "planner.tools",
     "analyse": "planner.quality",
     "attempts": "planner.search.grasp",

@@ -11,10 +11,10 @@ from typing import Any
 
 from planner.bridge import load_spec
 from planner.errors import HandError
-from planner.hands.arm import read_mount
+from planner.hands.arm import mount_of
 from planner.hands.build import build_from_spec, build_hand, hand_on_arm
 from planner.hands.catalog import find_hand, hand_reference, joined_names
-from planner.hands.description_toml import DescribedHand, is_pair, read_description
+from planner.hands.description_toml import DescribedHand, read_description, read_toml
 from planner.hands.hand import Hand
 from planner.joints.description import HandDescription
 
@@ -49,10 +49,11 @@ def load_hand(name_or_path: str | Path, *, download: bool = True) -> Hand:
     path = find_hand(name_or_path, download=download)
     reference = hand_reference(name_or_path)
     if path.suffix == ".toml":
-        mount = read_mount(path)
-        if mount is not None:
+        raw = read_toml(path)
+        if "arm" in raw:
+            mount = mount_of(path, raw)
             return hand_on_arm(load_hand(mount.hand_path), mount, reference)
-        if is_pair(path):
+        if "hands" in raw:
             from planner.hands.two_hands import read_pair, two_hands
 
             pair = read_pair(path)

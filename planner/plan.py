@@ -7,20 +7,38 @@ from functools import cached_property
 
 import numpy as np
 
-from planner.approach.arm_path import ArmPath
-from planner.attempt import SearchRecord
+from planner.collision.arm_path import ArmPath
 from planner.collision.world import Clearance
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.forces import ForceSolution
 from planner.immutable import freeze
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.quality import QualityReport, analyse
 from planner.showing import Shown, in_notebook
 from planner.spatial import SE3, FloatArray, interpolate_path, minimum_jerk
 from planner.task import GraspTask
 
-__all__ = ["BestOf", "GraspPlan", "JointTrajectory", "SolveRecord", "Verification"]
+__all__ = ["BestOf", "GraspPlan", "JointTrajectory", "SearchRecord", "SolveRecord", "Verification"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchRecord:
+    """Which attempt of a search gave a plan, and what that cost; ``run_attempts`` fills it in.
+
+    Attributes:
+        seed: Seed of the search.
+        attempt: Number of the attempt that gave the plan, from 0; seed and attempt fix the start.
+        attempts: How many attempts had been made when it was found.
+        cpu_s: CPU time of the search until it was found, s, without building.
+        build_s: Time that building the problem took, s: once per hand, fingers and kind of shape.
+    """
+
+    seed: int = 0
+    attempt: int = 0
+    attempts: int = 1
+    cpu_s: float = 0.0
+    build_s: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +138,7 @@ class JointTrajectory:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GraspPlan(Shown):
-    """A grasp that passed every check of ``planner.verification.geometry`` and the force QP.
+    """A grasp that passed every check of ``planner.verification`` and the force QP.
 
     Like its task it never changes: poses and arrays are read-only copies.
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from planner.arrays import checked_kind, checked_number
 from planner.contacts import CONTACT_DIM, MOST_FRICTION, ContactModel
+from planner.contacts.friction import LEAST_MU, ExpectedLoad, grip_for_load
 from planner.errors import TaskError, shown
-from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
 from planner.hand_loading import load_hand
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand

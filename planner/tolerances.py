@@ -31,7 +31,7 @@ TOUCH_TOL = 5e-4
 
 PENETRATION_TOL = 5e-6
 """Depth (m) from which two geometries that must not touch count as penetrating: coal is that
-accurate in penetration (``planner.proximity.convex``)."""
+accurate in penetration (``planner.shapes.convex_pairs``)."""
 
 ANGLE_TOL = 1e-3
 """How far (rad) a contact may lie outside the pad's cone: the solver's accuracy."""

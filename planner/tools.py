@@ -41,7 +41,6 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from planner.arrays import check_fields, checked_kind, finite_array
-from planner.attempt import Attempt, nothing_found, search
 from planner.certify.breaking import breaking_along
 from planner.collision.world import CollisionWorld
 from planner.errors import NotFoundError, ObjectError, TaskError, shown
@@ -49,11 +48,11 @@ from planner.failure import Failure
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.joints.description import PINCH
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import GraspObject, NeededWrench, Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
 from planner.schema import StrictData, Vector3, faults_of
-from planner.search.best import best_of_made
+from planner.search.attempt import Attempt, best_of_made, nothing_found, search
 from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, attempts
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
 from planner.shapes.made import fans, stacked
@@ -61,7 +60,7 @@ from planner.spatial import SE3, FloatArray, fixed_array
 from planner.synthesis.options import SynthesisOptions
 from planner.system.package import models_dir
 from planner.task import GraspTask, Obstacle
-from planner.verification.grasp import NO_NEEDED
+from planner.verification import NO_NEEDED
 
 __all__ = ["Tool", "load_tool", "plan_use", "read_tool", "tool_names", "use_task"]
 

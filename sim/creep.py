@@ -53,7 +53,7 @@ from planner.errors import TaskError
 from planner.forces import GraspCompliance, build_force_problem
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from planner.verification.grasp import force_arguments
+from planner.verification import force_arguments
 from sim.scene.build import Scene
 from sim.scene.physics import PhysicsOptions
 

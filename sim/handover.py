@@ -25,8 +25,8 @@ from planner.motion.handover import HandoverPlan
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers import PHASES, Observation, Phase
+from sim.controllers.base import TOUCH_FORCE
 from sim.controllers.grasp import RECLOSING_TIME, GraspController
-from sim.controllers.readings import TOUCH_FORCE
 from sim.recorder import Recorder
 from sim.recording import Samples
 from sim.report import FingerComparison, TrialReport

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, pose_change, pose_to_wxyz
 from planner.system.threads import interrupts_wait

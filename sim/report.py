@@ -22,7 +22,7 @@ from planner.plan import GraspPlan
 from planner.quality import QualityReport, analyse
 from planner.showing import Shown, in_notebook
 from planner.spatial import FloatArray
-from planner.version import written_by
+from planner.system.package import written_by
 from sim.controllers.base import Event
 from sim.recording import Recording, SampleData, Samples
 from sim.report_file import ComparisonData, ExecutionFile, ReportFile, UseRecord

@@ -48,7 +48,7 @@ from sim.show.painter import Viewer
 from sim.show.picture import FRAME_RATE, Tape, draw_tape
 
 if TYPE_CHECKING:
-    from sim.controllers.readings import TouchReading
+    from sim.controllers.base import TouchReading
     from sim.sensing.errors import TrialErrors
     from sim.sensing.estimation import AnyEstimator, Estimator
 

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres, margin_of
 from planner.synthesis.problem import Candidate, GraspProblem, Start

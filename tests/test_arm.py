@@ -21,18 +21,18 @@ from planner.errors import (
 )
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.arm_ik import (
+from planner.kinematics import (
     POSITION_TOL,
     ROTATION_TOL,
+    HandState,
     follow,
     palm_pose,
     reach,
     straight_path,
 )
-from planner.kinematics.state import HandState
-from planner.kinematics.symbolic import SymbolicHand
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.synthesis.symbols import SymbolicHand
 from planner.system.package import models_dir
 from planner.task import GraspTask
 from sim.sensing.errors import Drawn, ErrorModel, drawn_numbers, drawn_text

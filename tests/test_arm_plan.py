@@ -14,15 +14,14 @@ import pytest
 from conftest import PlanOf
 from manipulations import QUICK, task_of
 
-from planner.approach.arm_path import LIFT_HEIGHT, _Radii, verify_arm_path, verify_lift
-from planner.approach.pregrasp import APPROACH_CLEARANCE, Approach, verify_approach
+from planner.collision.arm_path import LIFT_HEIGHT, _Radii, verify_arm_path, verify_lift
+from planner.collision.pregrasp import APPROACH_CLEARANCE, Approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.errors import FileFormatError, TaskError
 from planner.files import read_plan, write_plan
 from planner.files.movements import manipulation_from_dict, movement_to_dict
 from planner.hands.hand import Hand
-from planner.kinematics.arm_ik import palm_path, palm_pose
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState, palm_path, palm_pose
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.motion.single_stroke import OnArm
 from planner.objects import GraspObject

@@ -1,4 +1,4 @@
-"""``planner.attempt``: the loop of a search, and what is said when a budget ends."""
+"""``planner.search.attempt``: the loop of a search, and what is said when a budget ends."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from planner.attempt import (
+from planner.errors import TaskError
+from planner.failure import Failure
+from planner.plan import SearchRecord
+from planner.search.attempt import (
     Attempt,
     SearchContext,
-    SearchRecord,
     check_seed,
     nothing_found,
     run_attempts,
     search,
 )
-from planner.errors import TaskError
-from planner.failure import Failure
 
 
 @dataclass(frozen=True)

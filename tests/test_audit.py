@@ -36,7 +36,7 @@ from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 BOX = "box:0.05x0.05x0.08"
 

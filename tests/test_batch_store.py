@@ -20,8 +20,8 @@ from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search.grasp import Attempt
+from planner.system.package import written_by
 from planner.task import GraspTask
-from planner.version import written_by
 
 pytest.importorskip("pyarrow")
 

@@ -18,7 +18,7 @@ from planner.certify import smallest_breaking
 from planner.contacts import ContactSet
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from planner.verification.grasp import with_grip
+from planner.verification import with_grip
 from sim.contacts import hand_contacts
 from sim.contacts.reading import read_pads
 from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading

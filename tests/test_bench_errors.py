@@ -113,7 +113,7 @@ def test_truth_keeps_the_world_and_the_drives_and_takes_all_of_the_senses() -> N
 
 
 def test_blind_sees_the_object_once() -> None:
-    from sim.sensing.errors.drawn import Drawn
+    from sim.sensing.errors.model import Drawn
     from sim.sensing.errors.senses import RealSenses
 
     task = task_of("cylinder:0.03x0.08")

@@ -10,7 +10,7 @@ from benchmarks.limit import best_contacts, measure, surface_points, tables
 from planner.contacts import ContactSet
 from planner.quality.ball import epsilon_l1
 from planner.shapes import Box, Mesh, Sphere
-from planner.shapes.surface import EDGE_MARGIN
+from planner.shapes.base import EDGE_MARGIN
 
 RADIUS, MU = 0.03, 0.5
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]]) / np.sqrt(3)

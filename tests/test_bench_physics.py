@@ -13,7 +13,7 @@ from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
-from planner.verification.grasp import with_grip
+from planner.verification import with_grip
 from sim.scene.physics import PRESETS, PhysicsOptions
 from sim.sensing.errors import ErrorModel
 

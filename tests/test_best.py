@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.attempt import Attempt
 from planner.batch import GraspFeatures, plan_several, separations
 from planner.batch.run import farthest_points
 from planner.errors import FileFormatError, NoGraspFoundError, NotFoundError, TaskError
@@ -18,6 +17,7 @@ from planner.files import plan_to_dict, read_plan, write_plan
 from planner.files.disk import read_json, write_json
 from planner.files.plans import plan_from_dict
 from planner.plan import GraspPlan
+from planner.search.attempt import Attempt
 from planner.search.best import FALLEN_BEHIND
 from planner.search.grasp import attempts, plan_grasp, plans
 from planner.search.metrics import METRICS, Measure, Metric, evaluate_metrics, register_metric

@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 
 from planner.files import read_plan
 from planner.plan import GraspPlan
-from planner.search.best import Wanted
+from planner.search.grasp import Wanted
 from sim.cli import app
 
 CYLINDER = ("allegro_hand", "cylinder", "--rounds", "0")

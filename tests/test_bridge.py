@@ -23,7 +23,7 @@ from planner.bridge import (
 from planner.bridge.geometry import allowed_pairs
 from planner.errors import ModelError
 from planner.hands.hand import Hand
-from planner.proximity.convex import DistancePair
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import FloatArray, pose_from_wxyz
 
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)

@@ -13,7 +13,7 @@ from planner.certify import NEAR, Neighbourhood, bound_nearby, breaking_along
 from planner.certify.nearby import Changes
 from planner.contacts import ContactSet, cone_edges
 from planner.errors import ContactError, TaskError
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray

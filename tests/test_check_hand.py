@@ -19,7 +19,7 @@ from planner.describe.overlaps import HandGaps, frequent_overlaps
 from planner.errors import HandError, TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.synthesis.seeds.opposition import opposition
 from planner.system.package import models_dir
 from planner.task import GraspTask

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from benchmarks.slips import LATENCY, Slip, score_slips, true_slips
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, skew

@@ -18,7 +18,7 @@ from test_sim_controllers import observe
 from planner.errors import FileFormatError
 from planner.files import plan_to_dict, read_plan
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray, minimum_jerk

@@ -19,8 +19,7 @@ from planner.quality import force_closure
 from planner.spatial import SE3
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
-from planner.verification.geometry import contacts_at
-from planner.verification.grasp import plan_forces
+from planner.verification import contacts_at, plan_forces
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -12,7 +12,7 @@ import pytest
 from planner.collision.world import FAR, OBJECT, TABLE, Clearance, CollisionWorld
 from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import GraspObject, parse_object
 from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from planner.task import GraspTask, Obstacle

@@ -14,7 +14,8 @@ from scipy.linalg import null_space
 from typer.testing import CliRunner
 
 from planner import ContactSet, GraspTask, plan_grasp
-from planner.certify import breaking_along
+from planner.certify import breaking_along, stiffness
+from planner.certify.stiffness import GraspStiffness
 from planner.contacts import ContactModel
 from planner.errors import ContactError
 from planner.forces import GraspCompliance, build_force_problem, distribute_forces
@@ -24,9 +25,7 @@ from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from planner.verification import stiffness
-from planner.verification.grasp import force_arguments, plan_forces
-from planner.verification.stiffness import GraspStiffness
+from planner.verification import force_arguments, plan_forces
 from sim.cli import app
 from sim.creep import compliance_of
 from sim.protocols.disturbance import DisturbanceTrial

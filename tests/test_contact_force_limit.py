@@ -7,7 +7,7 @@ import pytest
 
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import FloatArray
 from sim.controllers.hand_dynamics import CONTACT_TORQUE, ContactForceLimit, joint_drag
 

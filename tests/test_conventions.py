@@ -23,8 +23,7 @@ from planner.quality.closure import closure_of_wrenches
 from planner.spatial import SE3
 from planner.task import GraspTask
 from planner.tolerances import ANGLE_TOL, FLAT_ANGLE_TOL
-from planner.verification.geometry import verify_geometry
-from planner.verification.grasp import force_arguments
+from planner.verification import force_arguments, verify_geometry
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.timeline import SuccessCriteria
 from sim.sensing.estimation import ObjectEstimator, SensorErrors

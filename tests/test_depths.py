@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from planner.bridge.geometry import coal_geometry
 from planner.collision.pair_table import shape_pair
 from planner.hands.hand import Hand
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.search.grasp import plan_grasp
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
 from planner.shapes.hulls import convex_geometry

@@ -33,8 +33,8 @@ from planner.hand_loading import hand_from_spec, load_hand
 from planner.hands.description_toml import read_description
 from planner.hands.hand import Hand
 from planner.joints.couplings import Coupling
-from planner.kinematics.state import HandState
-from planner.proximity.convex import DistancePair
+from planner.kinematics import HandState
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import SE3
 from planner.synthesis.seeds.opposition import opposition
 from planner.system.package import models_dir

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_describe import claw, written
 
-from planner.describe import cached, propose, proposed_description
+from planner.describe import propose, proposed_description
 from planner.errors import HandError, ModelError, NotFoundError
 from planner.hand_loading import load_hand
 from planner.joints.description import HandDescription
 from planner.system.disk_cache import CACHE_VARIABLE, write_text
+
+cached = import_module("planner.describe.propose")  # a function of the package has its name
 
 pytestmark = pytest.mark.usefixtures("brief_postures")
 

@@ -12,8 +12,8 @@ from test_describe import claw, urdf, written
 
 from planner.bridge import load_spec
 from planner.describe import Proposal, check_hand, propose
+from planner.describe.drive import _listed
 from planner.describe.postures import PostureSolver
-from planner.describe.servos import _listed
 from planner.errors import HandError
 from planner.hand_loading import hand_from_spec
 from planner.hands.hand import Hand

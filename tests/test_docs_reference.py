@@ -28,7 +28,7 @@ from planner import GraspTask, load_hand, parse_object, plan_grasp, read_plan
 from planner.errors import PlannerError
 from planner.files import read_contacts
 from planner.motion.terms import MOTION_TERMS
-from planner.synthesis.terms.registry import TERMS
+from planner.synthesis.options import TERMS
 from sim.cli import main
 from sim.scene.physics import PRESETS
 from sim.verdict import REASONS
@@ -80,7 +80,7 @@ def test_every_public_name_says_what_it_is() -> None:
 def test_a_face_belongs_to_the_room_that_defines_it() -> None:
     where = {name.name: name.module for name in public.public_names()}
     assert where["ContactSet"] == "planner.contacts"  # defined in a module of that room
-    assert where["Attempt"] == "planner.attempt"  # planner.search.grasp offers it too
+    assert where["Attempt"] == "planner.search.attempt"  # planner.search.grasp offers it too
     assert where["Mug"] == "planner.shapes"
 
 

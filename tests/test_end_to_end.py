@@ -23,7 +23,7 @@ from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 from sim.contacts import hand_contacts
 from sim.report import TrialReport
 from sim.scene.carrier import Timeline

@@ -27,8 +27,8 @@ from sim.datasets.episodes import (
     write_lerobot,
 )
 from sim.datasets.episodes.episode import frames_at, rates_of
-from sim.datasets.episodes.film import draw_episode, sampled_frames
 from sim.datasets.episodes.lerobot import VIDEO_KEY
+from sim.datasets.episodes.writing import draw_episode, sampled_frames
 from sim.manipulation import ManipulationReport
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.recording import PALM
@@ -344,7 +344,7 @@ def test_a_film_that_ends_early_is_noticed(
         whole = list(frames)
         write_film(path, whole[:-1], given)
 
-    monkeypatch.setattr("sim.datasets.episodes.film.write_film", short)
+    monkeypatch.setattr("sim.datasets.episodes.writing.write_film", short)
     with pytest.raises(FileFormatError, match=r"only \d+ of \d+ frames"):
         write_lerobot([held], tmp_path / "set", fps=5, video=True, size=(32, 32))
     assert not list(tmp_path.iterdir())

@@ -20,7 +20,7 @@ from manipulations import QUICK, turned_cylinder, turned_cylinder_report
 from planner.errors import NotFoundError, TaskError
 from planner.hand_loading import load_hand
 from planner.joints.actuation import Actuation
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
@@ -42,7 +42,7 @@ from sim.sensing.errors import (
     named_errors,
     register_errors,
 )
-from sim.sensing.errors.drawn import stream
+from sim.sensing.errors.model import stream
 from sim.sensing.errors.senses import Drift, RealSenses
 from sim.sensing.errors.trial import RealDrive, center_offset
 from sim.simulation import Simulation

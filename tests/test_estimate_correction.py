@@ -15,8 +15,8 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim import simulate
 from sim.controllers import ObjectImpedance, Phase
+from sim.controllers.base import PoseUncertainty
 from sim.controllers.impedance import DEVIATIONS, EstimateCorrection
-from sim.controllers.readings import PoseUncertainty
 from sim.scene.carrier import Timeline
 from sim.sensing.errors import ErrorModel
 from sim.simulation import Simulation

@@ -17,15 +17,22 @@ from planner.shapes import Box, Cylinder, Ellipsoid, Shape, Sphere
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation, PadReading, Phase
-from sim.controllers.readings import MeasuredPose
+from sim.controllers.base import MeasuredPose
 from sim.sensing.errors import ErrorModel
 from sim.sensing.errors.senses import Drift
 from sim.sensing.estimation import ContactNoise, ObjectEstimator, SensorErrors
-from sim.sensing.estimation.contacts import Grip, TipKinematics, Tips, rolling, touch_equations
 from sim.sensing.estimation.estimator import PERIOD
-from sim.sensing.estimation.filter import TOO_MANY, PoseFilter
-from sim.sensing.estimation.state import Estimate, PoseMeasurement, SensorSample
-from sim.sensing.estimation.track import FOUND, LOST, LossDetector
+from sim.sensing.estimation.filter import FOUND, LOST, TOO_MANY, LossDetector, PoseFilter
+from sim.sensing.estimation.state import (
+    Estimate,
+    Grip,
+    PoseMeasurement,
+    SensorSample,
+    TipKinematics,
+    Tips,
+    rolling,
+    touch_equations,
+)
 
 DT = 0.002
 FINE = 1e-6

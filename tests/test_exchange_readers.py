@@ -21,7 +21,7 @@ from planner.exchange.formats import FORMATS, GraspFormat, Reading, format_named
 from planner.exchange.joints import FileJoints
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 
 BY_NUMBER = Reading(by_number=True)

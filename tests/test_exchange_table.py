@@ -148,7 +148,7 @@ def test_the_pose_of_another_body_becomes_that_of_the_base(tmp_path: Path) -> No
     (grasp,) = given.grasps
     assert "WRJ2, WRJ1" in given.assumed[0]
     assert not grasp.q[shadow.wrist_index].any()
-    from planner.kinematics.state import HandState
+    from planner.kinematics import HandState
 
     palm = grasp.T_object_base * HandState(shadow, grasp.q).T_base_palm
     np.testing.assert_allclose(palm.translation, [0.01, 0.02, 0.03], atol=1e-12)

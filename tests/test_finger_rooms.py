@@ -12,11 +12,10 @@ from planner.hands.catalog import hand_names
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.spatial import FloatArray
-from planner.synthesis.link_capsules import collision_pairs, finger_capsules, rooms_at_rest
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import build_problem
 from planner.synthesis.terms import fingers
-from planner.synthesis.terms.fingers import FINGERS
+from planner.synthesis.terms.fingers import FINGERS, collision_pairs, finger_capsules, rooms_at_rest
 
 pytestmark = pytest.mark.usefixtures("brief_postures")
 

@@ -28,7 +28,7 @@ from planner.forces import (
 )
 from planner.hand_loading import load_hand
 from planner.joints.actuation import Actuation
-from planner.numerics.qp_workspace import DenseQp
+from planner.numerics.qp import DenseQp
 from planner.spatial import FloatArray, contact_frames
 
 W = 0.981

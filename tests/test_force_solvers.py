@@ -25,8 +25,8 @@ from planner.forces import (
     turning_wrenches,
 )
 from planner.forces.infeasible import outlined
-from planner.numerics import qp_workspace as workspaces
-from planner.numerics.qp_workspace import DenseQp, qp_workspace
+from planner.numerics import qp as workspaces
+from planner.numerics.qp import DenseQp, qp_workspace
 from planner.spatial import FloatArray
 
 FILE = Path(__file__).parent / "data" / "force_problems.json"

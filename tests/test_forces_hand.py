@@ -19,7 +19,7 @@ from planner.forces import (
 )
 from planner.hand_loading import load_hand
 from planner.joints.actuation import Actuation
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 
 MASS, G = 0.1, 9.81
 WEIGHT = gravity_wrench(MASS, [0, 0, -G])
@@ -320,7 +320,7 @@ def test_no_contacts_resist_nothing() -> None:
 
 def test_a_solver_that_fails_is_not_an_infeasible_task(monkeypatch: pytest.MonkeyPatch) -> None:
     options = {"osqp": {"max_iter": 1, "polishing": False}}
-    monkeypatch.setattr("planner.numerics.qp_workspace._OPTIONS", options)
+    monkeypatch.setattr("planner.numerics.qp._OPTIONS", options)
     solution = distribute_forces(opposed(), wrench=WEIGHT, solver="osqp")
     assert not solution.found
     assert "forces exist, but solver 'osqp' missed them" in solution.reason

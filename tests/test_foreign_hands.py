@@ -32,8 +32,8 @@ from planner.hand_loading import hand_from_model, hand_from_spec, load_hand
 from planner.hands.catalog import FOREIGN_HANDS
 from planner.hands.hand import Hand
 from planner.joints.description import HandDescription
-from planner.kinematics.state import HandState
-from planner.proximity.convex import DistancePair
+from planner.kinematics import HandState
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import SE3
 
 GRIPPER = """

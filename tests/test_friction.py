@@ -8,7 +8,7 @@ from conftest import PlanOf
 
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers import GraspController, Observation

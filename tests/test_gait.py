@@ -22,7 +22,7 @@ from planner.files.movements import movement_to_dict
 from planner.forces import gravity_wrench
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion import plan_motion
 from planner.motion.gait import GaitPlan, NoOrder, Order, Relocation, find_order, plan_gait
 from planner.motion.order import holding, standing

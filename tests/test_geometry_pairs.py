@@ -9,13 +9,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from planner.collision.mesh_distance import MeshPair
 from planner.collision.world import OBJECT, CollisionWorld
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
-from planner.proximity.convex import FAILED, LEAST_LIMIT, DistancePair, GeometryPairs
-from planner.proximity.mesh import MeshPair
+from planner.kinematics import HandState
 from planner.search.grasp import plan_grasp
 from planner.shapes import Mesh
+from planner.shapes.convex_pairs import FAILED, LEAST_LIMIT, DistancePair, GeometryPairs
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
@@ -146,14 +146,14 @@ def test_a_query_that_coal_fails_at_is_asked_again(
     base, q = SE3(np.eye(3), np.array([0.0, 0.0, 0.3])), allegro.posture("open")
     truth = world.nearest(base, q)
     # so small a limit makes every distance a failure
-    monkeypatch.setattr("planner.proximity.convex.FAILED", 0.0)
+    monkeypatch.setattr("planner.shapes.convex_pairs.FAILED", 0.0)
     asked = []
     distance = DistancePair.distance
 
     def told(self: DistancePair, a: SE3, b: SE3) -> float:
         asked.append(self)
         with monkeypatch.context() as single:
-            single.setattr("planner.proximity.convex.FAILED", FAILED)  # of one pair, the usual
+            single.setattr("planner.shapes.convex_pairs.FAILED", FAILED)  # of one pair, the usual
             return distance(self, a, b)
 
     monkeypatch.setattr(DistancePair, "distance", told)

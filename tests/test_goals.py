@@ -32,8 +32,8 @@ from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import GraspTask
 from sim.cli import app, main
-from sim.cli.idle import IN_PALM, WITH_GOAL
 from sim.cli.manipulate import GOAL
+from sim.cli.palm import IN_PALM, WITH_GOAL
 from sim.cli.palm import KEPT as WITH_PALM
 from sim.manipulation import manipulate
 from sim.manipulation.timeline import SuccessCriteria, at_goal

@@ -14,7 +14,7 @@ import pytest
 from planner.errors import HandError, NotFoundError, TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.proximity.convex import DistancePair
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import SE3, FloatArray, contact_frames
 
 EditHand = Callable[..., Path]

@@ -26,7 +26,7 @@ from planner.system.package import models_dir
 from sim import Timeline
 from sim.cli.reading import one_plan
 from sim.controllers import Observation
-from sim.controllers.readings import PadReading
+from sim.controllers.base import PadReading
 from sim.handover import (
     HANDOVER_PHASES,
     HandoverTimeline,

@@ -1,4 +1,4 @@
-"""``planner.numerics.qp``: steps by least squares within limits, and those that keep away."""
+"""Steps of inverse kinematics by least squares within limits, and those that keep away."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from planner.numerics.qp import Barrier, Task, constrained_ik_step, ik_step
+from planner.numerics.least_squares import Barrier, Task, constrained_ik_step, ik_step
 from planner.spatial import FloatArray
 
 WIDE = np.full(5, 10.0)

@@ -21,7 +21,7 @@ from planner.exchange.joints import T_object_body
 from planner.exchange.yaml_text import read_documents
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp

@@ -12,7 +12,7 @@ from test_actuation import make, tendon_finger
 
 from planner.joints.actuation import STOP_TOL
 from planner.spatial import FloatArray
-from sim.controllers.joint_stops import (
+from sim.controllers.calibration import (
     LEAST_EFFORT,
     MOST_OFF,
     STILL_TIME,

@@ -22,7 +22,7 @@ from planner.hands.hand import Hand
 from planner.motion import ObjectPath, motion_attempts
 from planner.search.grasp import attempts, plan_grasp
 from planner.task import GraspTask
-from planner.verification.geometry import verify_geometry
+from planner.verification import verify_geometry
 from sim.scene.physics import PhysicsOptions
 
 
@@ -37,12 +37,14 @@ def modules_of(*rooms: str) -> list[str]:
 
 def test_the_verdict_on_a_grasp_never_asks_the_solver() -> None:
     """What CasADi has solved is recomputed by Pinocchio and coal."""
-    solver = ("casadi", "planner.synthesis", "planner.kinematics.symbolic")
+    solver = ("casadi", "planner.synthesis", "planner.synthesis.symbols")
     rooms = (
         "planner.verification",
         "planner.collision.world",
-        "planner.proximity.convex",
-        "planner.approach",
+        "planner.shapes.convex_pairs",
+        "planner.collision.pregrasp",
+        "planner.collision.pregrasp_ik",
+        "planner.collision.arm_path",
     )
     for module in modules_of(*rooms):
         asked = {i for i in imports_of(module) for s in solver if within(i, s)}

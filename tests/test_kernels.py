@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from planner import GraspTask, attempts
+from planner.collision import mesh_pairs
 from planner.errors import PlannerError
 from planner.numerics import kernels
 from planner.numerics.kernels import (
@@ -29,7 +30,6 @@ from planner.numerics.kernels import (
     kernels_are_compiled,
     loops_of_kernels,
 )
-from planner.proximity import mesh_pairs
 from planner.spatial import FloatArray
 from planner.synthesis.loops import least_squares
 

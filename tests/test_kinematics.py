@@ -12,9 +12,9 @@ import pinocchio as pin
 import pytest
 
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
-from planner.kinematics.symbolic import SymbolicHand
+from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.symbols import SymbolicHand
 
 CONFIGURATIONS = 1100
 AGREEMENT = 1e-10  # m, -, m/rad

@@ -15,8 +15,8 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from planner.bridge.structure import JointPart
-from planner.describe.report import LEAST_HEIGHT, fitting_objects
-from planner.describe.servos import missing_servos
+from planner.describe.drive import missing_servos
+from planner.describe.proposal import LEAST_HEIGHT, fitting_objects
 from planner.errors import HandError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
@@ -26,13 +26,12 @@ from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.shapes.mesh_field import _one_of_each_cube
 from planner.spatial import SE3
-from planner.synthesis.link_capsules import closest_on_segments
-from planner.synthesis.terms.fingers import nearest
+from planner.synthesis.terms.fingers import closest_on_segments, nearest
 from planner.task import GraspTask
 from sim.crosscheck import reader
 from sim.manipulation.run import ManipulationRun
 from sim.sensing.errors import ERROR_MODELS
-from sim.sensing.touch.estimate import GRID, ContactEstimate, TaxelFrictionEstimator
+from sim.sensing.touch.layout import GRID, ContactEstimate, TaxelFrictionEstimator
 
 
 def test_nearest_points_of_segments_are_those_of_least_squares() -> None:

@@ -11,9 +11,8 @@ from conftest import calls_in
 
 from planner.shapes import Mesh
 from planner.shapes.meshes import soundness
-from planner.shapes.meshes.crossing import crossing_pairs, near_pairs, overlapping_boxes
 from planner.shapes.meshes.io import read_mesh
-from planner.shapes.meshes.soundness import faults_of
+from planner.shapes.meshes.soundness import crossing_pairs, faults_of, near_pairs, overlapping_boxes
 from planner.system.disk_cache import CACHE_VARIABLE
 
 RING, TUBE = 0.04, 0.015

@@ -23,7 +23,7 @@ from planner.errors import (
     TaskError,
 )
 from planner.hand_loading import load_hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.manipulation import ManipulationPlan
 from planner.objects import parse_object
 from planner.spatial import SE3

@@ -13,7 +13,7 @@ import pytest
 from planner.errors import NotFoundError, TaskError
 from planner.motion.verify import ASKED_SHARE
 from sim.learning import Conditions, Plans, TurnTask
-from sim.learning.teacher import Demonstrator
+from sim.learning.controller import Demonstrator
 from sim.manipulation.log import force_limit
 from sim.sensing.errors import named_errors
 

@@ -15,15 +15,14 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from planner.hands.hand import Hand
-from planner.numerics.levenberg_marquardt import LMResult, levenberg_marquardt
+from planner.numerics.least_squares import LMResult, levenberg_marquardt
 from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import optimize_grasp
-from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.options import TERMS, SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start, problems_for
 from planner.synthesis.seeds import seeder_for
-from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask, Obstacle
 
 

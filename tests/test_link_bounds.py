@@ -9,12 +9,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.approach.pregrasp import CLOSING_SHARES
+from planner.collision import form_kernels
+from planner.collision.link_bounds import LinkBounds
+from planner.collision.pregrasp import CLOSING_SHARES
 from planner.collision.world import FAR, CollisionWorld
 from planner.hands.hand import Hand
-from planner.kinematics import form_kernels
-from planner.kinematics.link_bounds import LinkBounds
-from planner.numerics.kernels import attempt_kernels, compile_loops, compiled_searches
+from planner.numerics.kernels import (
+    attempt_kernels,
+    compile_loops,
+    compiled_searches,
+    kernels_are_compiled,
+)
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
@@ -23,7 +28,7 @@ CONVEX = ("sphere", "box", "cylinder", "capsule", "ellipsoid")
 
 
 def bounds_of(world: CollisionWorld) -> LinkBounds:
-    return world._bounds
+    return world._pairs.bounds
 
 
 def places(task: GraspTask, count: int) -> Iterator[tuple[SE3, FloatArray]]:
@@ -139,7 +144,9 @@ def test_the_verdict_is_the_same_without_bounds(
         return out
 
     with compiled_searches(), attempt_kernels(0):
-        assert bounds_of(CollisionWorld(task)).pays
+        assert kernels_are_compiled()
         quick = answers(CollisionWorld(task))
-        monkeypatch.setattr(LinkBounds, "pays", False)
+        for module in ("world", "placed_pairs"):
+            name = f"planner.collision.{module}.kernels_are_compiled"
+            monkeypatch.setattr(name, lambda: False)
         assert quick == answers(CollisionWorld(task))

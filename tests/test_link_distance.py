@@ -12,11 +12,11 @@ from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.link_capsules import capsules_are_true
 from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start, problems_for
 from planner.synthesis.seeds import seeder_for
+from planner.synthesis.terms.fingers import capsules_are_true
 from planner.synthesis.terms.link_distance import (
     LEAST_DISTANCE,
     MARGIN_IN_VIEW,

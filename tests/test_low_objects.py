@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from planner.attempt import Attempt
 from planner.failure import Failure
 from planner.plan import GraspPlan
+from planner.search.attempt import Attempt
 from planner.search.grasp import _one_cause
-from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.terms.registry import TERMS
+from planner.synthesis.options import TERMS, SynthesisOptions
 from planner.task import GraspTask
 from sim.cli import app
 from sim.cli.advice import ATTEMPTS, LOW, advice_for_low

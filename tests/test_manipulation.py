@@ -41,9 +41,9 @@ from planner.shapes import Box
 from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask
 from sim.controllers import ObjectImpedance, Observation, Phase
+from sim.controllers.base import CREEP, PadReading
 from sim.controllers.follow import MAX_ADVANCE, RATE, MotionReference
 from sim.controllers.monitors import SLIP_SPEED, SlipDetector
-from sim.controllers.readings import CREEP, PadReading
 from sim.controllers.torques import JOINT_DAMPING, HoldingTorques
 from sim.manipulation import (
     PHASES,

@@ -19,8 +19,8 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.contacts.reading import read_pads
 from sim.controllers import ImpedanceGains, ObjectImpedance, Observation
+from sim.controllers.base import PoseUncertainty
 from sim.controllers.impedance import ImpedanceLaw
-from sim.controllers.readings import PoseUncertainty
 from sim.manipulation import (
     InHandController,
     ManipulationObservation,

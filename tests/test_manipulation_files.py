@@ -29,7 +29,7 @@ from planner.files import (
 )
 from planner.files.movements import movement_from_dict, movement_to_dict
 from planner.hand_loading import load_hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.manipulation import (
     ManipulationPlan,
     manipulation_of,

@@ -11,7 +11,7 @@ import pytest
 from manipulations import task_of
 
 from planner.failure import Failure
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.gait import Relocation, Stroke
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_single_stroke
 from sim.manipulation.driver import FingerSwing

@@ -24,7 +24,6 @@ from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.motion import manipulation as search
 from planner.motion.ending import find_release, object_at_target, stands
-from planner.motion.idle_fingers import out_of_the_way
 from planner.motion.manipulation import (
     ManipulationPlan,
     manipulation_task,
@@ -47,7 +46,7 @@ from sim.manipulation import (
     rests,
     settled,
 )
-from sim.manipulation.driver import ManipulationDriver
+from sim.manipulation.driver import ManipulationDriver, out_of_the_way
 from sim.manipulation.log import finger_forces, force_limit
 from sim.manipulation.machine import PhaseCall
 from sim.manipulation.phases import Phases

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from planner.collision.world import shape_pair
 from planner.errors import ObjectError
-from planner.proximity.convex import DistancePair
 from planner.shapes import Box, LBracket, Mesh, Mug, Sphere, Torus
+from planner.shapes.convex_pairs import DistancePair
 from planner.shapes.distance_field import DistanceField
 from planner.shapes.mesh import THIN
 from planner.shapes.mesh_field import SMOOTHED_MOST, fit_mesh_field

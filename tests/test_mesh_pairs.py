@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from planner.collision.mesh_distance import MeshPair
+from planner.collision.mesh_pairs import MeshPairs
 from planner.numerics.kernels import compile_loops
 from planner.objects import parse_object
-from planner.proximity.mesh import MeshPair
-from planner.proximity.mesh_pairs import MeshPairs
 from planner.shapes import Mesh
 from planner.shapes.hulls import convex_geometry
 from planner.shapes.meshes import nearest_kernels

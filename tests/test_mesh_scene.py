@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from planner.bridge.mesh_files import HIDDEN_GROUP
+from planner.bridge.load import HIDDEN_GROUP
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.shapes import Mesh

@@ -12,9 +12,10 @@ from scipy.spatial import ConvexHull
 
 from planner.errors import ObjectError
 from planner.objects import GraspObject, parse_object
-from planner.shapes import Box, Hammer, Knot, LBracket, Mesh, Mug, Shape, Sphere, Torus, stable
+from planner.shapes import Box, Hammer, Knot, LBracket, Mesh, Mug, Shape, Sphere, Torus
+from planner.shapes import hulls as stable
+from planner.shapes.hulls import stable_poses
 from planner.shapes.mesh import HULL_VERSION
-from planner.shapes.stable import stable_poses
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import CACHE_VARIABLE, write_arrays
 

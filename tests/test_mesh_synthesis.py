@@ -17,37 +17,35 @@ from conftest import box_mesh
 from scipy.spatial import ConvexHull
 
 from planner.bridge import LinkGeometry
+from planner.collision.mesh_distance import MeshPair
 from planner.collision.pad_contact import PadContact, pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.files import read_plan, write_plan
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import GraspObject, Region, TouchRegion, parse_object, parse_region
 from planner.plan import GraspPlan
-from planner.proximity.convex import DistancePair
-from planner.proximity.mesh import MeshPair
 from planner.search.grasp import attempts, plan_grasp
 from planner.shapes import Box, Mesh, Shape, Torus
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import fill, link_spheres, span
 from planner.synthesis.mesh_surface import STEEP, mesh_surface
 from planner.synthesis.optimize import NEARLY, optimize_grasp
-from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.options import TERMS, SynthesisOptions
 from planner.synthesis.problem import Start, build_problem
 from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import FACING, MeshSeeder, opposed_pairs
 from planner.synthesis.seeds.opposition import measure_postures, opposition
 from planner.synthesis.terms.clearance import PRESSED
-from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.resistance import least_resisted
 from planner.synthesis.terms.standard import EDGE
 from planner.task import GraspTask
 from planner.tolerances import EDGE_RADIUS, EDGE_SPREAD, TOUCH_TOL
-from planner.verification.geometry import edge_failures, verify_geometry
-from planner.verification.grasp import GAP_TOL, project_onto_surface
+from planner.verification import GAP_TOL, edge_failures, project_onto_surface, verify_geometry
 
 
 @pytest.fixture(scope="module")

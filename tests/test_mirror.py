@@ -16,20 +16,20 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.approach.pregrasp import Approach
 from planner.bridge import compile_spec, mirror_spec
+from planner.collision.pregrasp import Approach
 from planner.errors import HandError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.catalog import find_hand
 from planner.hands.description_toml import MirrorAxis, read_description, reflection_signs
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 HANDS = Path(__file__).resolve().parent.parent / "models" / "hands"
 NAMES = ("shadow_hand", "allegro_hand")

@@ -10,8 +10,7 @@ import pytest
 import trimesh
 
 from planner.bridge import compile_spec, link_surfaces, load_spec, prepare_spec
-from planner.bridge.load import model_files, named_files
-from planner.bridge.mesh_files import HIDDEN_GROUP
+from planner.bridge.load import HIDDEN_GROUP, model_files, named_files
 from planner.bridge.numbers import (
     LEAST_INERTIA,
     LEAST_MASS,

@@ -24,7 +24,7 @@ from planner.files import read_motion, write_json, write_motion
 from planner.files.movements import movement_to_dict
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
 from planner.motion.context import finger_sets, on_opposed_sides, with_rolling_pads
 from planner.motion.plan import Knot
@@ -61,8 +61,7 @@ from planner.synthesis.symbols import mrp_numeric, obstacles_in_object
 from planner.synthesis.terms.standard import BALANCE, CONE
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN, SWING_SHARE
-from planner.verification.geometry import contacts_at, verify_geometry
-from planner.verification.grasp import plan_forces
+from planner.verification import contacts_at, plan_forces, verify_geometry
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -14,7 +14,7 @@ from planner.bridge.edit import motorise_spec
 from planner.errors import HandError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
 from planner.system.package import models_dir

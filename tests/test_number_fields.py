@@ -21,7 +21,7 @@ from planner.contacts import Contact, ContactSet
 from planner.errors import ObjectError, PlannerError, TaskError
 from planner.forces import ExpectedLoad
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.path import ObjectPath, check_place
 from planner.objects import GraspObject, NeededWrench
 from planner.quality import analyse, force_closure
@@ -29,8 +29,8 @@ from planner.shapes import SIZED_SHAPES, Box, Mesh
 from planner.spatial import SE3, contact_frames
 from planner.synthesis.options import SynthesisOptions
 from planner.tools import load_tool
+from sim.controllers.base import PadReading
 from sim.controllers.impedance import ImpedanceGains
-from sim.controllers.readings import PadReading
 from sim.crosscheck.parts import Tolerances
 from sim.datasets.episodes.episode import Asked
 from sim.datasets.reset_states.starts import Draws, StatesAsked

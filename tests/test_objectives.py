@@ -19,7 +19,7 @@ from planner.errors import NotFoundError, TaskError
 from planner.failure import Failure
 from planner.files import PlanFile, plan_to_dict, read_plan, write_plan
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.quality import closure_of_wrenches, epsilon_l1, min_weight, primitive_wrenches, weakest
 from planner.search import metrics as metrics
 from planner.search.grasp import attempts

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from conftest import PlanOf
 
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.shapes import Sphere
 from planner.spatial import SE3, FloatArray

@@ -8,9 +8,8 @@ from conftest import PlanOf
 
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from sim.controllers.calibration import Calibration
+from sim.controllers.calibration import Calibration, StopCorrection
 from sim.controllers.hand_dynamics import ContactForceLimit
-from sim.controllers.joint_stops import StopCorrection
 from sim.report import TrialReport
 from sim.scene.carrier import Timeline
 from sim.sensing.errors import ERROR_MODELS

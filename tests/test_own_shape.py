@@ -16,8 +16,14 @@ from planner import GraspTask, plan_grasp, read_plan, write_plan
 from planner.errors import ObjectError
 from planner.objects import object_names, parse_object
 from planner.shapes import SIZED_SHAPES, Mesh, Shape, register_shape, shape_from_dict
-from planner.shapes.base import checked_length, checked_points
-from planner.shapes.surface import Patch, Surface, edge_margin, soft_norm
+from planner.shapes.base import (
+    Patch,
+    Surface,
+    checked_length,
+    checked_points,
+    edge_margin,
+    soft_norm,
+)
 from planner.spatial import SE3, FloatArray
 
 
@@ -182,7 +188,7 @@ def test_it_is_planned_written_and_held_like_any_other(cone: type[Cone], tmp_pat
 
 
 def test_it_is_seen_in_a_simulation(cone: type[Cone]) -> None:
-    from planner.bridge.mesh_files import HIDDEN_GROUP
+    from planner.bridge.load import HIDDEN_GROUP
     from sim.scene.build import build_scene
 
     away = SE3(np.eye(3), np.array([0.0, 0.0, 1.0]))

@@ -32,16 +32,14 @@ from planner.errors import FileFormatError, NotFoundError
 from planner.files import plan_to_dict, read_plan
 from planner.hands.catalog import hand_names
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.pages.blocks import resisted_forces
-from planner.pages.described import named_joints
-from planner.pages.hand_model import hand_model
-from planner.pages.hand_page import hand_page
+from planner.pages.hand_page import hand_page, named_joints
 from planner.pages.motion_page import motion_page, object_motion
 from planner.pages.page import pack, page_html, read_page_data, three_source, write_page
 from planner.pages.plan_page import RATE, bands_of, plan_command, plan_page
 from planner.pages.plan_scene import MOST_TRIANGLES, hand_points, object_model, stage_of, views_of
-from planner.pages.scene import Model, pose_row
+from planner.pages.scene import Model, hand_model, pose_row
 from planner.quality import primitive_wrenches
 from planner.shapes import SIZED_SHAPES
 from planner.shapes.mesh import Mesh

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState, point_jacobians, point_rates
+from planner.kinematics import HandState, point_jacobians, point_rates
 from planner.spatial import cross
 
 

@@ -10,7 +10,7 @@ from conftest import PlanOf
 from planner.certify import breaking_along
 from planner.contacts import ContactSet
 from planner.forces import ForceLoop, ForceProblem, build_force_problem, solve_force_problem
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.spatial import FloatArray

@@ -12,8 +12,8 @@ from conftest import PlanOf
 from scipy.optimize import minimize
 from test_describe_drive import shared
 
-from planner.approach.pregrasp import PREGRASP_DISTANCES
-from planner.approach.pregrasp_ik import (
+from planner.collision.pregrasp import PREGRASP_DISTANCES
+from planner.collision.pregrasp_ik import (
     FINGER_CLEARANCE,
     OPEN_CLEARANCE,
     OPENED_SHARE,
@@ -25,7 +25,7 @@ from planner.collision.world import CollisionWorld
 from planner.hand_loading import hand_from_spec, load_hand
 from planner.hands.catalog import hand_names
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray

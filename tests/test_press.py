@@ -13,7 +13,7 @@ from planner.collision.world import CollisionWorld
 from planner.errors import ObjectError, PlannerError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.tools import Tool, load_tool
 from sim.contacts.reading import _kind, _side

@@ -7,8 +7,7 @@ from itertools import pairwise
 
 from rich.console import Console
 
-from sim.progress import LINE_S, LINE_SHARE, ProgressBar
-from sim.runner import Runner
+from sim.runner import LINE_S, LINE_SHARE, ProgressBar, Runner
 
 
 class Clock:

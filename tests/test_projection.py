@@ -11,7 +11,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.task import GraspTask
-from planner.verification.grasp import COUPLING_TOL, FARTHEST, GAP_TOL, project_onto_surface
+from planner.verification import COUPLING_TOL, FARTHEST, GAP_TOL, project_onto_surface
 
 
 @pytest.fixture(scope="module", params=["sphere", "torus"])

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from planner.errors import TaskError
 from planner.files import write_plan
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.pages.page import page_html, read_page_data
 from planner.plan import GraspPlan
 from planner.spatial import pose_from_wxyz

@@ -31,7 +31,7 @@ from planner.plan import GraspPlan, SolveRecord
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 from sim.cli import main
 from sim.controllers import Controller, GraspController, MakeController, Observation, Phase
 from sim.protocols import Outcome, Settings, protocol_table, run_protocol, variations, write_csv

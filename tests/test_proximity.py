@@ -14,11 +14,11 @@ import pinocchio as pin
 import pytest
 
 from planner.errors import ModelError
-from planner.proximity.convex import (
+from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from planner.shapes.convex_pairs import (
     DistancePair,
     Proximity,
 )
-from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
 from planner.spatial import SE3, FloatArray
 
 SHAPES: list[Shape] = [

@@ -16,7 +16,7 @@ from planner.errors import HandError, NotFoundError, TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray
-from sim.controllers.readings import PadReading
+from sim.controllers.base import PadReading
 from sim.real_hand import (
     CommandLimits,
     HandObservation,

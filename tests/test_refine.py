@@ -18,14 +18,14 @@ from plain_check import doubts
 
 from benchmarks.refine import perturbed
 from planner import GraspPlan, GraspTask, plan_grasp, refine_grasp, refine_grasps
-from planner.batch.refined import _packed, _Reader
+from planner.batch.run import _packed, _Reader
 from planner.errors import HandError, NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import TouchRegion, parse_object, parse_region
-from planner.search.finishing import verified_on_surface
+from planner.search.attempt import verified_on_surface
 from planner.search.refine import Movement, RefinedGrasp, with_fingers
 from planner.search.refine.pose import palm_pose, under_pads
 from planner.search.refine.rungs import NEAR, near_numbers
@@ -33,7 +33,7 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import problems_for
 from planner.synthesis.seeds import seeder_for
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 HANDS = ("allegro_hand", "shadow_hand")
 OBJECTS = ("sphere", "box", "cylinder", "mug", "torus")
@@ -472,7 +472,7 @@ def test_results_come_one_by_one_and_stop_when_nobody_asks(
         made.append(1)
         return refine_grasp(*args, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("planner.batch.refined.refine_grasp", counted)
+    monkeypatch.setattr("planner.batch.run.refine_grasp", counted)
     results = refine_grasps(task, poses)
     assert next(results)[0] == 0
     assert len(made) == 1

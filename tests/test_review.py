@@ -9,16 +9,16 @@ import pinocchio as pin
 import pytest
 from conftest import PlanOf
 
-from planner.approach.pregrasp import Approach, verify_approach
+from planner.collision.pregrasp import Approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.failure import Failure
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 from sim.recorder import Recorder
 from sim.simulation import Simulation
 from sim.trial import Trial

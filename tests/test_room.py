@@ -12,12 +12,12 @@ from conftest import box_mesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.approach.pregrasp_ik import spread_idle
+from planner.collision.pregrasp_ik import spread_idle
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState, tip_reach
+from planner.kinematics import HandState, tip_reach
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp

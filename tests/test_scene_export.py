@@ -20,7 +20,7 @@ from conftest import PlanOf, hand_of_others
 
 from planner.errors import FileFormatError, TaskError
 from planner.exchange.formats import Writing, format_named
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import pose_to_wxyz

@@ -14,12 +14,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.approach.pregrasp import APPROACH_CLEARANCE, Approach
-from planner.approach.pregrasp_ik import OPENED_SHARE
+from planner.collision.pregrasp import APPROACH_CLEARANCE, Approach
+from planner.collision.pregrasp_ik import OPENED_SHARE
 from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
 from planner.search.grasp import SPARE_AFTER, Attempt, attempts, plan_grasp
@@ -28,7 +28,7 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds import seeder_for
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import FRICTION_SHARE
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 ROOT = Path(__file__).resolve().parent.parent
 

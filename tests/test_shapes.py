@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 
 from planner.errors import NotFoundError, ObjectError
 from planner.objects import parse_object
-from planner.proximity.convex import DistancePair
 from planner.shapes import (
     SIZED_SHAPES,
     Box,
@@ -30,6 +29,7 @@ from planner.shapes import (
     shape_from_dict,
     shape_to_dict,
 )
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import SE3, FloatArray
 
 EXAMPLES: tuple[Shape, ...] = (

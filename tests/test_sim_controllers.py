@@ -13,7 +13,7 @@ from conftest import PlanOf
 
 from planner.contacts import ContactModel, ContactSet
 from planner.hand_loading import load_hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.controllers import PHASES, GraspController, Observation, Phase

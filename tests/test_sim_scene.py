@@ -13,7 +13,7 @@ import pytest
 from planner.errors import TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import SE3
 from planner.system.package import models_dir
 from planner.task import GraspTask, Obstacle

@@ -10,7 +10,7 @@ import pytest
 from planner import GraspTask, plan_grasp
 from planner.numerics import tape as tape_module
 from planner.numerics.kernels import compile_loops, compiled_searches
-from planner.numerics.levenberg_marquardt import LMResult
+from planner.numerics.least_squares import LMResult
 from planner.numerics.tape import programs_of, run_on_lanes, run_tape, tape_of
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray

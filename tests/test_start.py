@@ -50,7 +50,7 @@ TOO_MUCH_TO_RUN = {
 }
 """What a trial has no use for."""
 
-MOST_TO_PLAN, MOST_TO_RUN = 142, 182
+MOST_TO_PLAN, MOST_TO_RUN = 122, 160
 """Modules of ours that the commands load, at most."""
 
 

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from planner.certify.stiffness import GraspStiffness
 from planner.contacts import ContactSet
 from planner.exchange.dexgraspbench import export, plan_squeeze
 from planner.hand_loading import load_hand
@@ -16,8 +17,7 @@ from planner.hands.hand import Hand
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
-from planner.verification.grasp import plan_forces
-from planner.verification.stiffness import GraspStiffness
+from planner.verification import plan_forces
 from sim.protocols.dexgraspbench import (
     benchmark_contacts,
     benchmark_physics,

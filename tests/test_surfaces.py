@@ -11,7 +11,7 @@ import pytest
 
 from planner.errors import ObjectError
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
-from planner.shapes.surface import CODE_DIM, EDGE_MARGIN, SIZE_DIM, SOFTNESS, Patch
+from planner.shapes.base import CODE_DIM, EDGE_MARGIN, SIZE_DIM, SOFTNESS, Patch
 from planner.spatial import FloatArray
 from planner.synthesis.mesh_surface import surface_of
 

@@ -15,9 +15,9 @@ from planner.bridge import pinocchio_from_mujoco
 from planner.errors import ModelError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState, joint_axes
-from planner.kinematics.symbolic import SymbolicHand
+from planner.kinematics import HandState, joint_axes
 from planner.spatial import FloatArray
+from planner.synthesis.symbols import SymbolicHand
 
 SLIDER = """
 <mujoco>

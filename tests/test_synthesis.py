@@ -20,8 +20,8 @@ from constrained import Constrained
 from planner.contacts import ContactSet
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
-from planner.shapes.surface import EDGE_MARGIN
+from planner.kinematics import HandState
+from planner.shapes.base import EDGE_MARGIN
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import LinkSphere, hull_spheres, link_spheres
 from planner.synthesis.options import SynthesisOptions

@@ -16,21 +16,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import parse_object
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.link_capsules import (
+from planner.synthesis.link_spheres import hull_spheres
+from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.problem import GraspProblem, Start, build_problem, problems_for
+from planner.synthesis.seeds.draw import Seeder
+from planner.synthesis.terms.fingers import (
     COLLISION_MARGIN,
+    FINGERS,
     LinkCapsule,
     closest_on_segments,
     collision_pairs,
     finger_capsules,
 )
-from planner.synthesis.link_spheres import hull_spheres
-from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import GraspProblem, Start, build_problem, problems_for
-from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.terms.fingers import FINGERS
 from planner.task import GraspTask, Obstacle
 
 STEP = 1e-6

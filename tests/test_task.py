@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from planner.contacts.friction import LOAD_SAFETY, ExpectedLoad, grip_for_load
 from planner.errors import HandError, NotFoundError, PlannerError, TaskError
-from planner.forces.grip import LOAD_SAFETY, ExpectedLoad, grip_for_load
 from planner.hands.hand import Hand
 from planner.objects import GraspObject, parse_object
 from planner.search.grasp import attempts, plan_grasp

@@ -30,7 +30,7 @@ from planner.quality import force_closure
 from planner.search.grasp import attempts, plan_grasp
 from planner.system.threads import built, kept_by_thread, made_once, without_warnings
 from planner.task import GraspTask
-from planner.verification.grasp import force_arguments
+from planner.verification import force_arguments
 
 OFTEN = 1e-6
 """Time (s) after which threads change places: as often as Python lets them."""

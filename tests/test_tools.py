@@ -32,7 +32,7 @@ from planner.tools import (
     tool_names,
     way_blocked,
 )
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 from sim import UseTrial, plan_tool
 from sim.cli import main
 from sim.cli.grasp import UseOptions

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner import GraspTask, plan_grasp
-from planner.approach.pregrasp_ik import OPENED_SHARE
 from planner.collision.pad_contact import pad_contacts
+from planner.collision.pregrasp_ik import OPENED_SHARE
 from planner.errors import HandError, PlannerError, TaskError
 from planner.failure import Failure
 from planner.files import read_plan
@@ -23,7 +23,7 @@ from planner.hand_loading import load_hand
 from planner.hands.grasp_types import contact_sets
 from planner.hands.hand import Hand
 from planner.hands.two_hands import carriage_joints
-from planner.kinematics.state import moving_hand
+from planner.kinematics import moving_hand
 from planner.motion.search import check_task
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
@@ -31,7 +31,7 @@ from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.facing_palms import PairSeeder
 from planner.system.package import models_dir
-from planner.verification.grasp import GAP_TOL, project_onto_surface
+from planner.verification import GAP_TOL, project_onto_surface
 from sim import Timeline, simulate
 from sim.protocols.dexgraspbench import unsuitable_for_dexgraspbench
 from sim.protocols.drake import unsuitable_for_drake

@@ -8,18 +8,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.approach.pregrasp import Approach, verify_approach
+from planner.collision.pregrasp import Approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.failure import Failure
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan, Verification
 from planner.search.grasp import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import TOUCH_TOL
-from planner.verification.geometry import contacts_at, verify_geometry
-from planner.verification.grasp import GAP_TOL, verify_grasp
+from planner.verification import GAP_TOL, contacts_at, verify_geometry, verify_grasp
 
 
 @pytest.fixture(scope="module")

@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 from planner.errors import FileFormatError, NotFoundError, ObjectError, TaskError
 from planner.files import write_plan
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.gait import plan_gait
 from planner.objects import GraspObject, parse_object
-from planner.pages.described import comments_of, described_lines, named_joints
+from planner.pages.hand_page import comments_of, described_lines, named_joints
 from planner.pages.mesh_page import mesh_page, zero_level_set
 from planner.pages.motion_page import object_motion
 from planner.pages.page import Page, has_browser, read_page_data, write_page

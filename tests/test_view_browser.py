@@ -15,7 +15,7 @@ from serving import large_dataset, serving, small_dataset
 
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion import plan_motion
 from planner.objects import parse_object
 from planner.pages.motion_page import motion_page

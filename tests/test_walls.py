@@ -19,7 +19,7 @@ from planner.collision.pad_contact import PadContact
 from planner.collision.world import CollisionWorld, shape_pair
 from planner.errors import ObjectError
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.search.grasp import attempts
@@ -29,7 +29,7 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import SKIN, surface_of
 from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.mesh import opposed_pairs
-from planner.verification.geometry import edge_failures, verify_geometry
+from planner.verification import edge_failures, verify_geometry
 
 HERE = SE3(np.eye(3), np.zeros(3))
 KINDS = (Cup, Teacup, Bowl, Pan, Plate, Tube)

@@ -13,20 +13,20 @@ import pytest
 from test_closing import close
 
 from planner import GraspTask, plan_grasp
-from planner.approach.pregrasp import Approach, verify_approach
 from planner.batch.recipe import recipe_of, task_of
 from planner.bridge import LinkGeometry
 from planner.certify import bound_nearby
 from planner.collision.pad_contact import pad_contacts
+from planner.collision.pregrasp import Approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, NotFoundError, TaskError
 from planner.files import read_plan
 from planner.hand_loading import load_hand
-from planner.hands import link_pads
+from planner.hands import fingers as link_pads
 from planner.hands.fingers import Pad
 from planner.hands.grasp_types import contact_sets
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.search import check_task
 from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
@@ -214,7 +214,7 @@ def test_outermost_contacts_press_and_the_palm_need_not(plan: GraspPlan) -> None
 
 def test_the_palms_force_loads_no_joint_of_a_finger(plan: GraspPlan) -> None:
     """J'f of the other contacts alone is what the actuators give."""
-    from planner.verification.grasp import force_arguments
+    from planner.verification import force_arguments
 
     task = plan.task
     given = force_arguments(task, plan.contacts, plan.T_world_base, plan.q)

@@ -39,7 +39,6 @@ GROUPS: dict[str, list[str]] = {
     "Tasks and planning": [
         "planner.task",
         "planner.search",
-        "planner.attempt",
         "planner.plan",
         "planner.synthesis",
         "planner.verification",
@@ -68,7 +67,6 @@ GROUPS: dict[str, list[str]] = {
         "planner.exchange",
         "planner.registry",
         "planner.schema",
-        "planner.version",
     ],
     "Simulation and trials": [
         "sim.trial",

@@ -2,8 +2,7 @@
 
 from planner.batch.dataset import GraspSet
 from planner.batch.diversity import Diversity, GraspFeatures, diversity, thin
-from planner.batch.refined import refine_grasps
-from planner.batch.run import BatchProgress, plan_grasps, plan_several, separations
+from planner.batch.run import BatchProgress, plan_grasps, plan_several, refine_grasps, separations
 
 __all__ = [
     "BatchProgress",

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from planner.approach.arm_path import ArmPath
-from planner.approach.pregrasp import Approach
 from planner.batch.diversity import Diversity, GraspFeatures, diversity, thin
 from planner.batch.recipe import read_manifest, task_of, with_fingers_of
 from planner.batch.rows import (
@@ -24,13 +22,15 @@ from planner.batch.rows import (
     reading,
 )
 from planner.batch.store import ATTEMPTS, GRASPS, JOURNAL, shard_file, waiting_rows, whole_shards
+from planner.collision.arm_path import ArmPath
+from planner.collision.pregrasp import Approach
 from planner.errors import FileFormatError, NotFoundError
 from planner.failure import Failure
 from planner.plan import GraspPlan, SolveRecord
 from planner.showing import in_notebook
 from planner.spatial import SE3, IntArray, pose_from_wxyz
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 MOST_COMPARED = 10_000
 """Grasps per object by which diversity is measured, the first in order of k: they are independent

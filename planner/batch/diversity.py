@@ -36,7 +36,7 @@ from scipy.special import digamma
 
 from planner.errors import TaskError
 from planner.failure import Failure
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.shapes import Shape
 from planner.shapes.mesh import surface_points

@@ -22,11 +22,11 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
+from planner.contacts.friction import ExpectedLoad
 from planner.errors import FileFormatError
 from planner.files import TaskData, read_json, task_data, task_from_data
 from planner.files.data import PoseData
 from planner.files.disk import refuse_other_request
-from planner.forces.grip import ExpectedLoad
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.schema import Finite, StrictData, faults_of

@@ -19,8 +19,8 @@ from planner.bridge.prepare import add_described_parts, isolate_base, name_parts
 from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
-    from planner.bridge.decompile import spec_from_model
     from planner.bridge.edit import mirror_spec, motorise_spec
+    from planner.bridge.structure import spec_from_model
 
 __all__ = [
     "LinkGeometry",
@@ -46,7 +46,7 @@ __getattr__, __dir__ = lazy_names(
     {
         "mirror_spec": "planner.bridge.edit",
         "motorise_spec": "planner.bridge.edit",
-        "spec_from_model": "planner.bridge.decompile",
+        "spec_from_model": "planner.bridge.structure",
     },
 )
 

@@ -33,8 +33,7 @@ import mujoco
 import numpy as np
 
 from planner.bridge.actuation import actuation_from_mujoco
-from planner.bridge.load import compile_spec
-from planner.bridge.mesh_files import HIDDEN_GROUP
+from planner.bridge.load import HIDDEN_GROUP, compile_spec
 from planner.bridge.prepare import name_parts
 from planner.errors import HandError, ModelError, NotFoundError
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz

@@ -57,7 +57,7 @@ from planner.certify.tolerance import PoseErrors, largest_turn
 from planner.contacts import ContactSet
 from planner.errors import ContactError, shown
 from planner.joints.actuation import STOP_TOL
-from planner.kinematics.state import HandState, joint_axes
+from planner.kinematics import HandState, joint_axes
 from planner.numerics.lp import LpSolution, solve_lp
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, IntArray, skew

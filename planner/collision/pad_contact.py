@@ -21,7 +21,7 @@ from planner.bridge import LinkGeometry
 from planner.collision.world import shape_pair
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.spatial import SE3, FloatArray
 from planner.system.threads import kept_by_thread
 from planner.task import GraspTask

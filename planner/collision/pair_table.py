@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 
 from planner.errors import TaskError
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandKinematics, point_rates
-from planner.proximity.convex import DistancePair
+from planner.kinematics import HandKinematics, point_rates
 from planner.shapes import Box, Mesh, Shape
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask, Obstacle
 
 if TYPE_CHECKING:
-    from planner.proximity.mesh import MeshPair
+    from planner.collision.mesh_distance import MeshPair
 
 OBJECT = "object"
 """Name of the object among the geometries."""
@@ -250,7 +250,7 @@ def _finger_pairs(
 def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:
     """The distance query of a convex coal geometry (a) and a shape (b)."""
     if isinstance(shape, Mesh):
-        from planner.proximity.mesh import MeshPair  # here: for meshes alone
+        from planner.collision.mesh_distance import MeshPair  # here: for meshes alone
 
         return MeshPair(geometry, shape)
     return DistancePair(geometry, shape.coal_geometry())

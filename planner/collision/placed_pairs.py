@@ -13,6 +13,7 @@ the clearance.
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,14 +23,15 @@ from numpy.typing import NDArray
 from planner.collision.pair_table import PairTable
 from planner.errors import TaskError
 from planner.hands.hand import Hand
-from planner.kinematics.link_bounds import LinkBounds
-from planner.proximity.convex import FEW, GeometryPairs, PairQuery
+from planner.numerics.kernels import kernels_are_compiled
 from planner.shapes import Mesh
+from planner.shapes.convex_pairs import FEW, GeometryPairs, PairQuery
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
 if TYPE_CHECKING:
-    from planner.proximity.mesh_pairs import MeshPairs
+    from planner.collision.link_bounds import LinkBounds
+    from planner.collision.mesh_pairs import MeshPairs
 
 MESH_LIMIT = 0.006
 """``PlacedPairs.near`` looks no further than this (m) from a mesh; a wider search takes longer."""
@@ -42,7 +44,6 @@ class PlacedPairs:
         table: Which pairs there are.
         geometries: Queries of the convex ones.
         mesh: Queries of those with an object that is a mesh; None if it is none.
-        bounds: Lower bounds of all distances.
         fixed: Poses of what stands around, base axes, the object first.
     """
 
@@ -56,17 +57,25 @@ class PlacedPairs:
         self.table = table = PairTable.of(task)
         self.geometries = GeometryPairs(hand.pin_model, table.model, table.pairs, table.n_hand)
         self.mesh: MeshPairs | None = None
-        points: FloatArray | None = None
         if isinstance(shape, Mesh):
-            from planner.proximity.mesh_pairs import MeshPairs  # here: for meshes alone
+            from planner.collision.mesh_pairs import MeshPairs  # here: for meshes alone
 
             self.mesh = MeshPairs([g.geometry for g in hand.geometries], shape)
-            points = shape.hull_vertices
-        self.bounds = LinkBounds(hand.pin_model, table.model, table.pairs, table.n_hand, points)
+        self._task = task
         self.fixed: list[SE3] = list(table.fixed)
         self._forms: FloatArray | None = None  # where the forms of the bounds are
         self._base, self._held = np.full((4, 4), np.nan), False
         self._q, self._settled = hand.q_lower, False
+
+    @cached_property
+    def bounds(self) -> LinkBounds:
+        """Lower bounds of all distances; they pay where kernels are compiled."""
+        from planner.collision.link_bounds import LinkBounds  # here: a single plan compiles nothing
+
+        table, shape = self.table, self._task.object.shape
+        points = shape.hull_vertices if isinstance(shape, Mesh) else None
+        model = self._task.hand.pin_model
+        return LinkBounds(model, table.model, table.pairs, table.n_hand, points)
 
     def place(self, T_world_base: SE3, q: FloatArray, T_world_object: SE3 | None = None) -> None:
         """Say where everything is at base pose and q: the base's frame counts.
@@ -114,7 +123,7 @@ class PlacedPairs:
 
         With a limit (m), it is some pair at or above the limit where all are.
         """
-        if self.bounds.pays:
+        if kernels_are_compiled():
             return self.nearest_by_bounds(np.flatnonzero(which), limit)
         self.settle()
         convex = which & ~self.table.on_mesh
@@ -182,7 +191,7 @@ class PlacedPairs:
         All that are negative are told.
         """
         self.settle()
-        if not self.bounds.pays:
+        if not kernels_are_compiled():
             return self.distances(which, count=count)
         table = self.table
         values = np.full(len(table.pairs), np.inf)
@@ -252,7 +261,7 @@ class PlacedPairs:
         return numbers, distances, rows
 
     def _near_convex(self, which: NDArray[np.bool_], limit: float) -> PairQuery:
-        if not self.bounds.pays:
+        if not kernels_are_compiled():
             return self.geometries.near(which, limit)
         asked = np.flatnonzero(which)
         return self.geometries.near(which, limit, asked[self.lower_bounds(asked, limit) < limit])
@@ -282,24 +291,15 @@ def hull_pairs(hand: Hand, mesh: Mesh) -> GeometryPairs:
 class Sweep:
     """The geometries of a hand at q against what stands around, which moves instead of the hand."""
 
-    def __init__(
-        self,
-        pairs: GeometryPairs,
-        table: PairTable,
-        bounds: LinkBounds,
-        mesh: MeshPairs | None,
-        hull: GeometryPairs | None,
-    ) -> None:
+    def __init__(self, placed: PlacedPairs, hull: GeometryPairs | None) -> None:
         """Keep the queries.
 
         Args:
-            pairs: All pairs of the world.
-            table: Which they are.
-            bounds: Of their distances.
-            mesh: Those of the hand and the object, if it is a mesh.
-            hull: The same with its convex hull.
+            placed: All pairs of the world.
+            hull: The hand and the convex hull of the object, if that is a mesh.
         """
-        self._pairs, self._bounds, self._mesh, self._hull = pairs, bounds, mesh, hull
+        self._placed, self._pairs, table = placed, placed.geometries, placed.table
+        self._mesh, self._hull = placed.mesh, hull
         self._chosen = table.hand_environment_pairs & ~table.on_mesh
         self._convex = np.flatnonzero(self._chosen)
         self._with_mesh, self._first = np.flatnonzero(table.on_mesh), table.first
@@ -355,7 +355,7 @@ class Sweep:
         """Which pairs, by their numbers, are not clear for certain by the forms around them."""
         if forms is None:
             return numbers
-        return numbers[~self._bounds.clear_along(forms, numbers, way, clearance)]
+        return numbers[~self._placed.bounds.clear_along(forms, numbers, way, clearance)]
 
     def _lie(self, numbers: IntArray, q: FloatArray, fixed: list[SE3]) -> PairQuery:
         self._pairs.place(q, fixed)

@@ -23,14 +23,15 @@ from planner.collision.pair_table import (
 )
 from planner.collision.placed_pairs import PlacedPairs, Sweep, hull_pairs
 from planner.errors import NotFoundError
-from planner.kinematics.state import MovingHand
-from planner.proximity.convex import LEAST_LIMIT, DistancePair, Proximity
+from planner.kinematics import MovingHand
+from planner.numerics.kernels import kernels_are_compiled
 from planner.shapes import Mesh
+from planner.shapes.convex_pairs import LEAST_LIMIT, DistancePair, Proximity
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
 if TYPE_CHECKING:
-    from planner.proximity.mesh import MeshPair
+    from planner.collision.mesh_distance import MeshPair
 
 __all__ = [
     "OBJECT",
@@ -68,7 +69,7 @@ class CollisionWorld:
         self.task = task
         hand = task.hand
         self._pairs = pairs = PlacedPairs(task)
-        self._table, self._bounds = table, bounds = pairs.table, pairs.bounds
+        self._table = table = pairs.table
         self.surroundings = table.surroundings
         self.moving = MovingHand(hand, hand.q_lower)
         self._numbers = np.arange(len(table.pairs))
@@ -78,7 +79,7 @@ class CollisionWorld:
         self._moving: dict[frozenset[str], NDArray[np.bool_]] = {}
         shape = task.object.shape
         hull = hull_pairs(hand, shape) if isinstance(shape, Mesh) else None
-        self._sweep = Sweep(pairs.geometries, table, bounds, pairs.mesh, hull)
+        self._sweep = Sweep(pairs, hull)
         self._around = np.flatnonzero(table.hand_environment_pairs)
         self._apart = np.flatnonzero(table.hand_environment_pairs | table.finger_pairs)
 
@@ -149,7 +150,7 @@ class CollisionWorld:
         which = self._table.hand_environment_pairs if surroundings_only else self._all
         if may_touch:
             which = which & ~self._contact_pairs(frozenset(may_touch))
-        if self._bounds.pays:
+        if kernels_are_compiled():
             asked = self._around if surroundings_only else self._numbers
             asked = asked[which[asked]]
             near = asked[self._pairs.lower_bounds(asked, clearance) < clearance]
@@ -168,12 +169,13 @@ class CollisionWorld:
 
         Quicker than ``nearest_below`` of each where kernels are compiled; else it is all of them.
         """
-        if not self._bounds.pays:
+        if not kernels_are_compiled():
             return np.arange(len(path))
         self._pairs.place(T_world_base, path[0])
-        forms = self._bounds.place(path, self._pairs.fixed)
-        bounds = self._bounds.at(forms, self._numbers, np.full(len(path), LEAST_LIMIT))
-        return np.flatnonzero((bounds < LEAST_LIMIT).any(axis=1))
+        bounds = self._pairs.bounds
+        forms = bounds.place(path, self._pairs.fixed)
+        least = bounds.at(forms, self._numbers, np.full(len(path), LEAST_LIMIT))
+        return np.flatnonzero((least < LEAST_LIMIT).any(axis=1))
 
     def nearest_on_arm(
         self, T_world_base: SE3, q: FloatArray, *, T_world_object: SE3 | None = None
@@ -229,7 +231,7 @@ class CollisionWorld:
             see ``planner.collision.placed_pairs``.
         """
         self._pairs.place(T_world_base, q)
-        forms = self._pairs.forms() if self._bounds.pays else None
+        forms = self._pairs.forms() if kernels_are_compiled() else None
         way = T_world_base.rotation.T @ way
         found = self._sweep.violation(q, self._pairs.fixed, forms, way, clearance)
         self._pairs.unsettle()  # the sweep has moved them
@@ -249,7 +251,7 @@ class CollisionWorld:
         """
         pairs, table = self._pairs, self._table
         pairs.place(T_world_base, q)
-        if self._bounds.pays:
+        if kernels_are_compiled():
             outer = table.hand_environment_pairs[self._apart]
             wanted = np.where(outer, environment, fingers)
             near = pairs.lower_bounds(self._apart, max(environment, fingers)) < wanted

@@ -1,4 +1,4 @@
-"""The friction cone of one contact: edges, faces, support and utilisation, in one place.
+"""The friction cone of one contact: edges, faces, support, utilisation; the grip that it asks for.
 
 With f_n the normal force, f_t1, f_t2 the tangential forces and tau_n the torsion, the law is
 
@@ -26,15 +26,26 @@ a_j = (2 j + 1) pi/k and read, with rho = mu cos(pi/k) (inscribed) or mu,
     prism         the sides, and  +-tau_n / mu_torsion - f_n <= 0.
 
 CasADi's expressions of the same law are in ``planner.synthesis`` and ``planner.motion``.
+
+``grip_for_load``: n fingers that press with g each bear, by friction alone, a force of mu n g along
+their surfaces, and about the object a torque of that times a lever. So a weight W, a force F and a
+torque T take
+
+    g = LOAD_SAFETY (W + F + T / lever) / (mu n)
+
+whatever their directions. It is a size to begin with, not a proof: along some directions normals
+help, along others one finger stands alone. ``opposable test PLAN --protocol forces`` measures what
+a plan bears, ``opposable certify PLAN`` proves what the best control could.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from planner.arrays import checked_count
+from planner.arrays import check_fields, checked_count
 from planner.errors import ContactError, shown
 from planner.spatial import FloatArray
 
@@ -229,3 +240,54 @@ def check_edges(edges: int, cone: str = "inscribed") -> None:
     checked_count(what, edges, least=MIN_EDGES, most=MOST_EDGES)
     if cone not in _PYRAMIDS:
         raise ContactError(f"cone is {shown(cone)}; use 'inscribed' or 'circumscribed'")
+
+
+LOAD_SAFETY = 1.5
+"""Factor on the grip for an expected load (-). What a plan then bears along each axis of the world:
+``opposable test PLAN --protocol forces``."""
+
+LEAST_MU = 1e-3
+"""Friction (-) below which a grip does not grow any more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExpectedLoad:
+    """The largest disturbance that a held object is to bear, in any direction.
+
+    Attributes:
+        force: At the centre of mass, N.
+        torque: About it, N m; on top of the force.
+    """
+
+    force: float = 0.0
+    torque: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check both numbers.
+
+        Raises:
+            TaskError: One is negative or not finite.
+        """
+        for name, unit in (("force", "N"), ("torque", "N m")):
+            check_fields(self, (name,), what="the expected ", least=0.0, unit=unit)
+
+    def __bool__(self) -> bool:
+        """Whether anything is expected."""
+        return self.force > 0 or self.torque > 0
+
+
+def grip_for_load(
+    load: ExpectedLoad, *, weight: float, lever: float, mu: float, n_contacts: int
+) -> float:
+    """Least normal force of each finger for a load on top of a weight, N.
+
+    Args:
+        load: What is to be borne.
+        weight: Of the object, N.
+        lever: What turns a torque into a force at the contacts, m; the radius of the object's
+            bounding sphere serves.
+        mu: Friction that may be relied on (-).
+        n_contacts: Fingers that press, at least 1.
+    """
+    total = weight + load.force + load.torque / lever
+    return LOAD_SAFETY * total / (max(mu, LEAST_MU) * n_contacts)

@@ -1,16 +1,16 @@
 """Hand descriptions proposed from a model's structure, and checks of descriptions."""
 
-from planner.describe.cached import proposed_description
 from planner.describe.check import check_hand
 from planner.describe.proposal import (
+    CheckReport,
+    Finding,
     Proposal,
     Reason,
     description_text,
     write_description,
     write_proposal,
 )
-from planner.describe.propose import propose
-from planner.describe.report import CheckReport, Finding
+from planner.describe.propose import propose, proposed_description
 
 __all__ = [
     "CheckReport",

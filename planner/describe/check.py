@@ -12,10 +12,10 @@ from planner.bridge.numbers import impossible_inertias, worst_inertia
 from planner.bridge.pinocchio_model import body_name
 from planner.describe.grip import check_pads, check_postures
 from planner.describe.overlaps import TOUCHING, check_overlaps, placed_geometries, separate_pairs
-from planner.describe.report import CheckReport, Findings, JointRow, TouchRow, WorkspaceRow
+from planner.describe.proposal import CheckReport, Findings, JointRow, TouchRow, WorkspaceRow
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
-from planner.proximity.convex import DistancePair
+from planner.kinematics import HandState
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import FloatArray
 
 SAMPLES = 500

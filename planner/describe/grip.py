@@ -9,11 +9,11 @@ import numpy as np
 from planner.describe.fingertips import ConvexLink, cone_directions
 from planner.describe.overlaps import TOUCHING
 from planner.describe.postures import PostureSolver
-from planner.describe.report import Findings, PadRow, PostureRow
+from planner.describe.proposal import Findings, PadRow, PostureRow
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.joints.description import TaxelDescription
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import FloatArray
 
 LEAST_PRESS = 1.5

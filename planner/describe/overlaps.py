@@ -17,11 +17,11 @@ import numpy as np
 import pinocchio as pin
 
 from planner.bridge import LinkGeometry
-from planner.describe.report import Findings
+from planner.describe.proposal import Findings
 from planner.hands.hand import Hand
 from planner.joints.couplings import nearest_on_couplings
-from planner.kinematics.state import HandState
-from planner.proximity.convex import DistancePair
+from planner.kinematics import HandState
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import SE3, FloatArray
 
 TOUCHING = -5e-5

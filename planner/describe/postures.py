@@ -27,7 +27,7 @@ from planner.describe.overlaps import TOUCHING, HandGaps
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.joints.couplings import nearest_on_couplings
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import FloatArray
 
 RADII = (0.012, 0.016, 0.022, 0.028, 0.034, 0.040, 0.046, 0.052)

@@ -27,7 +27,7 @@ from planner.describe.tree import find_base, fingers_in_world
 from planner.hands.build import build_from_spec
 from planner.hands.hand import Hand
 from planner.joints.description import HandDescription, RepairDescription
-from planner.proximity.convex import DistancePair
+from planner.shapes.convex_pairs import DistancePair
 
 NARROW_HINGE, WIDE_HINGE = 0.1, 20.0
 """Widest range (rad) of all hinges below which a file was written in radians and read in degrees,

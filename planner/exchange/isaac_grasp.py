@@ -64,7 +64,7 @@ from planner.files import whole_file
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import pose_to_wxyz
-from planner.version import written_by
+from planner.system.package import written_by
 
 NAME, VERSION = "isaac_grasp", 1.0
 """What such a file says of itself."""

@@ -33,7 +33,7 @@ from planner.exchange.dexgraspbench.models import frame_shift
 from planner.exchange.formats import Reading, Writing, joints_by_name
 from planner.exchange.yaml_text import read_documents, table, text
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 from planner.task import GraspTask

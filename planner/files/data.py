@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from planner.approach.arm_path import ArmPath
+from planner.collision.arm_path import ArmPath
 from planner.contacts import ContactModel
 from planner.errors import FileFormatError, TaskError
 from planner.hands.catalog import hand_names

@@ -17,7 +17,7 @@ from planner.files.disk import checked_file, read_json, write_json
 from planner.files.plans import given_hand, plan_from_dict, plan_to_dict
 from planner.motion.handover import HandoverPlan, put_together
 from planner.schema import StrictData
-from planner.version import written_by
+from planner.system.package import written_by
 
 
 class HandoverFile(StrictData):

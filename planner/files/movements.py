@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from planner.approach.pregrasp import Approach
+from planner.collision.pregrasp import Approach
 from planner.errors import FileFormatError, TaskError, shown
 from planner.failure import Failure
 from planner.files.data import ArmData, ContactData, LaterData, PlanFile, PoseData
@@ -43,7 +43,7 @@ from planner.motion.verify import MovementVerifier, Waypoint
 from planner.plan import GraspPlan
 from planner.schema import Finite, NotNegative, StrictData, Vector3
 from planner.spatial import FloatArray
-from planner.version import written_by
+from planner.system.package import written_by
 
 SAME = 1e-9
 """How far (rad, m) the first knot of a file may be from its grasp."""

@@ -26,7 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
-from planner.approach.pregrasp import Approach
+from planner.collision.pregrasp import Approach
 from planner.contacts import Contact, ContactModel, ContactSet
 from planner.errors import FileFormatError, TaskError, shown
 from planner.failure import Failure
@@ -48,9 +48,9 @@ from planner.plan import GraspPlan
 from planner.quality import primitive_wrenches
 from planner.schema import LARGEST, NotNegative, StrictData, Vector3, faults_of
 from planner.spatial import SE3, FloatArray
+from planner.system.package import written_by
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
-from planner.version import written_by
+from planner.verification import verify_grasp
 
 QUALITY_REL_TOL = 1e-3
 """How far stored figures may be from those computed again, as a share of the larger (-): contacts

@@ -21,6 +21,7 @@ from planner.forces.solve import (
 from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
+    from planner.contacts.friction import ExpectedLoad, grip_for_load
     from planner.forces.build import QuadraticCost
     from planner.forces.compare import (
         PyramidGap,
@@ -31,11 +32,10 @@ if TYPE_CHECKING:
         turning_wrenches,
     )
     from planner.forces.compliance import GraspCompliance
-    from planner.forces.grip import ExpectedLoad, grip_for_load
     from planner.forces.infeasible import Infeasibility, explain_infeasibility
     from planner.forces.loop import ForceLoop, ForceStep
-    from planner.forces.workspace import turned_frames
-    from planner.numerics.qp_workspace import DEFAULT_SOLVER, solver_names
+    from planner.forces.problem import turned_frames
+    from planner.numerics.qp import DEFAULT_SOLVER, solver_names
 
 __all__ = [
     "DEFAULT_SOLVER",
@@ -69,8 +69,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "DEFAULT_SOLVER": "planner.numerics.qp_workspace",
-    "ExpectedLoad": "planner.forces.grip",
+    "DEFAULT_SOLVER": "planner.numerics.qp",
+    "ExpectedLoad": "planner.contacts.friction",
     "ForceLoop": "planner.forces.loop",
     "ForceStep": "planner.forces.loop",
     "GraspCompliance": "planner.forces.compliance",
@@ -82,9 +82,9 @@ _HOMES = {
     "compare_solvers": "planner.forces.compare",
     "cone_gaps": "planner.forces.compare",
     "explain_infeasibility": "planner.forces.infeasible",
-    "grip_for_load": "planner.forces.grip",
-    "solver_names": "planner.numerics.qp_workspace",
-    "turned_frames": "planner.forces.workspace",
+    "grip_for_load": "planner.contacts.friction",
+    "solver_names": "planner.numerics.qp",
+    "turned_frames": "planner.forces.problem",
     "turning_wrenches": "planner.forces.compare",
 }
 """What a plan does not need -> the module that defines it."""

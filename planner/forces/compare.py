@@ -31,7 +31,7 @@ from planner.forces.infeasible import explain_infeasibility
 from planner.forces.loop import STEP_TOL, ForceLoop
 from planner.forces.solve import distribute_forces
 from planner.joints.actuation import Actuation
-from planner.numerics.qp_workspace import DEFAULT_SOLVER, solver_names
+from planner.numerics.qp import DEFAULT_SOLVER, solver_names
 from planner.spatial import FloatArray
 
 PUSH_SHARE = 0.5

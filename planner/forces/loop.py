@@ -25,11 +25,10 @@ from planner.contacts import ContactSet, Pyramid, check_frames
 from planner.errors import ContactError, shown
 from planner.forces.build import EXTRA_COST, LimitArguments, QuadraticCost, build_force_problem
 from planner.forces.limits import TorqueCase, TorqueLimits, loaded_rows
-from planner.forces.problem import force_table, wrench_text
+from planner.forces.problem import ContactWorkspace, force_table, wrench_text
 from planner.forces.solve import Relaxation
-from planner.forces.workspace import ContactWorkspace
 from planner.joints.actuation import Actuation
-from planner.numerics.qp_workspace import DEFAULT_SOLVER, DenseQp, QpWorkspace, qp_workspace
+from planner.numerics.qp import DEFAULT_SOLVER, DenseQp, QpWorkspace, qp_workspace
 from planner.spatial import FloatArray
 
 STEP_TOL = 1e-6

@@ -41,7 +41,7 @@ from planner.forces.problem import (
     torque_table,
     wrench_text,
 )
-from planner.numerics.qp_workspace import CONE_SOLVER, DEFAULT_SOLVER, DenseQp, qp_workspace
+from planner.numerics.qp import CONE_SOLVER, DEFAULT_SOLVER, DenseQp, qp_workspace
 from planner.spatial import FloatArray
 from planner.system.threads import built
 

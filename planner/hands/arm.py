@@ -23,7 +23,7 @@ from planner.joints.description import Finite, Vector
 from planner.schema import StrictData
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
-__all__ = ["Arm", "ArmDescription", "Mount", "MountDescription", "read_mount"]
+__all__ = ["Arm", "ArmDescription", "Mount", "MountDescription", "mount_of", "read_mount"]
 
 
 class ArmDescription(StrictData):
@@ -182,8 +182,19 @@ def read_mount(path: Path) -> Mount | None:
         HandError: Not TOML, a mount with faults, or a mount of another mount.
     """
     raw = read_toml(path)
-    if "arm" not in raw:
-        return None
+    return mount_of(path, raw) if "arm" in raw else None
+
+
+def mount_of(path: Path, raw: dict[str, Any]) -> Mount:
+    """The mount that the content of a file describes.
+
+    Args:
+        path: The file.
+        raw: Its content, which has the key "arm".
+
+    Raises:
+        HandError: A mount with faults, or a mount of another mount.
+    """
     description = validated(path, MountDescription, raw, "a hand on an arm")
     mount = Mount(path=path, description=description)
     if not os.path.isfile(mount.hand_path):  # False where the name is too long

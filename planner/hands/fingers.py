@@ -1,35 +1,27 @@
-"""Fingers, pads and couplings: the names of a description resolved in its model and checked.
+"""What a hand touches with: fingers and their pads, inner links, the palm; the sides of two hands.
 
-Called once per hand, when it is built.
+Beside its fingertips a hand touches with links of its fingers, and with the palm
+(``Hand.contact_parts``). A link that touches is a finger that ends early: the joints up to that
+link, and a pad on it. The palm is a finger without joints, or, of one hand of two, with those of
+its carriage. Pads are proposed from the geometry: a capsule or cylinder touches along its line, a
+box with the face that looks to the palm's side, a hull with the line or face that its front is. A
+long round link has a second pad, on the flank towards the finger that opposes the others
+(``flank``): there a thumb presses in a lateral grasp.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 
-from planner.bridge import LinkGeometry, couplings_from_mujoco
-from planner.bridge.pinocchio_model import body_name
-from planner.errors import HandError, NotFoundError
-from planner.joints.couplings import Coupling, check_couplings, independent_couplings
-from planner.joints.description import FingerDescription, HandDescription
-from planner.proximity.convex import DistancePair
-from planner.spatial import SE3, FloatArray, IntArray
+from planner.bridge import LinkGeometry
+from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Finger", "Pad", "Resolver", "Side"]
-
-PAD_TOL = 5e-4
-"""How far (m) a pad's sphere may be from the surface of its geometry: the tolerance of touch."""
-
-_POINT = 1e-6
-"""Radius (m) of the ball that stands for a point."""
+__all__ = ["Finger", "Pad", "Side"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +84,7 @@ class Finger:
         pad: Where it touches.
         bodies: Names of the bodies that belong to the finger.
         is_link: Whether it is no finger but a link that can touch, or the palm: a finger that ends
-            early (``planner.hands.link_pads``).
+            early (``planner.hands.fingers``).
     """
 
     name: str
@@ -130,148 +122,255 @@ class Side:
         return f"{self.name}/{name}" if self.name else name
 
 
-class Resolver:
-    """Resolves the names of a description in its model; ``where`` is what messages call it."""
+ROUND_HALF_ANGLE = float(np.deg2rad(70.0))
+"""Contacts of a round link lie within this cone (rad) about the direction to the palm's side: its
+flanks touch as well, its back does not."""
 
-    def __init__(
-        self,
-        where: str,
-        description: HandDescription,
-        mj_model: Any,
-        pin_model: Any,
-        geometries: tuple[LinkGeometry, ...],
-    ) -> None:
-        """Check what the description says of the hand as a whole."""
-        self.where, self.description = where, description
-        self.geometries = {g.name: g for g in geometries}
-        self.mj_model, self.pin_model = mj_model, pin_model
-        self.joints = tuple(pin_model.names)[1:]
-        self.bodies = {body_name(mj_model, i): i for i in range(1, mj_model.nbody)}
-        self.sites = {mj_model.site(i).name: i for i in range(mj_model.nsite)}
-        endless = [
-            name
-            for name, low, high in zip(
-                self.joints,
-                pin_model.lowerPositionLimit,
-                pin_model.upperPositionLimit,
-                strict=True,
-            )
-            if not np.isfinite([low, high]).all()
-        ]
-        if endless:
-            raise HandError(
-                f"joints {endless} of {description.model} have no range; give them one in the "
-                "model (range in MJCF, a <limit> and type revolute in URDF)"
-            )
-        for name in ("base_body", "palm_body"):
-            self._need("body", getattr(description, name), self.bodies)
-        for joint in description.wrist_joints:
-            self._need("joint", joint, self.joints)
-        for pair in description.allowed_contacts:
-            for geom in pair:
-                self._need("colliding geom", geom, self.geometries)
+FLANK = ".side"
+"""Behind the name of a link: its flank."""
 
-    def _need(self, kind: str, name: str, available: Any) -> None:
-        if name not in available:
-            hint = f"Correct it in {self.where}."
-            raise NotFoundError(f"{kind} of {self.description.model}", name, available, hint)
+FLANK_HALF_ANGLE = float(np.deg2rad(50.0))
+"""Contacts of a flank lie within this cone (rad) about the direction straight to the side."""
 
-    def fingers(self) -> Mapping[str, Finger]:
-        """The fingers by name, in the description's order.
+FLAT_HALF_ANGLE = float(np.deg2rad(8.0))
+"""The same for the face of a box or a hull, whose one normal is the pad's axis."""
 
-        Raises:
-            HandError: No finger, a name or a joint used twice, or a pad or tip that does not fit.
-            NotFoundError: A name that the model does not have.
-        """
-        if not self.description.fingers:
-            raise HandError(f"{self.where} describes no finger; add at least one [[fingers]] table")
-        out = {f.name: self._finger(f) for f in self.description.fingers}
-        if len(out) != len(self.description.fingers):
-            raise HandError(f"{self.where} describes two fingers of one name; rename one")
-        used = Counter(joint for f in self.description.fingers for joint in f.joints)
-        shared = sorted(joint for joint, count in used.items() if count > 1)
-        if shared:
-            raise HandError(f"{self.where}: joints {shared} are named twice among the fingers")
-        for name in self.description.default_fingers:
-            self._need("finger", name, out)
-        return MappingProxyType(out)
+STRAIGHT = 1e-3
+"""How far (m) the front of a hull may fall back where it counts as straight: the rest is closed
+when fingers are put onto the true surface."""
 
-    def _finger(self, finger: FingerDescription) -> Finger:
-        for joint in finger.joints:
-            self._need("joint", joint, self.joints)
-        self._need("site", finger.tip_frame, self.sites)
-        tip = self.pin_model.getFrameId(finger.tip_frame, pin.FrameType.OP_FRAME)
-        if self.pin_model.names[self.pin_model.frames[tip].parentJoint] not in finger.joints:
-            raise HandError(
-                f"{self.where}: the tip site {finger.tip_frame!r} of finger {finger.name!r} does "
-                f"not move with one of its joints {list(finger.joints)}; name a site of its last "
-                "link"
-            )
-        ids = {self.pin_model.getJointId(j) for j in finger.joints}
-        return Finger(
-            name=finger.name,
-            joints=finger.joints,
-            q_index=np.array([self.joints.index(j) for j in finger.joints]),
-            tip_frame=finger.tip_frame,
-            tip_frame_id=int(tip),
-            pad=self._pad(finger),
-            bodies=frozenset(
-                name
-                for name in self.bodies
-                if self.pin_model.frames[self.pin_model.getBodyId(name)].parentJoint in ids
-            ),
-        )
+SHORT_FACE, WIDE = 4e-3, 0.8
+"""Least half length (m) along which a hull's front counts as straight; share (-) of its half extent
+that a pad takes at most: its rim is round."""
 
-    def _pad(self, finger: FingerDescription) -> Pad:
-        self._need("colliding geom", finger.pad.geom, self.geometries)
-        geometry = self.geometries[finger.pad.geom]
-        frame = self.pin_model.frames[self.pin_model.getBodyId(geometry.body)]
-        if self.pin_model.names[frame.parentJoint] not in finger.joints:
-            raise HandError(
-                f"{self.where}: the pad geom {finger.pad.geom!r} of finger {finger.name!r} does "
-                f"not move with one of its joints {list(finger.joints)}; name a geom of its last "
-                "link"
-            )
-        center = np.array(frame.placement.act(np.array(finger.pad.center)))
-        point = DistancePair(geometry.geometry, coal.Sphere(_POINT))
-        depth = -point.distance(geometry.T_joint_geometry, SE3(np.eye(3), center)) - _POINT
-        if abs(depth - finger.pad.radius) > PAD_TOL:
-            raise HandError(
-                f"{self.where}: the pad of finger {finger.name!r} has radius "
-                f"{1e3 * finger.pad.radius:.2f} mm, but its center lies {1e3 * depth:.2f} mm below "
-                f"the surface of {finger.pad.geom!r}; the pad is a sphere that touches it inside"
-            )
-        pad, turn = finger.pad, frame.placement.rotation
-        rolling_axis = pad.axis if pad.rolling_axis is None else pad.rolling_axis
-        return Pad(
-            geom=pad.geom,
-            joint_id=int(frame.parentJoint),
-            center=center,
-            axis=np.array(turn @ np.array(pad.axis)),
-            radius=pad.radius,
-            half_angle=float(np.deg2rad(pad.half_angle_deg)),
-            rolling_axis=np.array(turn @ np.array(rolling_axis)),
-            rolling_half_angle=float(np.deg2rad(pad.rolling_half_angle_deg or pad.half_angle_deg)),
-        )
+FITTED, FACING_UP = np.linspace(-0.7, 0.7, 9), 0.05
+"""Where the front is fitted, in shares of the half extents; cosine (-) between a facet of the front
+and the direction in which the pad faces."""
 
-    def couplings(self) -> tuple[Coupling, ...]:
-        """The couplings of the model, then the stops of the description, none of them twice.
+FLAT, ONE_FACE = 0.2, float(np.cos(np.deg2rad(2.0)))
+"""Share (-) of the rays onto a hull's front from which on the face that they meet is the pad, and
+cosine between normals of one face."""
 
-        Raises:
-            NotFoundError: A joint that the model does not have.
-            HandError: Couplings contradict each other or the joint ranges.
-            ModelError: An equality of the model is not linear in the joints.
-        """
-        out = list(couplings_from_mujoco(self.mj_model))
-        for c in self.description.couplings:
-            if c.kind == "equality":
-                continue  # the loader has added it to the model
-            row = np.zeros(len(self.joints))
-            for joint, coefficient in c.joints.items():
-                self._need("joint", joint, self.joints)
-                row[self.joints.index(joint)] = coefficient
-            out.append(Coupling(name=c.name, row=row, value=c.value, one_sided=True))
-        kept = independent_couplings(out, self.where)
-        lower, upper = self.pin_model.lowerPositionLimit, self.pin_model.upperPositionLimit
-        check_couplings(kept, np.array(lower), np.array(upper), self.where)
-        return kept
+STEEPEST = float(np.cos(np.deg2rad(30.0)))
+"""Cosine of the largest angle between a hull's front and where the hand says that it faces."""
+
+ROUND_HULL_ANGLE = float(np.deg2rad(45.0))
+"""Contacts of a round hull lie within this cone (rad)."""
+
+TINY = 1e-12
+"""A squared length (m2) below which there is no direction."""
+
+SHORT = 1e-3
+"""A link along whose line pads could move by less than this (m) is taken as a ball."""
+
+
+def link_contacts(
+    model: Any,
+    geometries: Sequence[LinkGeometry],
+    fingers: Sequence[Finger],
+    side: Side,
+    neutral: FloatArray,
+    pinch: FloatArray | None,
+) -> Mapping[str, Finger]:
+    """Inner links, their flanks and palm of one hand as fingers that end early, by the body's name.
+
+    Of a body with several geometries the largest touches; of the last one of a finger that of the
+    tip, if it is a ball. A body whose name is a finger's is left out.
+
+    Args:
+        model: ``pinocchio.Model`` of the hand.
+        geometries: Its colliding geometries.
+        fingers: Its fingers.
+        side: Its palm, and the joints of the carriage that moves it if it is one of two.
+        neutral: Joints (nq,) with straight fingers.
+        pinch: Joints (nq,) with fingertips that oppose each other; no flanks if None.
+    """
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, neutral)
+    out = {}
+    for finger in fingers:
+        tip = data.oMi[finger.pad.joint_id]
+        ball = next(g.kind for g in geometries if g.name == finger.pad.geom) == "sphere"
+        for body in sorted(finger.bodies, key=model.getBodyId):
+            geometry = _largest(geometries, body)
+            if geometry is None:
+                continue
+            pose = data.oMi[geometry.joint_id]
+            outward = tip.act(finger.pad.center) - pose.translation
+            facing = tip.rotation @ finger.pad.axis
+            facing = facing - outward * (outward @ facing) / max(float(outward @ outward), TINY)
+            pad = _pad(geometry, pose.rotation.T @ facing)
+            if ball and geometry.joint_id == finger.pad.joint_id:
+                wide = max(ROUND_HALF_ANGLE, finger.pad.rolling_half_angle)
+                pad = replace(finger.pad, axis=pad.axis, half_angle=wide)
+            moving = [int(j) - 1 for j in model.supports[geometry.joint_id]]
+            out[body] = _ended(model, body, pad, [j for j in finger.q_index if j in moving])
+    palm = side.palm_body
+    if (face := _largest(geometries, palm)) is not None:
+        turn = model.frames[model.getBodyId(palm)].placement.rotation
+        pad = _pad(face, turn @ side.palm_normal, of_palm=True)
+        out[palm] = _ended(model, palm, pad, side.carriage.tolist())
+    if pinch is not None:
+        opposer = fingers[opposing(model, fingers, pinch)]
+        hulls = {g.name for g in geometries if g.kind == "mesh"}
+        for finger in fingers:
+            links = [out[b] for b in out if b in finger.bodies and finger is not opposer]
+            links = [link for link in links if link.pad.geom not in hulls]
+            flanks = [_flank(model, link, opposer, pinch) for link in links]
+            out |= {part.name: part for part in flanks if part is not None}
+    names = {finger.name for finger in fingers}
+    return {name: part for name, part in out.items() if name not in names}
+
+
+def opposing(model: Any, fingers: Sequence[Finger], pinch: FloatArray) -> int:
+    """Number of the finger that opposes the others: its pad looks against theirs.
+
+    Args:
+        model: ``pinocchio.Model`` of the hand.
+        fingers: Of one hand, or of both.
+        pinch: Joints (nq,) with fingertips that oppose each other.
+    """
+    data = model.createData()
+    pin.forwardKinematics(model, data, pinch)
+    axes = np.array([data.oMi[f.pad.joint_id].rotation @ f.pad.axis for f in fingers])
+    return int((axes @ axes.sum(axis=0)).argmin())
+
+
+def _flank(model: Any, link: Finger, opposer: Finger, pinch: FloatArray) -> Finger | None:
+    """The flank of a round link towards the opposer's pad; None if the link is short or flat."""
+    pad = link.pad
+    if len(pad.reach) != 1:
+        return None
+    data = model.createData()
+    pin.forwardKinematics(model, data, pinch)
+    to_opposer = data.oMi[pad.joint_id].actInv(
+        data.oMi[opposer.pad.joint_id].act(opposer.pad.center)
+    )
+    side = np.cross(pad.reach[0], pad.axis)
+    side *= np.sign(side @ (to_opposer - pad.center)) / np.linalg.norm(side)
+    looking = replace(
+        pad,
+        axis=side,
+        half_angle=FLANK_HALF_ANGLE,
+        rolling_axis=side,
+        rolling_half_angle=FLANK_HALF_ANGLE,
+    )
+    return replace(link, name=link.name + FLANK, pad=looking)
+
+
+def _ended(model: Any, body: str, pad: Pad, joints: Sequence[int]) -> Finger:
+    """A finger that ends with a body; where its joints stand in q."""
+    return Finger(
+        name=body,
+        joints=tuple(model.names[int(j) + 1] for j in joints),
+        q_index=np.array(joints, dtype=int),
+        tip_frame=body,
+        tip_frame_id=int(model.getBodyId(body)),
+        pad=pad,
+        bodies=frozenset({body}),
+        is_link=True,
+    )
+
+
+def _largest(geometries: Sequence[LinkGeometry], body: str) -> LinkGeometry | None:
+    mine = [g for g in geometries if g.body == body]
+    return max(mine, key=lambda g: float(np.prod(_extent(g)[1])), default=None)
+
+
+def _extent(geometry: LinkGeometry) -> tuple[FloatArray, FloatArray]:
+    """Middle and half extents (3,), m, of a geometry's box in its own frame."""
+    coal_geometry = geometry.geometry
+    coal_geometry.computeLocalAABB()
+    box = coal_geometry.aabb_local
+    return (np.array(box.max_) + box.min_) / 2, (np.array(box.max_) - box.min_) / 2
+
+
+def _pad(geometry: LinkGeometry, facing: FloatArray, *, of_palm: bool = False) -> Pad:
+    """The pad of a link; ``facing`` (3,) is the way to the palm's side, in the joint's frame."""
+    if geometry.kind == "mesh":
+        return _hull_pad(geometry, facing, of_palm)
+    placed = geometry.T_joint_geometry
+    local = placed.rotation.T @ facing
+    middle, half = _extent(geometry)
+    if geometry.kind in ("sphere", "capsule", "cylinder"):
+        along = float(half[2] - half[0]) if geometry.kind == "capsule" else float(half[2])
+        round_ = geometry.kind == "sphere" or along < SHORT
+        local[2] = 0.0
+        radius, angle = float(half[0]), ROUND_HALF_ANGLE
+        reach = np.zeros((0, 3)) if round_ else np.array([[0.0, 0.0, along]])
+    else:
+        k = int(np.argmax(np.abs(local)))
+        local = np.sign(local[k]) * np.eye(3)[k]
+        radius, angle = float(half[k]), FLAT_HALF_ANGLE
+        reach = np.diag(half)[[i for i in range(3) if i != k]]
+    axis = placed.rotation @ (local / max(float(np.linalg.norm(local)), 1e-9))
+    return Pad(
+        geom=geometry.name,
+        joint_id=geometry.joint_id,
+        center=np.array(placed.act(middle)),
+        axis=axis,
+        radius=radius,
+        half_angle=angle,
+        rolling_axis=axis,
+        rolling_half_angle=angle,
+        reach=reach @ placed.rotation.T,
+    )
+
+
+def _hull_pad(geometry: LinkGeometry, facing: FloatArray, of_palm: bool) -> Pad:
+    """The pad of a hull: where its front is as good as straight it is a line or a face, else round.
+
+    A quadric is fitted to the front of the hull, twice, the second time seen along its normal.
+    Along each of its two ways the pad reaches as far as the front falls back by ``STRAIGHT``. A way
+    along which that is short is round, with the radius of curvature; so is the narrow way of a
+    finger's link, which meets round objects with its edges.
+    """
+    from planner.system.scipy_parts import ConvexHull  # here: SciPy loads slowly
+
+    placed = geometry.T_joint_geometry
+    hull = ConvexHull(np.array(geometry.geometry.points()))
+    corners, facets = hull.points[hull.vertices], hull.equations
+    normal = placed.rotation.T @ facing
+    normal /= max(float(np.linalg.norm(normal)), TINY)
+    first = normal
+    for _ in range(2):
+        flat = corners - corners.mean(axis=0)
+        ways = np.linalg.svd(flat - np.outer(flat @ normal, normal))[2][:2]
+        low, high = (corners @ ways.T).min(axis=0), (corners @ ways.T).max(axis=0)
+        half, middle = (high - low) / 2, (high + low) / 2 @ ways
+        a, b = (v.ravel() for v in np.meshgrid(*np.outer(half, FITTED)))
+        over = np.column_stack([a, b]) @ ways + middle
+        apart, slope = over @ facets[:, :3].T + facets[:, 3], facets[:, :3] @ normal
+        up, down = slope > FACING_UP, slope < -FACING_UP
+        heights = -apart[:, up] / slope[up]
+        height, met = heights.min(axis=1), facets[up, :3][heights.argmin(axis=1)]
+        hit = height >= (-apart[:, down] / slope[down]).max(axis=1)
+        quadric = np.column_stack([np.ones_like(a), a, b, -(a**2) / 2, -(b**2) / 2])
+        fit = np.linalg.lstsq(quadric[hit], height[hit], rcond=None)[0]
+        bent = np.maximum(fit[3:], 1e-3)
+        front = middle + float(height[len(height) // 2]) * normal  # of the middle of the grid
+        alike = met[hit] @ met[hit].T > ONE_FACE
+        most = alike[alike.sum(axis=1).argmax()]
+        turned = met[hit][most].mean(axis=0) if most.mean() > FLAT else normal - fit[1:3] @ ways
+        turned /= np.linalg.norm(turned)
+        if turned @ first > STEEPEST:
+            normal = turned
+    far = np.minimum(WIDE * half, np.sqrt(2.0 * STRAIGHT / bent))
+    long = far > SHORT_FACE
+    if not of_palm:
+        long[int(np.argmin(half))] = False
+    thick = float(np.append(half[~long], np.ptp(corners @ normal) / 2).min())
+    radius = float(np.clip(1.0 / bent[~long].max(initial=1e-3), 2e-3, thick))
+    angle = FLAT_HALF_ANGLE if long.all() else ROUND_HULL_ANGLE
+    axis = placed.rotation @ normal
+    return Pad(
+        geom=geometry.name,
+        joint_id=geometry.joint_id,
+        center=np.array(placed.act(front - radius * normal)),
+        axis=axis,
+        radius=radius,
+        half_angle=angle,
+        rolling_axis=axis,
+        rolling_half_angle=angle,
+        reach=(far[:, None] * ways)[long] @ placed.rotation.T,
+    )

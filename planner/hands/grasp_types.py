@@ -13,9 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import NotFoundError, TaskError
-from planner.hands.fingers import Finger, Side
+from planner.hands.fingers import FLANK, Finger, Side, opposing
 from planner.hands.hand import Hand
-from planner.hands.link_pads import FLANK, opposing
 from planner.joints.description import PINCH
 from planner.spatial import FloatArray
 

@@ -148,10 +148,10 @@ class Hand:
     def contact_parts(self) -> Mapping[str, Finger]:
         """What can touch an object, by name: fingers with their tips, then their links, the palm.
 
-        A link is a finger that ends with it (``planner.hands.link_pads``). Flanks look to the
+        A link is a finger that ends with it (``planner.hands.fingers``). Flanks look to the
         finger that opposes the others in the posture "pinch"; without it there are none.
         """
-        from planner.hands.link_pads import link_contacts  # here: most grasps are of fingertips
+        from planner.hands.fingers import link_contacts  # here: most grasps are of fingertips
 
         links: dict[str, Finger] = {}
         pinch = self.posture(PINCH) if PINCH in self.description.postures else None

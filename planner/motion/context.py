@@ -26,10 +26,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from planner.attempt import Attempt, run_attempts
 from planner.errors import TaskError
 from planner.failure import Failure
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.path import ObjectPath
 from planner.motion.plan import Knot, MotionRecord, MovementPlan
 from planner.motion.problem import motion_problem_for
@@ -37,6 +36,7 @@ from planner.motion.solve import MotionCandidate, MotionSolver
 from planner.motion.terms import Stance
 from planner.motion.verify import MovementVerifier
 from planner.plan import SolveRecord
+from planner.search.attempt import Attempt, run_attempts
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions

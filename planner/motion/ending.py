@@ -20,8 +20,8 @@ from typing import TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from planner.approach.pregrasp import Approach, find_approach, verify_approach
 from planner.collision.pair_table import lift_to_rest
+from planner.collision.pregrasp import Approach, find_approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.failure import Failure
 from planner.motion.plan import Ending, MovementPlan

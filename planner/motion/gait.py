@@ -17,9 +17,8 @@ from functools import partial
 import numpy as np
 
 from planner.arrays import checked_number
-from planner.attempt import Attempt, nothing_found, search
 from planner.errors import NoGraspFoundError, TaskError
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.context import MotionContext, attempts_in_turn
 from planner.motion.order import NO_ORDER, Lift, NoOrder, Order, find_order
 from planner.motion.path import (
@@ -33,6 +32,7 @@ from planner.motion.plan import GaitPlan, MovementPlan, Relocation, Stroke
 from planner.motion.regrasp import cut_motion, plan_back, plan_others
 from planner.motion.search import MOTION_OPTIONS, PATH_TOLERANCE, UP, check_task
 from planner.motion.terms import Stance
+from planner.search.attempt import Attempt, nothing_found, search
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds import seeder_for

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from planner.approach.pregrasp import Approach
+from planner.collision.pregrasp import Approach
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError
 from planner.failure import Failure
@@ -28,7 +28,7 @@ from planner.motion.verify import MovementVerifier
 from planner.plan import SolveRecord
 from planner.spatial import SE3, FloatArray, fixed_array, rotation_angle
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 TRIED = 6
 """Grasps that are verified for one movement, of which the best is taken unless one is good enough

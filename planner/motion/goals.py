@@ -29,7 +29,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planner.arrays import checked_number
-from planner.attempt import check_seed
 from planner.errors import TaskError, UnreachableError
 from planner.hands.hand import Hand
 from planner.motion.ending import FLAT
@@ -42,6 +41,7 @@ from planner.motion.task import manipulation_task
 from planner.motion.verify import MOST_PRESS
 from planner.numerics.kernels import planning_time
 from planner.objects import GraspObject
+from planner.search.attempt import check_seed
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 

@@ -27,9 +27,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from planner.approach.pregrasp import APPROACH_CLEARANCE, CLOSING_SHARES, STANDOFF, Approach
 from planner.arrays import checked_kind, checked_number
-from planner.attempt import Attempt, check_seed, nothing_found
+from planner.collision.pregrasp import APPROACH_CLEARANCE, CLOSING_SHARES, STANDOFF, Approach
 from planner.collision.world import TABLE_SIZE, CollisionWorld
 from planner.errors import NotFoundError, TaskError
 from planner.failure import Failure
@@ -39,11 +38,17 @@ from planner.hands.two_hands import carriage_joints
 from planner.immutable import freeze
 from planner.numerics.kernels import planning_time
 from planner.plan import GraspPlan
+from planner.search.attempt import Attempt, check_seed, nothing_found
 from planner.search.grasp import attempts
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask, Obstacle
-from planner.verification.geometry import contacts_at, verify_geometry
-from planner.verification.grasp import no_forces, plan_forces, verify_grasp
+from planner.verification import (
+    contacts_at,
+    no_forces,
+    plan_forces,
+    verify_geometry,
+    verify_grasp,
+)
 
 __all__ = ["HandoverPlan", "plan_handover", "put_together"]
 

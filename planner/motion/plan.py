@@ -21,16 +21,15 @@ from typing import TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from planner.approach.pregrasp import Approach, way_back
-from planner.attempt import SearchRecord
+from planner.collision.pregrasp import Approach, way_back
 from planner.contacts import Contact, ContactSet
 from planner.errors import TaskError
 from planner.forces import ForceSolution
 from planner.immutable import freeze
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.path import ObjectPath
 from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
-from planner.plan import GraspPlan, JointTrajectory, Verification
+from planner.plan import GraspPlan, JointTrajectory, SearchRecord, Verification
 from planner.quality import ClosureResult
 from planner.showing import Shown, in_notebook
 from planner.spatial import SE3, FloatArray, shifted

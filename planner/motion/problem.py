@@ -53,7 +53,7 @@ from planner.motion.terms import (
 from planner.motion.unknowns import MotionUnknowns, placement
 from planner.numerics.tape import BufferedFunction
 from planner.shapes import Mesh, Shape
-from planner.shapes.surface import Surface
+from planner.shapes.base import Surface
 from planner.spatial import FloatArray
 from planner.synthesis.mesh_surface import mesh_surface, surface_of
 from planner.synthesis.options import SynthesisOptions

@@ -13,7 +13,8 @@ The swing of one finger from contact to contact while the others hold: up, over,
 
 The path of the pad's centre is given in the object's frame: along the outward normal to one of
 ``HEIGHTS``, at that height over the surface to above the landing, and down along the normal there.
-The joints of the finger follow by steps, each a quadratic programme (``planner.numerics.qp``),
+The joints of the finger follow by steps, each a quadratic programme
+(``planner.numerics.least_squares``),
 
     min  |J dq - (wanted - c)|^2 / height^2 + POSTURE_WEIGHT |q + dq - q_even|^2 + DAMPING |dq|^2
     s.t. nearby pairs stay ``ROOM`` apart (soft); couplings; joint limits
@@ -35,15 +36,14 @@ from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.hands.fingers import Finger
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.motion.order import NoOrder, Order, find_order, holding, standing
 from planner.motion.plan import MovementPlan, Relocation
-from planner.numerics.qp import Barrier, Task, constrained_ik_step
+from planner.numerics.least_squares import Barrier, Task, constrained_ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL, SWING_VERDICT_SHARE, TOUCH_TOL
-from planner.verification.geometry import contacts_of
-from planner.verification.grasp import plan_forces
+from planner.verification import contacts_of, plan_forces
 
 HOLDING_GRIP = 0.5
 """Least normal force (N) of the fingers that hold, where the task's grip force is infeasible: a

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.failure import Failure
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.verify import pressed
 from planner.numerics.kernels import planning_time
 from planner.objects import GraspObject
@@ -39,7 +39,7 @@ from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.system.disk_cache import is_stored, read_arrays, write_arrays
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
-from planner.verification.grasp import plan_forces, verify_grasp
+from planner.verification import plan_forces, verify_grasp
 
 __all__ = ["Roadmap", "build_roadmap", "roadmap_for"]
 

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 
-from planner.attempt import Attempt, check_seed, nothing_found, search
 from planner.errors import NoGraspFoundError, TaskError
 from planner.motion.context import (
     MotionContext,
@@ -20,6 +19,7 @@ from planner.motion.context import (
 )
 from planner.motion.path import LARGEST_TURN, AnyAttitude, ObjectPath, checked_attitude
 from planner.motion.plan import MovementPlan
+from planner.search.attempt import Attempt, check_seed, nothing_found, search
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask

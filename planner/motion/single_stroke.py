@@ -21,16 +21,14 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from planner.approach.arm_path import LIFT_HEIGHT, verify_arm_path
-from planner.approach.pregrasp import way_back
-from planner.attempt import nothing_found
+from planner.collision.arm_path import LIFT_HEIGHT, verify_arm_path
+from planner.collision.pregrasp import way_back
 from planner.collision.world import CollisionWorld
 from planner.errors import HandError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.arm import read_mount
-from planner.kinematics.arm_ik import palm_path, palm_pose, reach, straight_path
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState, palm_path, palm_pose, reach, straight_path
 from planner.motion.context import tripods, with_rolling_pads
 from planner.motion.ending import Rests, planned_ending, standing
 from planner.motion.path import (
@@ -49,11 +47,12 @@ from planner.motion.search import MotionAttempt, motion_attempts
 from planner.motion.task import with_fingers
 from planner.motion.verify import FALLS, MovementVerifier, Waypoint, pressed
 from planner.plan import SolveRecord
+from planner.search.attempt import nothing_found
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds import turning_seeder_for
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 CANDIDATES = 3
 """Plans of which the best is taken, unless one is good enough to be taken at once; fewer where the

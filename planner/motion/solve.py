@@ -36,7 +36,7 @@ from planner.motion.problem import MotionNumbers, MotionProblem
 from planner.motion.residuals import MotionResiduals
 from planner.motion.terms import REACH
 from planner.motion.unknowns import OFFSET, SHARE
-from planner.numerics.levenberg_marquardt import PATIENCE, STALLED, levenberg_marquardt
+from planner.numerics.least_squares import PATIENCE, STALLED, levenberg_marquardt
 from planner.quality.weakest import weakest_directions
 from planner.spatial import FloatArray
 from planner.synthesis.optimize import (

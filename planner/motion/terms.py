@@ -57,13 +57,12 @@ from numpy.typing import NDArray
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
-from planner.kinematics.symbolic import SymbolicHand
+from planner.kinematics import HandState
 from planner.motion.path import ObjectPath
-from planner.shapes.surface import CODE_DIM, SIZE_DIM, Surface
+from planner.shapes.base import CODE_DIM, SIZE_DIM, Surface
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.synthesis.objectives import LEAST_LIMIT, LEAST_PRESS, driving
-from planner.synthesis.symbols import Unknowns, contact_torque, mrp_matrix
+from planner.synthesis.symbols import SymbolicHand, Unknowns, contact_torque, mrp_matrix
 from planner.synthesis.terms.standard import BALANCE, CONE, LEVEL, PER_METRE, PRESS, PRESS_MIN
 from planner.synthesis.terms.term import Role, Row, Term
 from planner.task import GraspTask

@@ -17,8 +17,8 @@ from itertools import combinations
 
 import numpy as np
 
-from planner.approach.pregrasp_ik import idle_joints
 from planner.collision.pad_contact import pad_contact_queries
+from planner.collision.pregrasp_ik import idle_joints
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, ObjectError
 from planner.failure import Failure
@@ -29,12 +29,12 @@ from planner.motion.regrasp import LOADED_ROOM
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.task import SEEDS_APART
 from planner.shapes import Mesh
-from planner.shapes.cylinder import Cylinder
+from planner.shapes.round import Cylinder
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL
 from planner.tools import ASKED_CLEARANCE, Tool
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 ROUND = 2e-4
 """Largest difference (m) of the distances of a handle's points from the axis: that of a polygon of

@@ -8,7 +8,7 @@ Joints between two knots: the pads roll evenly from contact to contact over the 
 
 With joints interpolated linearly the pads would leave the surface by up to a millimetre, and slide.
 Here every pad's centre follows a path one radius off the object's surface, and the joints follow by
-least-norm inverse-kinematics steps (``planner.numerics.qp``),
+least-norm inverse-kinematics steps (``planner.numerics.least_squares``),
 
     min |dq|  s.t.  J_i dq = wanted_i - c_i,   C dq = d - C q.
 
@@ -26,9 +26,8 @@ import pinocchio as pin
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from planner.errors import TaskError
-from planner.kinematics.arm_ik import palm_path, palm_pose
-from planner.kinematics.state import MovingHand
-from planner.numerics.qp import Task, ik_step
+from planner.kinematics import MovingHand, palm_path, palm_pose
+from planner.numerics.least_squares import Task, ik_step
 from planner.plan import GraspPlan, JointTrajectory
 from planner.spatial import SE3, FloatArray, IntArray, interpolate_path, minimum_jerk
 from planner.task import GraspTask

@@ -39,14 +39,15 @@ from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.synthesis.symbols import Unknowns
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
-from planner.verification.geometry import contacts_of, verify_geometry
-from planner.verification.grasp import (
+from planner.verification import (
+    contacts_of,
     needed_forces,
     no_closure,
     no_forces,
     no_needed,
     plan_forces,
     project_onto_surface,
+    verify_geometry,
     verify_grasp,
 )
 

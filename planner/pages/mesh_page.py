@@ -23,9 +23,9 @@ from planner.pages.plan_scene import object_model, table_model
 from planner.pages.scene import IDENTITY_ROW, Actor, Model, Part, Scene, pose_row
 from planner.shapes import Mesh
 from planner.shapes.distance_field import DistanceField
+from planner.shapes.hulls import StablePose
 from planner.shapes.mesh import surface_triangles
 from planner.shapes.meshes.triangles import simplified
-from planner.shapes.stable import StablePose
 from planner.spatial import FloatArray, IntArray
 
 HAND = "allegro_hand"

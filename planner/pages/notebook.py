@@ -17,11 +17,10 @@ from PIL import Image, ImageDraw
 
 from planner.contacts import ContactSet
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
-from planner.pages.hand_model import hand_model
+from planner.kinematics import HandState
 from planner.pages.painter import data_uri, paint
 from planner.pages.plan_scene import Stage, planned_contacts
-from planner.pages.scene import IDENTITY_ROW, Actor, Model, Part, Scene
+from planner.pages.scene import IDENTITY_ROW, Actor, Model, Part, Scene, hand_model
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 from planner.task import GraspTask

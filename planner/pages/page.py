@@ -41,7 +41,7 @@ from planner.errors import FileFormatError, PlannerError
 from planner.files.disk import plain_name, whole_file
 from planner.pages.blocks import PLOTS, Block, Verdict, block_html
 from planner.pages.scene import Part, Scene
-from planner.version import __version__
+from planner.system.package import __version__
 
 SCRIPTS = (
     "unpack.js",

@@ -30,8 +30,8 @@ from planner.pages.scene import Actor, Band, Model, Motion, Scene, pose_row, pos
 from planner.plan import GraspPlan, JointTrajectory
 from planner.shapes.mesh import Mesh
 from planner.shapes.meshes.triangles import simplified
+from planner.system.package import written_by
 from planner.task import GraspTask
-from planner.version import written_by
 
 RATE = 30.0
 """Samples of a motion per second in a page."""

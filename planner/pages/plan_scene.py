@@ -14,9 +14,18 @@ import numpy as np
 import trimesh
 
 from planner.contacts import ContactSet
-from planner.kinematics.state import HandState
-from planner.pages.hand_model import hand_model
-from planner.pages.scene import IDENTITY_ROW, Actor, Contacts, Layer, Model, Part, View, pose_row
+from planner.kinematics import HandState
+from planner.pages.scene import (
+    IDENTITY_ROW,
+    Actor,
+    Contacts,
+    Layer,
+    Model,
+    Part,
+    View,
+    hand_model,
+    pose_row,
+)
 from planner.plan import GraspPlan
 from planner.shapes import Shape
 from planner.shapes.mesh import surface_points, surface_triangles

@@ -23,20 +23,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pinocchio import exp3
 
-from planner.approach.pregrasp import Approach
 from planner.arrays import checked_kind, checked_number
-from planner.attempt import Attempt, check_seed
 from planner.certify import Tolerance, contact_tolerances
 from planner.clouds.belief import STEP, Belief
 from planner.clouds.cloud import GAP, PointCloud
+from planner.collision.pregrasp import Approach
 from planner.contacts import ContactSet
 from planner.errors import PlannerError, TaskError, UncertainError
 from planner.failure import Failure
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import DEFAULT_MASS, GraspObject
 from planner.plan import GraspPlan
 from planner.quality import force_closure, plainly_closed
+from planner.search.attempt import Attempt, check_seed
 from planner.search.grasp import attempts
 from planner.shapes import Mesh
 from planner.shapes.mesh import surface_triangles
@@ -45,7 +45,7 @@ from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES, FRICTION_SHARE
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 
 __all__ = ["CloudPlan", "plan_from_cloud"]
 

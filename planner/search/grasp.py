@@ -11,33 +11,66 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
 from planner.collision.world import CollisionWorld
-from planner.errors import NoGraspFoundError, TaskError, shown
+from planner.errors import NotFoundError, TaskError, shown
 from planner.failure import Failure
 from planner.plan import GraspPlan
-from planner.search.best import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted, improving_attempts
-from planner.search.finishing import UNSOLVED, finished, true_geometry, true_links
+from planner.search.attempt import (
+    UNSOLVED,
+    Attempt,
+    best_of_made,
+    check_seed,
+    finished,
+    nothing_found,
+    run_attempts,
+    search,
+    true_geometry,
+    true_links,
+)
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.objectives import EPSILON
 from planner.synthesis.optimize import nearly, optimize_grasp
-from planner.synthesis.options import ProblemForm, SynthesisOptions, needed_options, with_room
+from planner.synthesis.options import (
+    NO_OBJECTIVE,
+    TERMS,
+    ProblemForm,
+    SynthesisOptions,
+    needed_options,
+    with_room,
+)
 from planner.synthesis.problem import Candidate, GraspProblem, Problems, Start, problems_for
 from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.terms.registry import TERMS
 from planner.system.threads import made_once, stage
 from planner.task import GraspTask
 
+if TYPE_CHECKING:
+    from planner.search.metrics import Measure
+
 __all__ = [
+    "BEST",
     "DEFAULT_MAX_ATTEMPTS",
+    "FIRST",
     "Attempt",
+    "Wanted",
     "attempts",
     "plan_grasp",
     "plans",
 ]
+
+FIRST = "first"
+"""Name for keeping the first grasp found, or the best of the first few."""
+
+BEST = "best"
+"""Name for keeping the best grasp that a budget gives."""
+
+DEFAULT_MAX_ATTEMPTS = 100
+"""Attempts before giving up. On the shipped shapes one or two are usual; one that fails costs some
+ten milliseconds."""
 
 ONE_CAUSE = 0.8
 """Share of the attempts (-) that fail for one cause from which its meaning is told."""
@@ -103,6 +136,100 @@ def _possible(task: GraspTask, form: ProblemForm) -> tuple[GraspTask, ...]:
     if not possible:
         raise refused[0]
     return tuple(possible)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What a search keeps and when it ends, checked.
+
+    Attributes:
+        options: Margins, weights and objectives.
+        measure: By what grasps are compared; None where the first is taken.
+        improving: Whether attempts build on each other.
+        best_of: Grasps after which the search ends; None for the end of the budget.
+        max_attempts: Budget in attempts; None for no limit.
+        max_cpu_s: Budget in CPU seconds; None for no limit.
+    """
+
+    options: SynthesisOptions
+    measure: Measure | None
+    improving: bool
+    best_of: int | None
+    max_attempts: int | None
+    max_cpu_s: float | None
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        max_attempts: int | None = None,
+        max_cpu_s: float | None = None,
+        best_of: int | None = None,
+        keep: str = FIRST,
+        metric: str | Mapping[str, float] | None = None,
+        options: SynthesisOptions | None = None,
+    ) -> Wanted:
+        """From the arguments of ``plan_grasp``.
+
+        Raises:
+            NotFoundError: ``keep`` is neither "first" nor "best", or an unknown metric.
+            TaskError: A budget or ``best_of`` is not positive, or they contradict each other.
+        """
+        for name, value in (("max_attempts", max_attempts), ("best_of", best_of)):
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if value is not None and not (whole and value >= 1):
+                raise TaskError(f"{name} is {shown(value)}; give an integer, at least 1")
+        if max_cpu_s is not None and not max_cpu_s > 0:
+            raise TaskError(f"max_cpu_s is {max_cpu_s}; give seconds > 0")
+        if keep not in (FIRST, BEST):
+            raise NotFoundError("way to keep a grasp", str(keep), (FIRST, BEST))
+        if keep == BEST and best_of is not None:
+            raise TaskError(
+                f"keep is 'best' and best_of is {best_of}; leave one out: best_of ends with so "
+                "many grasps, keep='best' with max_attempts or max_cpu_s"
+            )
+        compares = keep == BEST or best_of is not None
+        if compares or metric is not None:
+            from planner.search.metrics import Measure  # here: the first grasp is not measured
+        if metric is not None:
+            Measure.of(metric)  # an error of it speaks of a metric, not of an objective
+        if metric is not None and not compares:
+            raise TaskError(
+                f"metric is {shown(metric)}, but the first grasp is taken, whatever it is worth; "
+                "give best_of or keep='best' too"
+            )
+        if options is None:
+            options = SynthesisOptions() if metric is None else SynthesisOptions(objective=metric)
+        measure = None
+        if compares:
+            objective = EPSILON if options.objective == NO_OBJECTIVE else options.objective
+            measure = Measure.of(objective if metric is None else metric, options.task_wrenches)
+        if max_attempts is None and (keep == FIRST or max_cpu_s is None):
+            max_attempts = DEFAULT_MAX_ATTEMPTS
+        return cls(
+            options=options,
+            measure=measure,
+            improving=keep == BEST,
+            best_of=None if keep == BEST else best_of or 1,
+            max_attempts=max_attempts,
+            max_cpu_s=max_cpu_s,
+        )
+
+    def value(self, plan: GraspPlan) -> float:
+        """What a plan is worth; 0 where the first is taken."""
+        return 0.0 if self.measure is None else self.measure(plan)
+
+    def recorded(self, plan: GraspPlan, made: Sequence[Attempt[GraspPlan]]) -> GraspPlan:
+        """A plan with the record of the attempts that it is the best of; the first as it is."""
+        if self.measure is None:
+            return plan
+        return best_of_made(
+            plan,
+            made,
+            metric=self.measure.text,
+            value=self.measure(plan),
+            improving=self.improving,
+        )
 
 
 def plan_grasp(
@@ -173,7 +300,9 @@ def plan_grasp(
             "keep": None if keep == FIRST else keep,
             "metric": metric,
         }
-        return _near_start(task, start, options, progress, unused)
+        from planner.search.refine.grasp import plan_near  # here: few searches have a start
+
+        return plan_near(task, start, options, progress, unused)
     wanted = Wanted.of(
         max_attempts=max_attempts,
         max_cpu_s=max_cpu_s,
@@ -208,37 +337,6 @@ def _one_cause(made: Sequence[Attempt[GraspPlan]]) -> str:
     if count < ONE_CAUSE * len(made) or term is None or not term.lacking:
         return ""
     return f"That is: {term.lacking}. "
-
-
-def _near_start(
-    task: GraspTask,
-    start: tuple[SE3, FloatArray],
-    options: SynthesisOptions | None,
-    progress: Callable[[Attempt[GraspPlan]], object] | None,
-    unused: Mapping[str, object],
-) -> GraspPlan:
-    """The nearest grasp to a start; ``unused`` are arguments that have no meaning here."""
-    given = [f"{name}={value!r}" for name, value in unused.items() if value is not None]
-    if given:
-        raise TaskError(
-            f"a start is given, and {', '.join(given)}; the plan is the nearest grasp to the start "
-            "and nothing is searched for: leave these out, or the start"
-        )
-    if not (isinstance(start, tuple) and len(start) == 2):
-        raise TaskError(f"start is {shown(start)}; give a pair of base pose and joints")
-    from planner.search.refine import refine_grasp  # here: few searches start from a given grasp
-
-    found = refine_grasp(task, *start, options=options)
-    if progress is not None:
-        for attempt in found.attempts:
-            progress(attempt)
-    if found.plan is None:
-        raise NoGraspFoundError(
-            f"no grasp of {task.object.name} with {task.hand.name} near the start: {found.failure}."
-            " Try another start, other fingers, or a search without a start",
-            found.attempts,
-        )
-    return found.plan
 
 
 def plans(
@@ -292,6 +390,8 @@ def _wanted_attempts(task: GraspTask, seed: int, wanted: Wanted) -> Iterator[Att
     """Independent attempts, or those that build on each other."""
     if wanted.measure is None or not wanted.improving:
         return attempts(task, seed=seed, options=wanted.options)
+    from planner.search.best import improving_attempts  # here: most searches take the first
+
     check_seed(seed)
     contexts = _contexts(task, wanted.options)
     return improving_attempts(contexts, seed=seed, measure=wanted.measure)

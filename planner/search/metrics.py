@@ -33,7 +33,7 @@ from planner.contacts import ContactSet
 from planner.errors import ContactError, TaskError
 from planner.forces import ForceSolution
 from planner.hands.fingers import Finger
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.quality import epsilon_l1, min_weight, primitive_wrenches
 from planner.quality.ball import flat_direction

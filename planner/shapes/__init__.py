@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from planner.shapes.base import Shape
 from planner.shapes.box import Box
+from planner.shapes.hulls import StablePose
 from planner.shapes.mesh import Mesh
 from planner.shapes.registry import (
     SIZED_SHAPES,
@@ -12,15 +13,11 @@ from planner.shapes.registry import (
     shape_key,
     shape_to_dict,
 )
-from planner.shapes.stable import StablePose
 from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
-    from planner.shapes.capsule import Capsule
-    from planner.shapes.cylinder import Cylinder
-    from planner.shapes.ellipsoid import Ellipsoid
     from planner.shapes.made import Channel, Hammer, Knot, LBracket, Mug, Superquadric, Torus
-    from planner.shapes.sphere import Sphere
+    from planner.shapes.round import Capsule, Cylinder, Ellipsoid, Sphere
     from planner.shapes.vessels import Bowl, Cup, Pan, Plate, Teacup, Tube
 
 __all__ = [
@@ -54,18 +51,18 @@ __all__ = [
 
 _HOMES = {
     "Bowl": "planner.shapes.vessels",
-    "Capsule": "planner.shapes.capsule",
+    "Capsule": "planner.shapes.round",
     "Channel": "planner.shapes.made",
     "Cup": "planner.shapes.vessels",
-    "Cylinder": "planner.shapes.cylinder",
-    "Ellipsoid": "planner.shapes.ellipsoid",
+    "Cylinder": "planner.shapes.round",
+    "Ellipsoid": "planner.shapes.round",
     "Hammer": "planner.shapes.made",
     "Knot": "planner.shapes.made",
     "LBracket": "planner.shapes.made",
     "Mug": "planner.shapes.made",
     "Pan": "planner.shapes.vessels",
     "Plate": "planner.shapes.vessels",
-    "Sphere": "planner.shapes.sphere",
+    "Sphere": "planner.shapes.round",
     "Superquadric": "planner.shapes.made",
     "Teacup": "planner.shapes.vessels",
     "Torus": "planner.shapes.made",

@@ -10,9 +10,20 @@ from typing import Any, ClassVar
 import coal
 import numpy as np
 
-from planner.shapes.base import ALIGNED, ON_SURFACE, Boxed, checked_points, sign
-from planner.shapes.stable import StablePose, stable_poses
-from planner.shapes.surface import CODE_DIM, KEPT, Patch, Surface, box_clearance, edge_margin
+from planner.shapes.base import (
+    ALIGNED,
+    CODE_DIM,
+    KEPT,
+    ON_SURFACE,
+    Boxed,
+    Patch,
+    Surface,
+    box_clearance,
+    checked_points,
+    edge_margin,
+    sign,
+)
+from planner.shapes.hulls import StablePose, stable_poses
 from planner.spatial import FloatArray, fixed_array
 
 

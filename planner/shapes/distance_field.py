@@ -19,10 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import ObjectError, shown
+from planner.shapes.base import Shape
 from planner.spatial import FloatArray, IntArray
 
 ORDERS = (0, 1, 2)
 """Orders of the derivatives that are continuous."""
+
+FIELD_VERSION = "v6"
+"""Part of the key of fields on disk: to be changed whenever a fitted field would change."""
+
+FIT = 1e-6
+"""Distance (m) by which a kept field may be worse than the error that it states."""
+
+CHECKED = 256
+"""Vertices of a mesh, about, at which a kept field is checked, and points in its bounding box."""
 
 # Pieces of the cubic B-spline on a cell as polynomials of t in [0, 1]: row = power of t, column =
 # coefficient i-1 .. i+2 (de Boor, "A practical guide to splines", uniform knots).
@@ -119,6 +129,24 @@ class DistanceField:
         """Smooth signed distance (n,), m, of points (n, 3), m."""
         out: FloatArray = self.taylor(points, 0)[:, 0]
         return out
+
+    def fits(self, mesh: Shape, corners: FloatArray) -> bool:
+        """Whether it is within its own error of a mesh's distance, at points in the mesh's box.
+
+        Args:
+            mesh: The mesh for which it was kept.
+            corners: Its vertices (n, 3), m.
+        """
+        numbers = [self.far_radius, self.error, *(level.spacing for level in self.levels)]
+        if not np.isfinite(numbers).all() or min(numbers) <= 0 or self.error > mesh.bounding_radius:
+            return False
+        if not all(np.isfinite(level.coefficients).all() for level in self.levels):
+            return False
+        lower, upper = corners.min(axis=0), corners.max(axis=0)
+        inside = np.random.default_rng(0).uniform(lower, upper, (CHECKED, 3))
+        points = np.concatenate([corners[:: max(1, len(corners) // CHECKED)], inside])
+        off = np.abs(self.value(points) - mesh.signed_distance(points))
+        return bool(off.max() <= self.error + FIT)
 
     def rough_value(self, points: FloatArray) -> FloatArray:
         """Distance (n,), m, at the nodes nearest to points (n, 3): in a fifth of the time.

@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.errors import ObjectError
 from planner.shapes.base import ON_SURFACE, Shape, checked_points, unit
-from planner.shapes.hulls import convex_geometry, hull_of
+from planner.shapes.hulls import StablePose, convex_geometry, hull_of, stable_poses
 from planner.shapes.meshes.triangles import (
     Polyhedron,
     checked_triangles,
@@ -25,7 +25,6 @@ from planner.shapes.meshes.triangles import (
     pierced,
     winding_number,
 )
-from planner.shapes.stable import StablePose, stable_poses
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
 from planner.tolerances import EDGE_SPREAD
@@ -462,18 +461,19 @@ class Mesh(Shape):
 
     def _kept_field(self, name: str, wall: float) -> DistanceField:
         # here, as only grasps on meshes need a field
-        from planner.shapes.distance_field import DistanceField
-        from planner.shapes.mesh_field import FIELD_VERSION, field_fits, fit_mesh_field
+        from planner.shapes.distance_field import FIELD_VERSION, DistanceField
 
         key = f"{FIELD_VERSION}-{self.digest}{name}"
         stored = read_arrays("field", key)
         if stored is not None:
             try:
                 known = DistanceField.from_arrays(stored)
-                if field_fits(self, self.vertices, known):
+                if known.fits(self, self.vertices):
                     return known
             except (KeyError, ValueError, IndexError, TypeError):  # TypeError: rows for numbers
                 pass  # of another form: made anew
+        from planner.shapes.mesh_field import fit_mesh_field  # here: most fields are kept
+
         field = fit_mesh_field(self._surface, self.wall_thickness, wall=wall)
         write_arrays("field", key, field.to_arrays())
         return field

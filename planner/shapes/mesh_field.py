@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.shapes.base import Shape
 from planner.shapes.distance_field import DistanceField
 from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.triangles import COVERED, FACE, cover
@@ -350,9 +349,6 @@ TINY = 1e-300
 """Square (m2) of an edge without length."""
 
 
-FIELD_VERSION = "v6"
-"""Part of the key of fields on disk: to be changed whenever a fitted field would change."""
-
 STEP = 0.75
 """Spacing of the points on the surface from which walks begin, in spacings of the finest grid."""
 
@@ -427,30 +423,3 @@ class _MeshDistance:
         most = np.where(measured, np.abs(sample), most)
         inside = sample < 0
         return np.where(inside, -most, least), np.where(inside, -least, most)
-
-
-FIT = 1e-6
-"""Distance (m) by which a kept field may be worse than the error that it states."""
-
-CHECKED = 256
-"""Vertices of a mesh, about, at which a kept field is checked, and points in its bounding box."""
-
-
-def field_fits(mesh: Shape, corners: FloatArray, field: DistanceField) -> bool:
-    """Whether a field is within its own error of a mesh's distance, at points in its box.
-
-    Args:
-        mesh: The mesh.
-        corners: Its vertices (n, 3), m.
-        field: What was kept for it.
-    """
-    numbers = [field.far_radius, field.error, *(level.spacing for level in field.levels)]
-    if not np.isfinite(numbers).all() or min(numbers) <= 0 or field.error > mesh.bounding_radius:
-        return False
-    if not all(np.isfinite(level.coefficients).all() for level in field.levels):
-        return False
-    lower, upper = corners.min(axis=0), corners.max(axis=0)
-    inside = np.random.default_rng(0).uniform(lower, upper, (CHECKED, 3))
-    points = np.concatenate([corners[:: max(1, len(corners) // CHECKED)], inside])
-    off = np.abs(field.value(points) - mesh.signed_distance(points))
-    return bool(off.max() <= field.error + FIT)

@@ -66,11 +66,11 @@ def register_shape(shape: _S) -> _S:
 
 
 _OURS = {
-    "sphere": "sphere:Sphere",
+    "sphere": "round:Sphere",
     "box": "box:Box",
-    "cylinder": "cylinder:Cylinder",
-    "capsule": "capsule:Capsule",
-    "ellipsoid": "ellipsoid:Ellipsoid",
+    "cylinder": "round:Cylinder",
+    "capsule": "round:Capsule",
+    "ellipsoid": "round:Ellipsoid",
     "mug": "made:Mug",
     "lbracket": "made:LBracket",
     "torus": "made:Torus",

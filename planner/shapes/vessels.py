@@ -18,8 +18,8 @@ from typing import ClassVar
 import numpy as np
 
 from planner.errors import ObjectError
+from planner.shapes.hulls import StablePose
 from planner.shapes.made import Made, circle, fans, stacked
-from planner.shapes.stable import StablePose
 from planner.spatial import FloatArray, IntArray
 
 AROUND = 72

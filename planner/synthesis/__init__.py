@@ -2,11 +2,10 @@
 
 from planner.synthesis.link_spheres import hull_spheres, link_spheres
 from planner.synthesis.objectives import OBJECTIVES, gravity_any_direction, tool_torque
-from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.options import TERMS, SynthesisOptions, register_term
 from planner.synthesis.problem import GraspProblem, Start, build_problem
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.symbols import GraspPoint, GraspSymbols
-from planner.synthesis.terms.registry import TERMS, register_term
+from planner.synthesis.symbols import GraspPoint, GraspSymbols, SymbolicHand
 from planner.synthesis.terms.term import Role, Rows, SphereClearance, Term
 
 __all__ = [
@@ -20,6 +19,7 @@ __all__ = [
     "Seeder",
     "SphereClearance",
     "Start",
+    "SymbolicHand",
     "SynthesisOptions",
     "Term",
     "build_problem",

@@ -4,7 +4,7 @@ The clearance of a sphere from a smooth surface is that of its centre less its r
 object, spheres fill the links and are slightly smaller than they are. Against table and
 obstacles' planes the corners of the hull are enough, and exact for spheres, capsules and boxes: a
 capsule's two ends, a box's eight corners, a prism around a cylinder (spheres of radius 0). The
-verdict on the true geometry is coal's (``planner.verification.geometry``).
+verdict on the true geometry is coal's (``planner.verification``).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from planner.bridge import LinkGeometry
 from planner.collision.pad_contact import ROUND, pad_geometry
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import FloatArray
 
 SPACING = 2.0

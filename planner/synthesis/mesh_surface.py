@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 
 from planner.shapes import Mesh, Shape
-from planner.shapes.surface import Patch, Surface, soft_norm, whole_surface
+from planner.shapes.base import Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 
 COEFFICIENTS = 10

@@ -1,6 +1,6 @@
 """From a start to a strong grasp by least squares: reach a grasp, improve it, repair it.
 
-A first run (``planner.numerics.levenberg_marquardt``) satisfies the terms; a start from which it
+A first run (``planner.numerics.least_squares``) satisfies the terms; a start from which it
 fails is abandoned. Rounds improve the objectives (``planner.synthesis.objectives``). Each
 round finds the directions of wrench in which the grasp resists least (``planner.quality.weakest``)
 and takes a few steps with resistance there as a further cost. A last run without objectives repairs
@@ -33,7 +33,7 @@ import pinocchio as pin
 
 from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
-from planner.numerics.levenberg_marquardt import MAX_ITERATIONS, SLOW, SOLVED, LMResult
+from planner.numerics.least_squares import MAX_ITERATIONS, SLOW, SOLVED, LMResult
 from planner.quality.weakest import wrench_faces
 from planner.shapes import Mesh, Shape
 from planner.spatial import SE3, FloatArray

@@ -31,16 +31,15 @@ from numpy.typing import NDArray
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import moving_hand
+from planner.kinematics import moving_hand
 from planner.numerics.kernels import kernels_are_compiled
 from planner.shapes import Shape
-from planner.shapes.surface import Patch, Surface
+from planner.shapes.base import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import Field, surface_of
-from planner.synthesis.options import ProblemForm, SynthesisOptions, table_room
+from planner.synthesis.options import TERMS, ProblemForm, SynthesisOptions, table_room
 from planner.synthesis.residuals import Formulation, Residuals, formulate
 from planner.synthesis.symbols import obstacles_in_object, table_in_object
-from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.term import Term, WrittenTerm, table_of
 from planner.system.threads import BUILDING, built, made_once
 from planner.task import GraspTask

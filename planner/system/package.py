@@ -1,4 +1,7 @@
-"""Of a package: public names that are imported when they are first used (PEP 562), and its models.
+"""Of the packages: their version, names that are imported when first used (PEP 562), and models.
+
+The version is written here and nowhere else: the package's metadata are made from it, and a
+checkout on PYTHONPATH has no metadata, or those of another version that is installed beside it.
 
 The two packages use ``lazy_names`` in their ``__init__``: ``import planner.contacts`` loads NumPy
 alone, not four engines. The models that come with Opposable are beside the code, in a wheel or a
@@ -13,6 +16,16 @@ from importlib import import_module
 from pathlib import Path
 
 from planner.errors import ModelError
+
+__all__ = ["__version__", "written_by"]
+
+__version__ = "0.1.0"
+"""Version of both packages; the wheel is built with it."""
+
+
+def written_by() -> str:
+    """This version, as files name it."""
+    return f"opposable {__version__}"
 
 
 def lazy_names(

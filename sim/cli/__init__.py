@@ -67,7 +67,7 @@ app = typer.Typer(
 
 def _say_version(asked: bool) -> None:
     if asked:
-        from planner.version import written_by
+        from planner.system.package import written_by
 
         typer.echo(written_by())
         raise typer.Exit

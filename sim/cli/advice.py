@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from planner.errors import NoGraspFoundError
     from planner.plan import GraspPlan
     from planner.search.grasp import Attempt
-    from planner.shapes.stable import StablePose
+    from planner.shapes.hulls import StablePose
     from planner.synthesis.options import SynthesisOptions
     from planner.task import GraspTask
 

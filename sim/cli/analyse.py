@@ -93,7 +93,7 @@ def _forces(
     from planner.arrays import checked_number
     from planner.errors import TaskError
     from planner.forces import compare_solvers, cone_gaps, distribute_forces, turning_wrenches
-    from planner.verification.grasp import force_arguments
+    from planner.verification import force_arguments
 
     checked_number("--rate", 1.0 if rate is None else rate, above=0.0, error=TaskError)
     plan = one_plan(file)

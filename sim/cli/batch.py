@@ -32,7 +32,7 @@ from sim.cli.options import (
     option,
 )
 from sim.cli.search import PlanOptions
-from sim.progress import ProgressBar
+from sim.runner import ProgressBar
 from sim.tables import number, table_of
 
 if TYPE_CHECKING:

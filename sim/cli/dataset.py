@@ -42,7 +42,7 @@ from sim.cli.options import (
     numbers,
     option,
 )
-from sim.progress import ProgressBar
+from sim.runner import ProgressBar
 from sim.tables import table_of
 
 if TYPE_CHECKING:
@@ -234,9 +234,8 @@ def episodes(
     """
     from sim.datasets.episodes import write_episodes
     from sim.datasets.episodes.episode import format_named
-    from sim.datasets.episodes.film import check_films, size_of
     from sim.datasets.episodes.sources import Trials, sources_of
-    from sim.datasets.episodes.writing import refuse_full
+    from sim.datasets.episodes.writing import check_films, refuse_full, size_of
 
     format_named(to)  # bad input ends here
     driver = controller_of(controller)

@@ -18,7 +18,7 @@ from rich.table import Table
 from planner.arrays import short_names
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from sim.cli.common import say
 from sim.tables import table
 

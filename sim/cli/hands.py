@@ -113,7 +113,7 @@ def _inspect(hand: str, as_json: bool) -> None:
 def _check(hand: str, as_json: bool) -> None:
     """What the planner sees of a hand."""
     from planner.describe import check_hand
-    from planner.describe.report import fitting_objects
+    from planner.describe.proposal import fitting_objects
     from planner.hand_loading import load_hand
     from sim.cli.hand_tables import print_check
 

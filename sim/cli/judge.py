@@ -23,7 +23,7 @@ from sim.cli.common import (
 )
 from sim.cli.reading import ReadingOptions, listed_plans
 from sim.cli.tasks import TaskOptions
-from sim.progress import ProgressBar
+from sim.runner import ProgressBar
 
 if TYPE_CHECKING:
     from rich.table import Table

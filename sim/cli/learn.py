@@ -33,7 +33,7 @@ from sim.cli.options import (
     names,
     option,
 )
-from sim.progress import ProgressBar
+from sim.runner import ProgressBar
 from sim.tables import table_of
 
 if TYPE_CHECKING:

@@ -24,7 +24,6 @@ from sim.cli.common import (
     told_command,
 )
 from sim.cli.execution import ExecutionOptions
-from sim.cli.idle import IN_PALM, WITH_GOAL
 from sim.cli.options import (
     HAND,
     MOVEMENT,
@@ -49,8 +48,8 @@ from sim.cli.options import (
     numbers,
     option,
 )
+from sim.cli.palm import IN_PALM, WITH_GOAL, PalmOptions, turn_in_palm
 from sim.cli.palm import KEPT as WITH_PALM
-from sim.cli.palm import PalmOptions, turn_in_palm
 from sim.cli.tasks import TaskOptions, object_of
 
 if TYPE_CHECKING:

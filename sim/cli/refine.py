@@ -28,7 +28,7 @@ from sim.cli.judge import check_rows, judge, sets_of_ours, sets_of_theirs
 from sim.cli.options import SCENE, JsonOption, argument, command, flag, option
 from sim.cli.reading import ReadingOptions, listed_plans, our_kind
 from sim.cli.tasks import TaskOptions
-from sim.progress import ProgressBar
+from sim.runner import ProgressBar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -311,7 +311,7 @@ def _row(name: str, result: RefinedGrasp, path: Path) -> dict[str, Any]:
 def _report(
     file: Path, rows: list[dict[str, Any]], total: int, assumed: Sequence[str]
 ) -> dict[str, Any]:
-    from planner.version import written_by
+    from planner.system.package import written_by
 
     return {
         "format": "opposable-refined",

@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 from planner.spatial import FloatArray
-from sim.controllers.readings import PadReading
+from sim.controllers.base import PadReading
 from sim.scene.build import HAND_PREFIX, OBJECT, OBSTACLE_PREFIX, TABLE, Scene
 
 MIN_LENGTH = 1e-12

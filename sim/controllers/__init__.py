@@ -13,6 +13,7 @@ from sim.controllers.base import (
     HasOwnAim,
     NeedsSenses,
     Observation,
+    PadReading,
     Phase,
     Recloses,
     Reference,
@@ -21,6 +22,7 @@ from sim.controllers.base import (
     ReportsLimits,
     Sense,
     Target,
+    TouchReading,
     UsesSenses,
 )
 from sim.controllers.grasp import GraspController
@@ -33,7 +35,6 @@ from sim.controllers.named import (
     controller_name,
     named_controller,
 )
-from sim.controllers.readings import PadReading, TouchReading
 
 if TYPE_CHECKING:
     from sim.controllers.follow import MotionReference

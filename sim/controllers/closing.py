@@ -29,12 +29,11 @@ from scipy.linalg import null_space
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState, MovingHand
+from planner.kinematics import HandState, MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, IntArray, minimum_jerk
-from planner.synthesis.link_capsules import closest_on_segments, collision_pairs, finger_capsules
-from sim.controllers.base import Observation
-from sim.controllers.readings import TOUCH_FORCE
+from planner.synthesis.terms.fingers import closest_on_segments, collision_pairs, finger_capsules
+from sim.controllers.base import TOUCH_FORCE, Observation
 
 
 class Neighbours:

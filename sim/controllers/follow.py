@@ -30,7 +30,7 @@ import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
 from planner.errors import TaskError
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray, signed_twist
 from sim.controllers.base import Target
 

@@ -43,9 +43,9 @@ from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, contact_frames, cross, minimum_jerk
 from planner.tolerances import CLOSURE_EDGES, FRICTION_SHARE
-from planner.verification.grasp import force_arguments, no_forces
-from sim.controllers.base import Observation, Recloses, Sense
-from sim.controllers.calibration import Calibration
+from planner.verification import force_arguments, no_forces
+from sim.controllers.base import TOUCH_FORCE, Observation, Recloses, Sense
+from sim.controllers.calibration import Calibration, StopCorrection, servo_commands
 from sim.controllers.closing import GuardedClosing
 from sim.controllers.hand_dynamics import (
     ContactForceLimit,
@@ -53,8 +53,6 @@ from sim.controllers.hand_dynamics import (
     HandLoads,
     MotorServo,
 )
-from sim.controllers.joint_stops import StopCorrection, servo_commands
-from sim.controllers.readings import TOUCH_FORCE
 
 OPEN_TIME, CLOSE_TIME = 0.3, 0.5
 """Time (s) to open after the first touch, and to close again: as a trial's own closing."""

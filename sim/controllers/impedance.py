@@ -37,10 +37,10 @@ import numpy as np
 import pinocchio as pin
 
 from planner.arrays import check_fields
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
-from sim.controllers.readings import PoseUncertainty
+from sim.controllers.base import PoseUncertainty
 
 DEVIATIONS = 3.0
 """How many standard deviations of the estimate, the largest so far, it may take back (-)."""

@@ -3,7 +3,7 @@
 A slip is a tangential speed above ``SLIP_SPEED`` for 10 ms at a loaded contact. The detector sees a
 pad's sliding velocity with noise and averages it over some readings; a slip that it reports
 ends when the average has fallen to half of the speed of the alarm. A pad that spins creeps far
-inside its friction cone (``sim.controllers.readings.CREEP``): such sliding is a slip if it is fast
+inside its friction cone (``sim.controllers.base.CREEP``): such sliding is a slip if it is fast
 enough, but no sign of too little friction, and is reported separately.
 
 A wrench is infeasible while no contact forces within friction, normal forces and actuators give it.
@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
-from sim.controllers.base import EventKind
-from sim.controllers.readings import LOST_FORCE, TOUCH_FORCE, PadReading
+from sim.controllers.base import LOST_FORCE, TOUCH_FORCE, EventKind, PadReading
 
 RAMP = 0.1
 """Time (s) in which a finger takes or gives away its whole force: slow beside the bandwidth."""

@@ -36,7 +36,17 @@ from planner.errors import NotFoundError, TaskError
 from planner.forces import ForceLoop, QuadraticCost, turned_frames
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
-from sim.controllers.base import Event, EventKind, Observation, Phase, Reference, Sense
+from sim.controllers.base import (
+    TOUCH_FORCE,
+    Event,
+    EventKind,
+    Observation,
+    PadReading,
+    Phase,
+    Reference,
+    Sense,
+)
+from sim.controllers.calibration import StopCorrection
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import (
     EstimateCorrection,
@@ -44,9 +54,7 @@ from sim.controllers.impedance import (
     ImpedanceLaw,
     effective_inertia,
 )
-from sim.controllers.joint_stops import StopCorrection
 from sim.controllers.monitors import ContactSchedule, InfeasibilityMonitor, SlipDetector
-from sim.controllers.readings import TOUCH_FORCE, PadReading
 from sim.controllers.torques import HoldingTorques, twist_of
 
 MAX_NORMAL = 40.0

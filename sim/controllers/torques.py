@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
+from sim.controllers.calibration import servo_commands
 from sim.controllers.grasp import saturated
 from sim.controllers.hand_dynamics import FULL_FRICTION_RATE, HandLoads, joint_drag, motor_servo
-from sim.controllers.joint_stops import servo_commands
 
 TIP_STIFFNESS = 150.0
 """Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
@@ -200,7 +200,7 @@ class HoldingTorques:
             normals: (n, 3), into the object.
             holding: (n,), which fingers hold.
             searching: (n,), which look for the object; the rest stay off it.
-            corrected: (nq,), joints as the stops have them (``sim.controllers.joint_stops``); those
+            corrected: (nq,), joints as the stops have them (``sim.controllers.calibration``); those
                 of ``move`` if None.
             read: (nq,), joints as the servos' encoders have them; those of ``move`` if None.
             moments: (n,), torsional moments of soft contacts on the object about their normals,

@@ -12,8 +12,14 @@ import pinocchio as pin
 from planner.bridge import pinocchio_from_mujoco
 from planner.errors import TaskError
 from sim.crosscheck.causes import Context, explain, explain_failure
-from sim.crosscheck.compare import compare_local, compare_observations, compare_parts
-from sim.crosscheck.equalities import EqualityCheck, compare_couplings, equality_names
+from sim.crosscheck.compare import (
+    EqualityCheck,
+    compare_couplings,
+    compare_local,
+    compare_observations,
+    compare_parts,
+    equality_names,
+)
 from sim.crosscheck.geometry import GeometryCheck, compare_boxes, compare_geometries
 from sim.crosscheck.mujoco_side import MujocoSide, layout_of, left_out
 from sim.crosscheck.parts import Side, Tally, Tolerances, as_drawn, random_states

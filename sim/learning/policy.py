@@ -25,7 +25,7 @@ from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from planner.version import written_by
+from planner.system.package import written_by
 from sim.learning.senses import AIM, SENSES, ObjectRange, SenseHistory, checked_senses
 from sim.learning.trials import FRICTION, MASS
 from sim.scene.physics import PhysicsOptions

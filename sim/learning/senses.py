@@ -54,7 +54,7 @@ from scipy.interpolate import CubicSpline
 
 from planner.errors import HandError, NotFoundError, ObjectError, TaskError, shown
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion import Knot, MotionPlan
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan

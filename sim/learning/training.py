@@ -45,6 +45,7 @@ from planner.errors import FileFormatError, TaskError
 from planner.files import read_json, write_json
 from planner.files.disk import refuse_other_request, whole_file
 from planner.motion.verify import ASKED_SHARE
+from sim.learning.controller import Demonstrator
 from sim.learning.policy import (
     ACTION_SCALE,
     RATE_HZ,
@@ -55,7 +56,6 @@ from sim.learning.policy import (
     physics_numbers,
 )
 from sim.learning.senses import checked_senses, columns
-from sim.learning.teacher import Demonstrator
 from sim.learning.trials import Conditions, Plans, TurnTask
 from sim.manipulation import ManipulationReport
 from sim.manipulation.log import force_limit

@@ -8,25 +8,33 @@ Up to the release an ``InHandController`` drives the fingers, with targets from 
 Its actuators follow the way by servos instead of the contact forces. The way is that of a
 ``Relocation``, from the measured posture at the start. Beyond its end the pad moves on slowly along
 the normal until it feels the object.
+
+``out_of_the_way``: idle fingers keep away from the fingers of a motion. The planner keeps 2 mm
+between fingers. A finger that turns an object deviates from its planned posture by some degrees,
+more if the object is off its planned place, and would push a neighbour 2 mm away. So idle fingers
+spread from their planned postures as far as that helps. The planned motion of the other fingers
+stays.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from planner.approach.arm_path import ArmPath
+from planner.collision.arm_path import ArmPath
+from planner.collision.pregrasp_ik import idle_joints, spread_idle
+from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
-from planner.kinematics.arm_ik import palm_path, palm_pose
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand, palm_path, palm_pose
 from planner.motion.gait import Relocation
-from planner.motion.idle_fingers import out_of_the_way
 from planner.motion.manipulation import ManipulationPlan
+from planner.motion.plan import MovementPlan
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers import Event, HasOwnAim, Observation, Phase, Recloses
@@ -381,3 +389,22 @@ class FingerSwing:
         """Joints (k,) at a share of the time, with what is left there of a difference (k,)."""
         s = float(minimum_jerk(np.asarray(min(1.0, share))))
         return np.asarray(self._way(s) + (1.0 - s) * bent)
+
+
+def out_of_the_way(motion: MovementPlan) -> MovementPlan:
+    """The motion with idle fingers moved away from everything else.
+
+    The first knot stays: it is the grasp. From one knot to the next they move by at most two steps
+    of a joint, 4 degrees. A hand without idle fingers gets its motion back.
+    """
+    task = replace(motion.grasp.task, table_height=None, obstacles=())
+    if not idle_joints(task.hand, task.finger_names):
+        return motion
+    world = CollisionWorld(task)
+    offset, knots = np.zeros(task.hand.nq), [motion.knots[0]]
+    for knot in motion.knots[1:]:
+        T_world_base = task.T_world_object * knot.T_world_object.inverse() * motion.T_world_base
+        q = spread_idle(world, T_world_base, knot.q + offset)
+        offset = q - knot.q
+        knots.append(replace(knot, q=q))
+    return motion.with_knots(knots)

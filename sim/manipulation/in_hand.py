@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import NotFoundError
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.controllers import (
@@ -44,9 +44,9 @@ from sim.controllers import (
     Target,
     controller_for,
 )
+from sim.controllers.base import TOUCH_FORCE
 from sim.controllers.monitors import ContactSchedule
 from sim.controllers.object_impedance import REFERENCE_PHASES
-from sim.controllers.readings import TOUCH_FORCE
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ import numpy as np
 from planner.arrays import check_fields, checked_kind, finite_array
 from planner.contacts import ContactSet
 from planner.errors import TaskError
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.motion.manipulation import ManipulationPlan
 from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask

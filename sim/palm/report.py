@@ -16,8 +16,8 @@ from planner.pages.plan_scene import Stage
 from planner.pages.scene import Line, Motion, Plot, Scene
 from planner.showing import Shown
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.system.package import written_by
 from planner.task import GraspTask
-from planner.version import written_by
 from sim.screen import Report
 from sim.show.parts import facts_of, phase_bands, source_blocks
 

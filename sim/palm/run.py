@@ -19,13 +19,13 @@ import numpy as np
 import pinocchio as pin
 
 from planner.arrays import checked_kind, checked_number, finite_array
-from planner.attempt import check_seed
 from planner.bridge import compile_spec
 from planner.errors import NotFoundError, TaskError
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.motion.path import checked_rotation
 from planner.objects import GraspObject
+from planner.search.attempt import check_seed
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.palm.loop import turn

@@ -55,7 +55,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_change, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
-from planner.verification.geometry import contacts_at
+from planner.verification import contacts_at
 from sim.controllers import Observation
 from sim.controllers.base import Phase
 from sim.protocols.disturbance import DisturbanceTrial

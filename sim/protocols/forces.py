@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planner.certify import NearBound, Neighbourhood, bound_nearby, breaking_along
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.quality import Interval
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GRAVITY
-from planner.verification.grasp import plan_forces
+from planner.verification import plan_forces
 from sim.creep import with_friction_of
 from sim.protocols.disturbance import DisturbanceTrial, Settings
 from sim.protocols.outcome import AXES, Conditions, Outcome, axis_of

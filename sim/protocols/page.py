@@ -13,7 +13,7 @@ from planner.pages.page import Page
 from planner.pages.plan_scene import planned_contacts
 from planner.pages.scene import Line, Mark, Plot
 from planner.plan import GraspPlan
-from planner.version import written_by
+from planner.system.package import written_by
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ASKED, ProtocolReport
 from sim.report_file import EventData

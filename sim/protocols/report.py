@@ -17,7 +17,7 @@ from rich.text import Text
 
 from planner.arrays import finite
 from planner.errors import FileFormatError
-from planner.version import written_by
+from planner.system.package import written_by
 from sim.protocols.outcome import Outcome
 from sim.screen import Report, error_lines, number, percent
 from sim.sensing.errors import drawn_text

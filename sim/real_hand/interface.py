@@ -41,8 +41,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.shapes import shape_key
 from planner.spatial import SE3, FloatArray
-from sim.controllers.base import Controller, NeedsSenses, Observation, Phase, Sense
-from sim.controllers.readings import PadReading
+from sim.controllers.base import Controller, NeedsSenses, Observation, PadReading, Phase, Sense
 
 
 class EndOfReadings(HandError):

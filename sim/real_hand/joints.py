@@ -27,8 +27,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.system.threads import interrupts_wait
-from sim.controllers.base import PHASES, Controller, Observation, Sense
-from sim.controllers.readings import TOUCH_FORCE
+from sim.controllers.base import PHASES, TOUCH_FORCE, Controller, Observation, Sense
 from sim.real_hand.interface import Clock, HandInterface, HandObservation, Observer
 from sim.real_hand.loop import Carry, ControlLoop, LoopReport
 from sim.real_hand.safety import CommandLimits, Safety

@@ -18,7 +18,7 @@ from planner.errors import FileFormatError, NotFoundError
 from planner.exchange.array_files import OWN_BYTES, checked_small, read_npz
 from planner.files.disk import whole_file
 from planner.spatial import FloatArray, pose_from_wxyz, pose_to_wxyz
-from sim.controllers.readings import PadReading
+from sim.controllers.base import PadReading
 from sim.real_hand.interface import HandReading, PlanMark
 
 FORMAT, VERSION = "opposable-hand-log", 2

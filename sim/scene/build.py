@@ -28,7 +28,7 @@ from planner.arrays import check_fields
 from planner.bridge import compile_spec
 from planner.collision.world import TABLE_SIZE
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import GraspObject
 from planner.shapes import Shape
 from planner.shapes.mesh import surface_triangles

@@ -19,8 +19,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from planner.approach.arm_path import LIFT_HEIGHT, ArmPath
 from planner.arrays import check_fields
+from planner.collision.arm_path import LIFT_HEIGHT, ArmPath
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, minimum_jerk

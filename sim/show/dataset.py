@@ -33,11 +33,10 @@ from planner.batch.rows import reading
 from planner.batch.store import ATTEMPTS, GRASPS
 from planner.errors import FileFormatError, NotFoundError
 from planner.hands.hand import Hand
-from planner.pages.hand_model import hand_model
 from planner.pages.page import asset, pack, page_html, three_source
 from planner.pages.plan_page import plan_page
 from planner.pages.plan_scene import object_model
-from planner.pages.scene import Model, pose_row
+from planner.pages.scene import Model, hand_model, pose_row
 from planner.plan import GraspPlan
 from planner.shapes.meshes.triangles import simplified
 from planner.task import GraspTask

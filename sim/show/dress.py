@@ -15,7 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.bridge.mesh_files import HIDDEN_GROUP
+from planner.bridge.load import HIDDEN_GROUP
 from planner.spatial import FloatArray
 
 __all__ = ["HIDDEN_GROUP", "dress_hand"]

@@ -19,8 +19,7 @@ from planner.files.movements import movement_from_dict
 from planner.hand_loading import load_hand
 from planner.hands.catalog import MODEL_SUFFIXES, find_hand, foreign_hand_names, hand_names
 from planner.objects import TouchRegion, object_names, parse_object, parse_region
-from planner.pages.described import comments_of, reasons_by_key
-from planner.pages.hand_page import hand_page
+from planner.pages.hand_page import comments_of, hand_page, reasons_by_key
 from planner.pages.mesh_page import mesh_page
 from planner.pages.motion_page import motion_page
 from planner.pages.page import Page

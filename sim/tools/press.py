@@ -29,7 +29,7 @@ from planner.errors import ObjectError, TaskError
 from planner.failure import Failure
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.motion.regrasp import LOADED_ROOM, FingerPaths
 from planner.motion.tool_gait import UPRIGHT
 from planner.plan import GraspPlan
@@ -37,7 +37,7 @@ from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from planner.system.threads import made_once
 from planner.task import GraspTask, Obstacle
-from planner.verification.grasp import verify_grasp
+from planner.verification import verify_grasp
 from sim.controllers import Observation, Phase
 from sim.controllers.hand_dynamics import motor_servo
 from sim.scene.build import OBJECT

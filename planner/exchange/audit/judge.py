@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.approach.pregrasp import find_approach
 from planner.collision.pad_contact import PadContact, pad_contacts
+from planner.collision.pregrasp import find_approach
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.errors import TaskError
@@ -30,8 +30,14 @@ from planner.shapes import SIZED_SHAPES, Mesh
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.tolerances import ANGLE_TOL, CLOSURE_EDGES, FLAT_ANGLE_TOL, TOUCH_TOL
-from planner.verification.geometry import contacts_of, edge_failures, verify_geometry
-from planner.verification.grasp import no_closure, no_forces, plan_forces
+from planner.verification import (
+    contacts_of,
+    edge_failures,
+    no_closure,
+    no_forces,
+    plan_forces,
+    verify_geometry,
+)
 
 SAME = 1e-3
 """Largest relative error (-) of lengths and volume of the result; it is larger for

@@ -15,7 +15,7 @@ servos. So the squeeze pose is the posture with R q = the commands that make the
 Squeeze pose for DexGraspBench: how far beyond the grasp its servos are commanded.
 
 The benchmark commands one posture and holds it throughout: its servos are springs about it, and a
-grasp gives way as ``planner.verification.stiffness.GraspStiffness`` tells. A squeeze of s times
+grasp gives way as ``planner.certify.stiffness.GraspStiffness`` tells. A squeeze of s times
 the planned forces f0, which press without a load and balance, is good when after every change that
 the protocol brings each contact still holds:
 
@@ -52,6 +52,7 @@ import numpy as np
 from planner.batch.dataset import GraspSet
 from planner.batch.recipe import label_of, with_fingers_of
 from planner.batch.rows import found_row
+from planner.certify.stiffness import GraspStiffness
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, PlannerError, TaskError, shown
 from planner.exchange.dexgraspbench.models import (
@@ -67,8 +68,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
-from planner.verification.grasp import plan_forces
-from planner.verification.stiffness import GraspStiffness
+from planner.verification import plan_forces
 
 MASS = 0.1
 """Of every object in the benchmark, kg (``config/task/eval.yaml``)."""

@@ -50,7 +50,7 @@ from planner.exchange.yaml_text import head_of, member, number, numbers, pose_of
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from planner.version import written_by
+from planner.system.package import written_by
 
 GRASP = "moveit_msgs/Grasp"
 

@@ -17,18 +17,18 @@ for rounding on another kind of processor.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.attempt import Attempt
 from planner.collision.pad_contact import pad_contacts
+from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
 from planner.immutable import freeze
 from planner.numerics.kernels import attempt_kernels
 from planner.plan import GraspPlan, SolveRecord
-from planner.search.finishing import true_geometry, verified_on_surface
+from planner.search.attempt import Attempt, true_geometry, verified_on_surface
 from planner.search.refine.pose import (
     GivenPose,
     Movement,
@@ -367,3 +367,44 @@ class _Ladder:
             cpu_s=cpu_s,
             build_s=build_s,
         )
+
+
+def plan_near(
+    task: GraspTask,
+    start: tuple[SE3, FloatArray],
+    options: SynthesisOptions | None,
+    progress: Callable[[Attempt[GraspPlan]], object] | None,
+    unused: Mapping[str, object],
+) -> GraspPlan:
+    """The nearest grasp to a start, for ``planner.search.grasp.plan_grasp``.
+
+    Args:
+        task: The task.
+        start: Base pose (world) and joints (nq,) to stay near to.
+        options: Margins and weights of the problem.
+        progress: Called with every attempt.
+        unused: Other arguments of the search by name, which have no meaning here.
+
+    Raises:
+        TaskError: The start is no pair, or one of the others was given.
+        NoGraspFoundError: There is none near the start; carries every attempt and its failure.
+    """
+    given = [f"{name}={value!r}" for name, value in unused.items() if value is not None]
+    if given:
+        raise TaskError(
+            f"a start is given, and {', '.join(given)}; the plan is the nearest grasp to the start "
+            "and nothing is searched for: leave these out, or the start"
+        )
+    if not (isinstance(start, tuple) and len(start) == 2):
+        raise TaskError(f"start is {shown(start)}; give a pair of base pose and joints")
+    found = refine_grasp(task, *start, options=options)
+    if progress is not None:
+        for attempt in found.attempts:
+            progress(attempt)
+    if found.plan is None:
+        raise NoGraspFoundError(
+            f"no grasp of {task.object.name} with {task.hand.name} near the start: {found.failure}."
+            " Try another start, other fingers, or a search without a start",
+            found.attempts,
+        )
+    return found.plan

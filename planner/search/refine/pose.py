@@ -33,7 +33,7 @@ from planner.errors import HandError, TaskError, shown
 from planner.failure import Failure
 from planner.hands.fingers import Finger
 from planner.immutable import freeze, is_pose
-from planner.kinematics.state import moving_hand
+from planner.kinematics import moving_hand
 from planner.spatial import SE3, FloatArray, pose_change, rotation_angle
 from planner.task import GraspTask
 from planner.tolerances import JOINT_TOL

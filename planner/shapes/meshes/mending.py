@@ -15,7 +15,6 @@ import coal
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes.meshes.crossing import crossing_pairs, folded_pairs, near_pairs
 from planner.shapes.meshes.nearest_triangle import NearestTriangles, coal_tree
 from planner.shapes.meshes.repair import (
     SAME,
@@ -33,8 +32,11 @@ from planner.shapes.meshes.soundness import (
     Fault,
     bodies_of,
     body_volumes,
+    crossing_pairs,
     directed_edges,
     faults_of,
+    folded_pairs,
+    near_pairs,
     nested,
     paired_edges,
     size_fault,

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on a grasp in loops: ``planner.numerics.levenberg_marquardt`` in one kernel.
+"""Levenberg-Marquardt on a grasp in loops: ``planner.numerics.least_squares`` in one kernel.
 
 ``evaluate`` gives the rows, as ``planner.synthesis.residuals`` in NumPy: those of each term come
 from the compiled part of its own file. The normal equations are summed up from the entries of the
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.numerics.kernels import loops_of_kernels
-from planner.numerics.levenberg_marquardt import (
+from planner.numerics.least_squares import (
     FIRST_DAMPING,
     LEAST_GAIN,
     MOST_GROWTH,

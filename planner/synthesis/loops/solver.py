@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from planner.numerics.kernels import compile_loops
-from planner.numerics.levenberg_marquardt import PATIENCE, SLOW, STALLED, LMResult
+from planner.numerics.least_squares import PATIENCE, SLOW, STALLED, LMResult
 from planner.numerics.tape import Tape, tape_of
 from planner.shapes.distance_field import DistanceField
 from planner.spatial import FloatArray

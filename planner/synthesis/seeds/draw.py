@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.joints.description import OPEN, PINCH
-from planner.kinematics.arm_ik import reach
-from planner.kinematics.state import moving_hand
-from planner.shapes.surface import Patch, Surface
+from planner.kinematics import moving_hand, reach
+from planner.shapes.base import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.problem import Start

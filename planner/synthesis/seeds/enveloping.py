@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from planner.errors import TaskError
 from planner.hands.fingers import Pad, Side
-from planner.kinematics.state import moving_hand
+from planner.kinematics import moving_hand
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.seeds.draw import Seeder

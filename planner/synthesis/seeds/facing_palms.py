@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from planner.errors import TaskError
 from planner.hands.two_hands import carriage_joints
-from planner.kinematics.state import moving_hand
+from planner.kinematics import moving_hand
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.seeds.enveloping import FAR, HANDS, EnvelopingSeeder, Palm, laid
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import moving_hand
+from planner.kinematics import moving_hand
 from planner.spatial import FloatArray, cross
 from planner.synthesis.link_spheres import LinkSphere
 from planner.task import GraspTask

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from planner.errors import TaskError
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.shapes.surface import box_clearance
+from planner.shapes.base import box_clearance
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.link_spheres import (
     SAME_POINT,

@@ -52,7 +52,7 @@ from sim.datasets.episodes.episode import (
     frames_at,
     register_format,
 )
-from sim.datasets.episodes.film import check_films, draw_episode
+from sim.datasets.episodes.writing import check_films, draw_episode
 from sim.show.painter import Pixels
 
 VIDEO_KEY = "observation.images.front"

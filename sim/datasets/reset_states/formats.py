@@ -49,7 +49,7 @@ from planner.exchange.array_files import OWN_BYTES, checked_small, read_npz
 from planner.files.disk import whole_file
 from planner.registry import Registry
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz, pose_to_wxyz
-from planner.version import written_by
+from planner.system.package import written_by
 
 FORMAT, VERSION = "opposable-states", 1
 """Name and version of the file that ``StateSet.write`` makes."""

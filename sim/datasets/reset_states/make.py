@@ -17,10 +17,10 @@ from planner.errors import FileFormatError, TaskError
 from planner.files import write_json
 from planner.files.disk import Journal
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.spatial import FloatArray, pose_from_wxyz
+from planner.system.package import written_by
 from planner.task import GraspTask
-from planner.version import written_by
 from sim.datasets.reset_states.formats import STATES_FILE, StateSet, state_format, state_formats
 from sim.datasets.reset_states.hold import REASONS, SCENE_FILE, write_scene
 from sim.datasets.reset_states.shards import (

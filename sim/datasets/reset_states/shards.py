@@ -51,7 +51,7 @@ from planner.errors import FileFormatError, shown
 from planner.files import read_json, write_json
 from planner.files.disk import read_json_lines, refuse_other_request, whole_file
 from planner.spatial import FloatArray, IntArray
-from planner.version import written_by
+from planner.system.package import written_by
 from sim.datasets.reset_states.hold import REASONS, hold
 from sim.datasets.reset_states.starts import WORK, StatesAsked, load_starts
 

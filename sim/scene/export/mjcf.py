@@ -32,7 +32,7 @@ from planner.bridge import compile_spec, spec_from_model
 from planner.errors import TaskError
 from planner.exchange.dexgraspbench.export import without_servos
 from planner.files import plain_name
-from planner.kinematics.state import moving_hand
+from planner.kinematics import moving_hand
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.scene.build import SUPPORT, Scene, index_scene, scene_spec

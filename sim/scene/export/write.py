@@ -35,7 +35,7 @@ from planner.files import write_json
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_to_wxyz
-from planner.version import written_by
+from planner.system.package import written_by
 from sim.scene.build import HAND_PREFIX, OBJECT, Scene
 from sim.scene.export.check import MOST_DEG, MOST_MM, SECONDS
 from sim.scene.export.mjcf import MESHES, KeyFrame, key_frames, mesh_files, plain_scene, scene_mjcf

@@ -3,14 +3,16 @@
 from typing import TYPE_CHECKING
 
 from planner.system.package import lazy_names
-from sim.sensing.errors.drawn import Drawn, drawn_numbers, drawn_text
 from sim.sensing.errors.model import (
     ERROR_MODELS,
     IDEAL,
     LAB,
     ROUGH,
     AnyErrorModel,
+    Drawn,
     ErrorModel,
+    drawn_numbers,
+    drawn_text,
     named_errors,
     register_errors,
 )

@@ -19,13 +19,12 @@ import pinocchio as pin
 
 from planner.contacts import ContactSet
 from planner.errors import TaskError
-from planner.kinematics.state import MovingHand
+from planner.kinematics import MovingHand
 from planner.spatial import SE3, FloatArray, cross
 from planner.task import GraspTask
 from sim.controllers import Observation, Phase
-from sim.controllers.readings import MeasuredPose, PadReading
-from sim.sensing.errors.drawn import Drawn, stream
-from sim.sensing.errors.model import ErrorModel
+from sim.controllers.base import MeasuredPose, PadReading
+from sim.sensing.errors.model import Drawn, ErrorModel, stream
 from sim.sensing.touch.layout import TIME_TOL, Delayed
 
 STANDING: frozenset[Phase] = frozenset({"approach", "close"})

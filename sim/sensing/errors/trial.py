@@ -49,8 +49,7 @@ from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation
 from sim.scene.build import HAND_PREFIX, OBJECT, Scene
-from sim.sensing.errors.drawn import Drawn, drawn_numbers, drawn_text, hand_actuators
-from sim.sensing.errors.model import ErrorModel
+from sim.sensing.errors.model import Drawn, ErrorModel, drawn_numbers, drawn_text, hand_actuators
 from sim.sensing.errors.senses import RealSenses, encoder_error
 from sim.sensing.touch import TaxelSense, TouchContext, TouchSense, make_sense
 from sim.sensing.touch.layout import Delayed

@@ -1,20 +1,20 @@
 """Where the object is, from joints, touch and camera, and how well that is known."""
 
-from sim.sensing.estimation.estimator import ObjectEstimator
-from sim.sensing.estimation.filter import ContactNoise
-from sim.sensing.estimation.log import EstimateLog
-from sim.sensing.estimation.named import (
+from sim.sensing.estimation.estimator import (
     ESTIMATORS,
     NONE,
     AnyEstimator,
     Estimator,
     NamedEstimator,
+    ObjectEstimator,
     check_estimator,
     default_estimator,
     estimator_for,
     estimator_name,
     register_estimator,
 )
+from sim.sensing.estimation.filter import ContactNoise
+from sim.sensing.estimation.log import EstimateLog
 from sim.sensing.estimation.state import SensorErrors
 
 __all__ = [

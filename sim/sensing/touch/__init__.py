@@ -1,9 +1,7 @@
 """Tactile pads: arrays of taxels, what follows from their images, and cheaper senses of touch."""
 
-from sim.controllers.readings import EXACT
-from sim.sensing.touch.binary import BinarySense
-from sim.sensing.touch.effort import EffortSense
-from sim.sensing.touch.estimate import ContactEstimate, ContactEstimator, TaxelFrictionEstimator
+from sim.controllers.base import EXACT
+from sim.sensing.touch.effort import BinarySense, EffortSense
 from sim.sensing.touch.exact import (
     PadContact,
     contact_image,
@@ -12,7 +10,15 @@ from sim.sensing.touch.exact import (
     pad_contacts,
     read_touch,
 )
-from sim.sensing.touch.layout import TaxelArray, TaxelLayout, Texture, default_array
+from sim.sensing.touch.layout import (
+    ContactEstimate,
+    ContactEstimator,
+    TaxelArray,
+    TaxelFrictionEstimator,
+    TaxelLayout,
+    Texture,
+    default_array,
+)
 from sim.sensing.touch.senses import (
     TOUCH_SENSES,
     ExactSense,

@@ -1,7 +1,13 @@
-"""The sense ``effort``: contact forces from the torques of the motors alone.
+"""Senses without taxels: ``effort``, forces from the motors' torques, and ``binary``.
 
-At every step, per finger, the force f at the pad's centre that explains best what the motors do
-beyond holding and moving the finger itself:
+``binary`` says which pads touch, and nothing else; it is the cheapest there is. A pad touches from
+``ON`` on and until its force falls below ``OFF``. Force, place and normal are those of the plan:
+the planned grip along the planned normal, turned as the fingertips have turned about each other
+(``PlannedPads``).
+
+``effort`` has contact forces from the torques of the motors alone. At every step, per finger, the
+force f at the pad's centre that explains best what the motors do beyond holding and moving the
+finger itself:
 
     N^T J^T f = N^T (R^T F + springs - b v - c sign(v) - g - M a)
 
@@ -118,3 +124,29 @@ def _left_by(rows: FloatArray) -> FloatArray:
 
 
 register_touch("effort", EffortSense)
+
+
+ON, OFF = 0.08, 0.04
+"""Normal force (N) from which on a pad says that it touches, and below which it stops."""
+
+
+class BinarySense:
+    """Contact, yes or no."""
+
+    def __init__(self, context: TouchContext) -> None:
+        """Nothing touches yet."""
+        task = context.plan.task
+        self._pads = PlannedPads(context)
+        self._grip = task.grip_force
+        self._touching = np.zeros(len(task.fingers), dtype=bool)
+
+    def read(self, truth: Observation) -> Observation:
+        """The observation with contact, yes or no."""
+        felt = truth.normal_forces
+        self._touching = np.where(self._touching, felt >= OFF, felt >= ON)
+        normal, position = self._pads.expected(truth.T_world_base)
+        force = self._grip * normal
+        return self._pads.observation(truth, self._touching, force, normal, position)
+
+
+register_touch("binary", BinarySense)

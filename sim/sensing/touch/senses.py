@@ -6,7 +6,7 @@ estimator runs with any of them; ``ErrorModel.touch`` names the one of a trial.
     exact     MuJoCo's own contacts: force, place, normal and sliding without error
     taxels    arrays of taxels (``sim.sensing.touch.taxels``)
     effort    the torques of the motors (``sim.sensing.touch.effort``)
-    binary    whether a pad touches, and nothing else (``sim.sensing.touch.binary``)
+    binary    whether a pad touches, and nothing else (``sim.sensing.touch.effort``)
 
 ``PadBodies`` and ``PlannedPads``: where the pads are, how they move, and sliding from joints.
 
@@ -23,13 +23,13 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.registry import Registry
 from planner.spatial import SE3, FloatArray, cross, skew
 from sim.contacts.reading import body_twist
 from sim.controllers import Observation, PadReading, TouchReading
-from sim.controllers.readings import EXACT
+from sim.controllers.base import EXACT
 from sim.scene.build import HAND_PREFIX, Scene
 from sim.sensing.touch.exact import layouts_of
 from sim.sensing.touch.layout import TaxelLayout

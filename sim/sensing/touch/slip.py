@@ -36,9 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
-from sim.sensing.touch.estimate import ContactEstimate
 from sim.sensing.touch.exact import contact_deviation, spread_with_slopes
-from sim.sensing.touch.layout import TaxelLayout
+from sim.sensing.touch.layout import ContactEstimate, TaxelLayout
 
 BLOCK = 0.004
 """Length of the shortest blocks, s: neighbours are compared this often."""

@@ -17,9 +17,15 @@ import numpy as np
 
 from planner.spatial import FloatArray
 from sim.controllers import Observation, PadReading, TouchReading
-from sim.sensing.touch.estimate import ContactEstimate, ContactEstimator, TaxelFrictionEstimator
 from sim.sensing.touch.exact import exact_images, layouts_of
-from sim.sensing.touch.layout import SHARE, TaxelArray, Texture
+from sim.sensing.touch.layout import (
+    SHARE,
+    ContactEstimate,
+    ContactEstimator,
+    TaxelArray,
+    TaxelFrictionEstimator,
+    Texture,
+)
 from sim.sensing.touch.senses import PadBodies, TouchContext, pad_reading, register_touch
 from sim.sensing.touch.slip import TaxelSlipDetector
 

@@ -15,7 +15,7 @@ import numpy as np
 from planner.contacts import ContactSet
 from planner.forces import ForceLoop, QuadraticCost, distribute_forces
 from planner.hand_loading import load_hand
-from planner.kinematics.state import HandState
+from planner.kinematics import HandState
 from planner.objects import parse_object
 from planner.quality import analyse, epsilon_l1, force_closure, primitive_wrenches
 from planner.quality.ball import measure_hull

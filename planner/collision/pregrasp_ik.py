@@ -5,10 +5,11 @@
          hand clear of object, table, obstacles and of itself
 
 with c_i the pad centres of the grasp and n_i the normals into the object. Gauss-Newton steps, each
-a quadratic programme over the joints with everything linearised (``planner.numerics.qp``).
+a quadratic programme over the joints with everything linearised
+(``planner.numerics.least_squares``).
 Near pairs enter only if the solution without them comes too near to something. Fingers that stand
 close to each other may have to move sideways as well while they open. Violated bounds are
-minimised; the verdict is ``planner.approach.pregrasp``'s, on the true geometry.
+minimised; the verdict is ``planner.collision.pregrasp``'s, on the true geometry.
 
 Idle fingers, which take no part in a grasp, are spread away from everything else where joints may
 be off (``spread_idle``), before a grasp and along a motion.
@@ -25,8 +26,8 @@ from numpy.typing import NDArray
 from planner.collision.world import CollisionWorld, NearPairs
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import point_jacobians, tip_reach
-from planner.numerics.qp import Barrier, Task, constrained_ik_step
+from planner.kinematics import point_jacobians, tip_reach
+from planner.numerics.least_squares import Barrier, Task, constrained_ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["OPENED_SHARE", "PregraspIk", "undetermined_joints"]
@@ -147,7 +148,7 @@ class PregraspIk:
     def solve(self, distance: float) -> FloatArray | None:
         """Joints (nq,) with the pads back along the normals (m); None if limits forbid it.
 
-        They may touch something there: see ``planner.approach.pregrasp.verify_approach``.
+        They may touch something there: see ``planner.collision.pregrasp.verify_approach``.
         """
         q = self._descend(self._grasp, distance, None)
         if q is not None:
@@ -258,7 +259,7 @@ def _opening(
     """Where pads are on their way out, in units of a distance, and how that changes.
 
     Args:
-        jacobian: See ``planner.kinematics.state``.
+        jacobian: See ``planner.kinematics``.
         moved_by: Likewise.
         joint_ids: Pinocchio joints (n,) that the pads move with.
         centers: Of the pads (n, 3), m, base.

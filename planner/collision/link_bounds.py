@@ -17,7 +17,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kinematics.form_kernels import (
+from planner.collision.form_kernels import (
     BOX,
     CAPSULE,
     CYLINDER,
@@ -26,8 +26,7 @@ from planner.kinematics.form_kernels import (
     bound_pairs,
     place_forms,
 )
-from planner.kinematics.state import joint_axes
-from planner.numerics.kernels import kernels_are_compiled
+from planner.kinematics import joint_axes
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["LinkBounds"]
@@ -44,7 +43,7 @@ class LinkBounds:
         n_moving: int,
         points: FloatArray | None = None,
     ) -> None:
-        """Find the forms; arguments as of ``planner.proximity.convex.GeometryPairs``.
+        """Find the forms; arguments as of ``planner.shapes.convex_pairs.GeometryPairs``.
 
         Args:
             pin_model: Pinocchio's model of the hand.
@@ -74,11 +73,6 @@ class LinkBounds:
         self._parents = np.array(list(pin_model.parents), dtype=np.int64)
         self._joints = _matrices(list(pin_model.jointPlacements))
         self._axes = joint_axes(pin_model)
-
-    @property
-    def pays(self) -> bool:
-        """Whether bounds take less time than asking coal: where kernels are compiled."""
-        return kernels_are_compiled()
 
     def place(self, q: FloatArray, fixed: Sequence[SE3]) -> FloatArray:
         """Poses (b, n, 3, 4) of all forms at configurations, in the base.

@@ -1,7 +1,7 @@
 """The pre-grasp and the way to it: fingers opened along the contact normals, then straight in.
 
 Both are part of a plan: a grasp that cannot be reached without touching is no plan. The fingers are
-opened by ``planner.approach.pregrasp_ik``; whether the way is free is verified here, on the true
+opened by ``planner.collision.pregrasp_ik``; whether the way is free is verified here, on the true
 geometry.
 """
 
@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from planner.approach.arm_path import (
+from planner.collision.arm_path import (
     ArmPath,
     find_lift,
     retreats,
@@ -21,12 +21,11 @@ from planner.approach.arm_path import (
     verify_arm_path,
     verify_lift,
 )
-from planner.approach.pregrasp_ik import PregraspIk, spread_idle, undetermined_joints
+from planner.collision.pregrasp_ik import PregraspIk, spread_idle, undetermined_joints
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.hands.hand import Hand
-from planner.kinematics.arm_ik import palm_pose
-from planner.kinematics.state import tip_reach
+from planner.kinematics import palm_pose, tip_reach
 from planner.spatial import SE3, FloatArray
 from planner.tolerances import JOINT_TOL
 

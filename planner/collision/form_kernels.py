@@ -1,4 +1,4 @@
-"""Kernels of ``planner.kinematics.link_bounds``: where forms are, and how far apart at least.
+"""Kernels of ``planner.collision.link_bounds``: where forms are, and how far apart at least.
 
 A form is a body (a box, a cylinder, an ellipsoid, the inside of planes) with a capsule around it,
 or a capsule alone. The distance of a capsule's axis from a body is a convex function along the

@@ -35,7 +35,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.proximity.convex import Proximity
+from planner.shapes.convex_pairs import Proximity
 from planner.spatial import SE3, FloatArray
 
 TOLERANCE = 2e-6

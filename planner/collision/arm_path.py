@@ -21,8 +21,7 @@ from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.immutable import freeze
-from planner.kinematics.arm_ik import LARGEST_TURN, palm_pose, straight_path
-from planner.kinematics.state import HandState, joint_axes
+from planner.kinematics import LARGEST_TURN, HandState, joint_axes, palm_pose, straight_path
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL

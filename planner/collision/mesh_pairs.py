@@ -14,8 +14,8 @@ from typing import Any
 import coal
 import numpy as np
 
-from planner.proximity.convex import FEW, LEAST_LIMIT
-from planner.proximity.mesh import ClosedMesh, MeshPair, maybe_within
+from planner.collision.mesh_distance import ClosedMesh, MeshPair, maybe_within
+from planner.shapes.convex_pairs import FEW, LEAST_LIMIT
 from planner.spatial import SE3, FloatArray, IntArray
 
 

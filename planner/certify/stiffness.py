@@ -35,7 +35,7 @@ from planner.forces import ForceSolution
 from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray, skew
 from planner.task import GraspTask
-from planner.verification.grasp import force_arguments
+from planner.verification import force_arguments
 
 __all__ = ["GraspStiffness"]
 

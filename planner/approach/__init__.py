@@ -1,1 +1,0 @@
-"""The way to a grasp: open fingers, the pre-grasp, and the path of an arm."""

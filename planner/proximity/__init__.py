@@ -1,1 +1,0 @@
-"""Signed distances, nearest points and normals between geometries, one pair or many at once."""

@@ -1,1 +1,0 @@
-"""The verdict on a grasp by the true geometry: pads, penetration, closure, forces, approach."""
