@@ -133,7 +133,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
         PalmSettings(),
         {
             **dict.fromkeys(("mu", "weight_share", "running_share", "tip_cost"), NOT_NEGATIVE),
-            **dict.fromkeys(("still_deg", "scatter_rad"), NOT_NEGATIVE),
+            **dict.fromkeys(("still_deg", "scatter_rad", "beyond", "beside_rad"), NOT_NEGATIVE),
             "": POSITIVE,
         },
     ),

@@ -304,14 +304,30 @@ def test_going_on_is_no_branch_once_it_is_stuck(
     assert look.choose(now).away is None  # it begins to count anew
 
 
-def test_what_lies_out_of_reach_is_brought_back_by_half_of_them(lying: Any) -> None:
+def test_what_lies_out_of_reach_is_brought_back_by_some_of_them(lying: Any) -> None:
     """These ask for the rotation that the object has; at its place none does."""
     now, look = drive(lying, 60.0, branches=4)
     has = now.xmat[lying[1].object_body].reshape(3, 3)
     assert not any(np.allclose(branch.goal, has) for branch in look._openings(now))
     look._real.place = look._real.place + np.array([0.03, 0.0, 0.0])
     backs = [np.allclose(branch.goal, has) for branch in look._openings(now)]
-    assert backs == [False, True, False, True]
+    assert backs == [False, True, False, False]
+
+
+@pytest.mark.parametrize(("left", "beyond"), [(20.0, 20.0), (60.0, 60.0), (120.0, 90.0)])
+def test_some_of_them_turn_beyond_the_goal_and_some_beside_it(
+    lying: Any, left: float, beyond: float
+) -> None:
+    """About the same axis by as much as is left, a quarter turn at most; beside it, elsewhere."""
+    now, look = drive(lying, left, branches=8)
+    has = now.xmat[lying[1].object_body].reshape(3, 3)
+    goals = [branch.goal for branch in look._openings(now)]
+    goal = look._real.goal
+    assert np.allclose(goals[0], goal) and np.allclose(goals[4], goal)
+    axis = pin.log3(goal @ has.T) / np.radians(left)
+    assert np.allclose(goals[2], pin.exp3(np.radians(left + beyond) * axis) @ has, atol=1e-6)
+    assert 1.0 < np.degrees(np.linalg.norm(pin.log3(goals[3] @ goal.T))) < 120.0
+    assert not np.allclose(goals[3], look._openings(now)[3].goal)  # drawn anew
 
 
 @pytest.mark.parametrize(("tolerance", "still"), [(5.0, True), (1.0, False)])

@@ -45,6 +45,9 @@ REST_S = 0.3
 ROUNDING_S = 1e-9
 """Difference (s) of times that are the same but for rounding."""
 
+SAME_RAD = 1e-9
+"""Angle (rad) between rotations that are the same."""
+
 
 @dataclass(kw_only=True, eq=False)
 class TurnLog:
@@ -183,27 +186,36 @@ class _LookAhead:
         return _Branch(away=None, goal=self._real.goal, opens_until=end, until=end, rests=True)
 
     def _openings(self, data: Any) -> list[_Branch]:
-        """Branches that open the fingers, to postures near the first.
-
-        An object that lies away from where fingers reach is brought back by half of them: these
-        ask for the rotation that it has, so that only its place is to change.
-        """
+        """Branches that open fingers to postures near the first, and ask for targets in turn."""
         real, asked, now = self._real, self._real.settings, float(data.time)
         scatter = asked.scatter_rad * self._rng.standard_normal((asked.branches, len(real.begun)))
         scatter[:, real.plant.idle] = 0.0
-        opens = now + asked.open_s
-        goals = [real.goal, real.goal]
-        if self._off(data) > asked.free_m:
-            goals[1] = data.xmat[real.plant.object_body].reshape(3, 3).copy()
+        opens, targets = now + asked.open_s, self._targets(data)
         return [
             _Branch(
                 away=real.begun + one,
-                goal=goals[k % 2],
+                goal=targets[k % len(targets)],
                 opens_until=opens,
                 until=opens + asked.ahead_s,
             )
             for k, one in enumerate(scatter)
         ]
+
+    def _targets(self, data: Any) -> list[FloatArray]:
+        """Rotations (3, 3) that branches ask for; what comes of them is judged by the goal.
+
+        The goal; where the object lies away from where fingers reach, the rotation that it has, so
+        that only its place is to change; beyond the goal, for a turn that is held up before it, by
+        a quarter turn at most: where more than that is left, this is the other way round; and one
+        beside the goal, for a way on which fingers cannot turn it.
+        """
+        goal, asked = self._real.goal, self._real.settings
+        here = data.xmat[self._real.plant.object_body].reshape(3, 3).copy()
+        left = pin.log3(goal @ here.T)
+        angle = max(float(np.linalg.norm(left)), SAME_RAD)
+        beyond = pin.exp3(min(asked.beyond, np.pi / 2 / angle) * left) @ goal
+        beside = pin.exp3(asked.beside_rad * self._rng.standard_normal(3)) @ goal
+        return [goal, here if self._off(data) > asked.free_m else goal, beyond, beside]
 
     def value(self, which: int, data: Any, branch: _Branch) -> float:
         """Cost (degrees) at the end of a branch; infinite where the object is dropped.

@@ -58,6 +58,8 @@ class PalmSettings:
         stall_s: Time (s) without progress after which going on is no branch.
         open_s: Time (s) that fingers take to open.
         scatter_rad: Standard deviation of the postures to which they open, rad.
+        beyond: How far beyond the goal some openings ask to turn: a share of the way left (-).
+        beside_rad: Standard deviation of the rotations beside the goal that others ask for, rad.
         free_m: Distance (m) of the object to its place that costs nothing in a look ahead.
         far_deg: What more of it costs, degrees per m.
     """
@@ -91,6 +93,8 @@ class PalmSettings:
     stall_s: float = 3.0
     open_s: float = 0.5
     scatter_rad: float = 0.15
+    beyond: float = 1.0
+    beside_rad: float = 0.6
     free_m: float = 0.015
     far_deg: float = 2000.0
 
@@ -103,6 +107,7 @@ class PalmSettings:
         whole = ("horizon", "contacts", "sweeps", "branches")
         check_fields(self, whole, above=0, most=LONGEST)
         free = ("weight_share", "running_share", "tip_cost", "scatter_rad", "still_deg", "mu")
+        free += ("beyond", "beside_rad")
         check_fields(self, free, least=0.0, most=MOST)
         rest = [name for name in self.__dataclass_fields__ if name not in (*free, *whole)]
         check_fields(self, rest, above=0.0, most=MOST)
