@@ -259,7 +259,7 @@ import sys
 import coal
 import numpy as np
 import pinocchio as pin
-from planner.proximity.convex import DistancePair
+from planner.shapes.convex_pairs import DistancePair
 
 turn = np.array([0.3, 0.5, 0.7]) if sys.argv[1] == "turned" else np.zeros(3)
 there = pin.SE3(pin.exp3(turn), np.array([3.0, 2.0, 1.0]))
