@@ -83,7 +83,8 @@ class ManipulationRun:
         most = ASKED_SHARE * self._force_limit
         holding = in_hand_controller(plan.grasp, options.controller, max_normal=most)
         self.sim = ManipulationSim(plan, holding, options)
-        self._phases = Phases(plan, self.sim, options.timeline, options.criteria)
+        parts = (options.timeline, options.criteria, options.via)
+        self._phases = Phases(plan, self.sim, *parts)
 
     def perform(
         self,
@@ -276,7 +277,7 @@ def manipulate(
         view: Show it in MuJoCo's viewer, in real time.
         changes: Fields of ``ManipulationOptions`` by name: ``controller="impedance"``,
             ``true_task``, ``physics``, ``timeline``, ``criteria``, ``push``, ``error_model``,
-            ``estimator``.
+            ``estimator``, ``via``.
 
     Raises:
         NotFoundError: No controller has that name.
@@ -305,7 +306,8 @@ def manipulate(
         return replace(report, results=(*report.results[:-1], last))
     there = run.sim.simulation.plan.task
     there = replace(there, T_world_object=_stood(plan, report.log, standing)[0])
-    again = ManipulationRun(rest, options, controller=fresh, true_task=there, push=None)
+    once: ManipulationKeywords = {"push": None, "via": ()}
+    again = ManipulationRun(rest, options, controller=fresh, true_task=there, **once)
     again.sim.simulation.on_step = on_step
     return replace(again.perform(view=view), earlier=report)
 
@@ -329,7 +331,8 @@ def _followed(
     pose = object_at_target(plan.task, UP, heading, (x, y))
     there = replace(there, finger_names=plan.task.finger_names, T_world_object=pose)
     fresh = copy.deepcopy(options.controller)
-    run = ManipulationRun(plan, options, controller=fresh, true_task=there, push=None)
+    once: ManipulationKeywords = {"push": None, "via": ()}
+    run = ManipulationRun(plan, options, controller=fresh, true_task=there, **once)
     run.sim.simulation.on_step = on_step
     report = replace(run.perform(**drawing, view=view, number=number), earlier=before)
     report = replace(report, drawn="\n".join(filter(None, (before.drawn, report.drawn))))
