@@ -143,8 +143,8 @@ STRONG = Term(
     wording="force of {} at its largest in the attitude",
     judged="the force programme at every knot",
 )
-"""Contacts whose heights are fit for the weight with the palm down press up to ten times as hard
-with the palm up. Without this row all of 12 grasps of the Shadow-type hand did (3 of 4 cylinders)."""
+"""Contacts whose heights fit the weight with the palm down press three to five times as hard with
+the palm up: all of 12 grasps of the Shadow-type hand with more than 12 N (3 of 4 cylinders)."""
 
 STEADY = Term(
     name="steady",
