@@ -15,12 +15,13 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
-from planner.errors import PlannerError
+from planner.errors import PlannerError, TaskError
 from planner.failure import Failure
 from planner.files import given_manipulation
 from planner.motion.ending import backwards, find_release, object_at_target, stands
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
+from planner.motion.single_stroke import lifted_blocked
 from planner.motion.verify import ASKED_SHARE
 from planner.spatial import SE3, pose_from_wxyz, signed_twist
 from sim.manipulation.in_hand import GuidedController, in_hand_controller
@@ -75,6 +76,9 @@ class ManipulationRun:
             plan: What to execute.
             options: Under which conditions; defaults if None.
             changes: Fields of ``ManipulationOptions`` by name that are to be others.
+
+        Raises:
+            TaskError: An arm cannot carry the object through the places.
         """
         self.plan = plan
         self.options = options = (options or ManipulationOptions()).with_changes(**changes)
@@ -85,6 +89,9 @@ class ManipulationRun:
         self.sim = ManipulationSim(plan, holding, options)
         parts = (options.timeline, options.criteria, options.via)
         self._phases = Phases(plan, self.sim, *parts)
+        carries = options.via and plan.task.hand.arm is not None
+        if carries and (b := lifted_blocked(plan.motion, self._phases.height, options.via)):
+            raise TaskError(f"{b}; give other places")
 
     def perform(
         self,
@@ -281,8 +288,8 @@ def manipulate(
 
     Raises:
         NotFoundError: No controller has that name.
-        TaskError: The controller is none, ``view`` without a display, or a video that cannot be
-            written.
+        TaskError: The controller is none, ``view`` without a display, a video that cannot be
+            written, or places through which an arm cannot carry the object.
     """
     plan = given_manipulation(plan)
     options = (options or ManipulationOptions()).with_changes(**changes)
