@@ -313,8 +313,8 @@ def manipulate(
         return replace(report, results=(*report.results[:-1], last))
     there = run.sim.simulation.plan.task
     there = replace(there, T_world_object=_stood(plan, report.log, standing)[0])
-    once: ManipulationKeywords = {"push": None, "via": ()}
-    again = ManipulationRun(rest, options, controller=fresh, true_task=there, **once)
+    options = options.with_changes(push=None, via=())
+    again = ManipulationRun(rest, options, controller=fresh, true_task=there)
     again.sim.simulation.on_step = on_step
     return replace(again.perform(view=view), earlier=report)
 
@@ -338,8 +338,8 @@ def _followed(
     pose = object_at_target(plan.task, UP, heading, (x, y))
     there = replace(there, finger_names=plan.task.finger_names, T_world_object=pose)
     fresh = copy.deepcopy(options.controller)
-    once: ManipulationKeywords = {"push": None, "via": ()}
-    run = ManipulationRun(plan, options, controller=fresh, true_task=there, **once)
+    once = options.with_changes(controller=fresh, true_task=there, push=None, via=())
+    run = ManipulationRun(plan, once)
     run.sim.simulation.on_step = on_step
     report = replace(run.perform(**drawing, view=view, number=number), earlier=before)
     report = replace(report, drawn="\n".join(filter(None, (before.drawn, report.drawn))))
