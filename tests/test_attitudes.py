@@ -25,9 +25,10 @@ from planner.motion.regrasp import ROOM, FingerPaths
 from planner.motion.verify import FALLS, PRESSES, MovementVerifier, Waypoint, _falls
 from planner.spatial import SE3, rotation_angle
 from planner.task import Obstacle
+from sim.cli.manipulate import TurnExecution
 from sim.manipulation import ManipulationReport, manipulate
 from sim.manipulation.phases import Phases
-from sim.manipulation.simulation import _hinges
+from sim.manipulation.simulation import ManipulationOptions, _hinges
 from sim.manipulation.timeline import SuccessCriteria
 from sim.scene.gantry import Gantry
 
@@ -295,6 +296,16 @@ def test_a_stroke_that_presses_hard_is_left_for_regrasps(
     monkeypatch.setattr(f"{at}.merit", lambda one: 0.7 if hard and one is plan else 1.0)
     found = plan_manipulation(plan.task, angle=plan.angle, attitude="up")
     assert found is (regrasped if hard and several else plan)
+
+
+def test_places_of_a_carry_are_pairs_of_numbers() -> None:
+    assert TurnExecution(via="0.1,0;0.1,-0.1").places() == ((0.1, 0.0), (0.1, -0.1))
+    assert TurnExecution().places() == ()
+    for wrong in ("0.1", "a,b", "0.1,0;"):
+        with pytest.raises(TaskError, match="--via"):
+            TurnExecution(via=wrong).places()
+    with pytest.raises(TaskError, match="place"):
+        ManipulationOptions(via=((0.1, math.inf),))
 
 
 def test_swings_keep_room_in_another_attitude(plan: ManipulationPlan) -> None:

@@ -229,7 +229,7 @@ class TurnExecution(ExecutionOptions):
         option(
             "Places, m, through which it is carried while it is turned; it stays if none.",
             "X,Y;X,Y",
-            MOVEMENT,
+            TRIAL,
         ),
     ] = ""
 
