@@ -101,6 +101,7 @@ class Options(HandOptions):
     rotate: RotateOption = None
     shift: ShiftOption = NO_SHIFT
     attitude: AttitudeOption = "down"
+    carry: Annotated[bool, typer.Option(help="Carried to its place while it is turned.")] = False
     fingers: FingersOption = None
     stand: StandOption = 0.0
     physics: PhysicsOption = "ours"
@@ -138,6 +139,7 @@ class Turn:
         controller: What drives the fingers, as ``sim.learning.named_driver`` takes it; the closed
             loop if "".
         attitude: Of the hand meanwhile, as ``--attitude`` takes it.
+        carry: Whether it is carried to its place meanwhile, by the corner before it.
     """
 
     hand: str
@@ -156,6 +158,7 @@ class Turn:
     estimator: str | None = None
     controller: str = ""
     attitude: str = "down"
+    carry: bool = False
 
     @property
     def regrasps(self) -> bool:
@@ -225,6 +228,7 @@ def execute_turn(
         error_model=turn.error_model.seeded(turn.seed + turn.number),
         estimator=turn.estimator,
         on_step=on_step,
+        via=((there.place[0], 0.0), there.place) if turn.carry else (),
     )
 
 
@@ -281,6 +285,7 @@ def cases(options: Options) -> Iterator[Row]:
                     estimator=estimate_of(options.estimate),
                     controller=options.controller,
                     attitude=options.attitude,
+                    carry=options.carry,
                 )
                 yield {"hand": hand, "object": label, "number": k, "turn": turn}
 

@@ -23,7 +23,8 @@ from planner.files.movements import manipulation_from_dict, movement_to_dict
 from planner.hands.hand import Hand
 from planner.kinematics import HandState, palm_path, palm_pose
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
-from planner.motion.single_stroke import OnArm
+from planner.motion.path import ATTITUDES, ObjectPath
+from planner.motion.single_stroke import OnArm, lifted_blocked
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, interpolate_path, rotation_angle
@@ -481,6 +482,22 @@ def test_what_the_arm_cannot_do_is_refused(turning: ManipulationPlan) -> None:
     base = turning.grasp.T_world_palm * palm.inverse()
     assert carrier.reaches(base, q[columns])
     assert not carrier.reaches(moved * task.T_world_base.inverse() * base, q[columns])
+
+
+def test_the_way_of_a_carry_is_checked_before_anything_moves(turning: ManipulationPlan) -> None:
+    """At the height at which it is made, which is that of the check."""
+    motion = turning.motion
+    assert lifted_blocked(motion, 0.1, [(0.03, 0.06), (-0.05, 0.06)]) is None
+    for height, place, why in ((0.1, (0.9, 0.0), "cannot carry"), (-0.3, (0.0, 0.0), "table")):
+        blocked = lifted_blocked(motion, height, [place])
+        assert blocked is not None and why in blocked.text
+    with pytest.raises(TaskError, match=r"cannot carry the object to .* give other places"):
+        manipulate(turning, via=((0.9, 0.0),))
+    sideways = ObjectPath(
+        axis=motion.path.axis, angle=0.5, shift=np.zeros(3), attitude=ATTITUDES["sideways"]
+    )
+    assert motion.rise == 0.0
+    assert motion.with_knots(motion.knots, sideways).rise >= LIFT_HEIGHT
 
 
 def test_a_way_of_the_palm_ends_where_it_was_asked(turning: ManipulationPlan) -> None:

@@ -21,16 +21,20 @@ from planner.files.movements import movement_to_dict
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.motion.path import ATTITUDES, AnyAttitude, ObjectPath, checked_attitude, tilts
 from planner.motion.plan import WRIST_RATE
+from planner.motion.regrasp import ROOM, FingerPaths
 from planner.motion.verify import FALLS, PRESSES, MovementVerifier, Waypoint, _falls
 from planner.spatial import SE3, rotation_angle
 from planner.task import Obstacle
+from sim.cli.manipulate import TurnExecution
 from sim.manipulation import ManipulationReport, manipulate
 from sim.manipulation.phases import Phases
-from sim.manipulation.simulation import _hinges
+from sim.manipulation.simulation import ManipulationOptions, _hinges
 from sim.manipulation.timeline import SuccessCriteria
 from sim.scene.gantry import Gantry
 
 G = 9.81
+CORNERS = ((0.03, 0.02), (0.05, -0.01))
+"""Places through which an object is carried, m."""
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +46,8 @@ def plan() -> ManipulationPlan:
 
 @pytest.fixture(scope="module")
 def report(plan: ManipulationPlan) -> ManipulationReport:
-    """What comes of it."""
-    return manipulate(plan, timeline=replace(QUICK, wrist_rate=2.0))
+    """What comes of it, carried around a corner meanwhile."""
+    return manipulate(plan, timeline=replace(QUICK, wrist_rate=2.0), via=CORNERS)
 
 
 def path(attitude: AnyAttitude = "down") -> ObjectPath:
@@ -261,6 +265,52 @@ def test_an_object_is_turned_palm_up_and_put_down(report: ManipulationReport) ->
     up = [pin.Quaternion(w, x, y, z).matrix() for *_, w, x, y, z in (*base, first)]
     turned = np.array([u @ up[-1].T for u in up[:-1]])
     assert turned[:, 2, 2].max() < -0.999
+
+
+def test_an_object_is_carried_while_it_is_turned(report: ManipulationReport) -> None:
+    """Through the corner, to where its way ends; the wrist turns back there."""
+    turning = report.log.during("turn")
+    way = report.recording.T_world_object[turning][:, :2]
+    away = np.linalg.norm(way[:, None] - np.array(CORNERS), axis=2)
+    assert away[:, 0].min() < 0.006
+    assert away[-1, 1] < 0.006
+    back = report.log.during("wrist back")
+    assert np.linalg.norm(report.recording.T_world_object[back][-1, :2] - CORNERS[-1]) < 0.006
+
+
+@pytest.mark.parametrize(("hard", "several"), [(True, True), (True, False), (False, True)])
+def test_a_stroke_that_presses_hard_is_left_for_regrasps(
+    plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch, hard: bool, several: bool
+) -> None:
+    """In another attitude, where there are better ones."""
+    regrasped = replace(plan)
+
+    def regrasps(*args: Any, **asked: Any) -> ManipulationPlan:
+        if not several:
+            raise NoGraspFoundError("none", ())
+        return regrasped
+
+    at = "planner.motion.manipulation"
+    monkeypatch.setattr(f"{at}.plan_single_stroke", lambda *args, **asked: plan)
+    monkeypatch.setattr(f"{at}.plan_regrasping", regrasps)
+    monkeypatch.setattr(f"{at}.merit", lambda one: 0.7 if hard and one is plan else 1.0)
+    found = plan_manipulation(plan.task, angle=plan.angle, attitude="up")
+    assert found is (regrasped if hard and several else plan)
+
+
+def test_places_of_a_carry_are_pairs_of_numbers() -> None:
+    assert TurnExecution(via="0.1,0;0.1,-0.1").places() == ((0.1, 0.0), (0.1, -0.1))
+    assert TurnExecution().places() == ()
+    for wrong in ("0.1", "a,b", "0.1,0;"):
+        with pytest.raises(TaskError, match="--via"):
+            TurnExecution(via=wrong).places()
+    with pytest.raises(TaskError, match="place"):
+        ManipulationOptions(via=((0.1, math.inf),))
+
+
+def test_swings_keep_room_in_another_attitude(plan: ManipulationPlan) -> None:
+    for name, room in (("down", 0.0), ("sideways", ROOM), ("up", ROOM)):
+        assert FingerPaths(path(name).borne(plan.task))._apart == room, name
 
 
 def test_an_arm_that_cannot_turn_the_hand_there_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

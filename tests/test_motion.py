@@ -27,16 +27,21 @@ from planner.hands.hand import Hand
 from planner.kinematics import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
 from planner.motion.context import finger_sets, on_opposed_sides, with_rolling_pads
+from planner.motion.path import ATTITUDES
 from planner.motion.plan import Knot
 from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
 from planner.motion.residuals import MotionResiduals
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.solve import MotionSolver, what_limits
 from planner.motion.terms import (
+    BEARING,
+    INSCRIBED,
     LOAD,
     MOST_LOAD,
+    MOST_PLANNED,
     MOTION_TERMS,
     REACH,
+    STRONG,
     SWING,
     Stance,
     StanceRows,
@@ -60,7 +65,7 @@ from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.symbols import mrp_numeric, obstacles_in_object
 from planner.synthesis.terms.standard import BALANCE, CONE
 from planner.task import GraspTask, Obstacle
-from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN, SWING_SHARE
+from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN, FRICTION_SHARE, SWING_SHARE
 from planner.verification import contacts_at, plan_forces, verify_geometry
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -366,6 +371,17 @@ def test_loads_are_those_of_forces_that_bear_the_weight(allegro: Hand) -> None:
         torque += state.point_jacobian(f.pad.joint_id, at)[:3].T @ (turn.T @ force)
     by_hand = np.abs(torque[f_index(allegro, used)]) / 0.7  # every joint has one motor of 0.7 N m
     assert np.allclose(loads, by_hand, rtol=1e-3, atol=1e-3)
+    strong = out.full().ravel()[-3:]
+    assert not strong.any()  # palm down no force is too large
+    up = load_parameters(task, replace(path, attitude=ATTITUDES["up"]), places, start.q)
+    out = load_function(allegro, task.fingers)(x, turn.ravel(order="F"), up[0])[0].full().ravel()
+    pressed = max(task.grip_force, carry) * forces - bearing  # the weight is the other way
+    normals = np.einsum("ij,ij->i", pressed, inward)
+    assert np.allclose(MOST_PLANNED * (1.0 - out[-3:] / STRONG.weight), normals, atol=1e-3)
+    share = FRICTION_SHARE * INSCRIBED * task.mu
+    aside = np.linalg.norm(pressed - normals[:, None] * inward, axis=1)
+    margins = (share * normals - aside) / max(task.grip_force, carry)
+    assert np.allclose(out[-6:-3] / BEARING.weight, margins, atol=1e-3)
 
 
 def f_index(hand: Hand, used: Any) -> Any:

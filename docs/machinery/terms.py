@@ -20,6 +20,8 @@ OF_MOTIONS = {
     "or shift",
     "load": "an actuator would have to press harder than it can; less mass or grip",
     "bearing": "under the weight tips would slip; more friction, less mass, more fingers",
+    "strong": "the weight would take more than 9 N of a finger; another attitude, less mass, more "
+    "friction or fingers",
     "reach": "the whole path is out of reach of these contacts; a smaller angle, or regrasps",
 }
 """Terms that only motions have -> what it means if nothing satisfies them."""

@@ -32,7 +32,12 @@ from planner.motion.path import (
     tilts,
 )
 from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
-from planner.motion.single_stroke import LEAST_OVERSHOOT, MAX_ATTEMPTS, plan_single_stroke
+from planner.motion.single_stroke import (
+    LEAST_OVERSHOOT,
+    MAX_ATTEMPTS,
+    merit,
+    plan_single_stroke,
+)
 from planner.motion.task import SEEDS_APART, manipulation_task, on_stand
 from planner.spatial import FloatArray
 from planner.task import GraspTask
@@ -130,7 +135,8 @@ def plan_manipulation(
 ) -> ManipulationPlan:
     """Pick an object from a table, turn or move it in the hand, put it down: planned whole.
 
-    In one stroke if there is one, else with regrasps; beyond ``ONE_STROKE`` regrasps come first.
+    In one stroke if there is one, else with regrasps; beyond ``ONE_STROKE`` regrasps come first. In
+    another attitude a stroke that presses hard is left for regrasps, by all fingers, that do not.
 
     Args:
         task: What stands where, on a table, and the hand, as from ``manipulation_task``. If it
@@ -195,17 +201,25 @@ def plan_manipulation(
             return stroke()
         except NoGraspFoundError as error:
             raise _neither(error, no_regrasps) from no_regrasps
+    made: ManipulationPlan | None = None
     try:
-        return stroke()
+        made = stroke()
+        if not made.path.turns_wrist or merit(made) >= 1.0:
+            return made
     except NoGraspFoundError as error:
         no_stroke = error
     unit = direction / np.linalg.norm(direction)
     if moved or on_arm or not stands(task, unit, angle, rests=rests):
+        if made is not None:
+            return made
         raise no_stroke
     try:
-        return strokes()
+        several = strokes()
     except PlannerError as error:
+        if made is not None:
+            return made
         raise _neither(no_stroke, error) from error
+    return several if made is None else max(made, several, key=merit)
 
 
 def _neither(one_stroke: NoGraspFoundError, regrasps: PlannerError) -> NoGraspFoundError:

@@ -21,6 +21,7 @@ from typing import TypeAlias
 import numpy as np
 import pinocchio as pin
 
+from planner.collision.arm_path import LIFT_HEIGHT
 from planner.collision.pregrasp import Approach, way_back
 from planner.contacts import Contact, ContactSet
 from planner.errors import TaskError
@@ -392,7 +393,7 @@ class MovementPlan(Shown):
         """How far (m) above the grasp the hand is before its wrist turns, 0 without an attitude.
 
         Hand and object turn about the object's centre there, ``CLEAR`` of table and obstacles; at
-        the grasp if there is neither.
+        the grasp if there is neither. The links of an arm are checked from ``LIFT_HEIGHT`` on.
         """
         if not self.path.turns_wrist:
             return 0.0
@@ -413,7 +414,8 @@ class MovementPlan(Shown):
         for o in task.obstacles:
             half = np.abs(o.T_world_obstacle.rotation[2]) @ o.size / 2
             tops.append(float(o.T_world_obstacle.translation[2] + half))
-        return max(0.0, max(tops) + CLEAR - lowest - float(center[2]))
+        least = 0.0 if hand.arm is None else LIFT_HEIGHT
+        return max(least, max(tops) + CLEAR - lowest - float(center[2]))
 
     def turned_base(self, share: float) -> SE3:
         """Pose of the base, not lifted, at a share of the wrist's way to the attitude."""

@@ -48,7 +48,7 @@ from planner.motion.task import with_fingers
 from planner.motion.verify import FALLS, MovementVerifier, Waypoint, pressed
 from planner.plan import SolveRecord
 from planner.search.attempt import nothing_found
-from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.spatial import SE3, FloatArray, rotation_angle, shifted
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds import turning_seeder_for
 from planner.task import GraspTask
@@ -459,7 +459,7 @@ class OnArm:
             return there
         world, hand, now = CollisionWorld(there), there.hand, np.array(end.q)
         lift = max(LIFT_HEIGHT, motion.rise)
-        if stuck := self._stuck(motion, lift):
+        if motion.path.turns_wrist and (stuck := lifted_blocked(motion, lift)):
             return stuck
         to = ending.T_world_target.translation - end.T_world_object.translation
         up = np.array([0.0, 0.0, lift])
@@ -485,26 +485,6 @@ class OnArm:
             now[hand.arm_index] = path[-1]
         return None
 
-    def _stuck(self, motion: MovementPlan, lift: float) -> Failure | None:
-        """Why the arm cannot turn hand and object to the attitude, lifted (m); None if it can."""
-        task, q = motion.task, np.array(motion.grasp.q)
-        world, T_root_palm = CollisionWorld(task), palm_pose(task.hand, q)
-        for share in motion.path.wrist_shares if motion.path.turns_wrist else ():
-            pose = motion.turned_base(share)
-            pose.translation = pose.translation + np.array([0.0, 0.0, lift])
-            path = palm_path(task.hand, q, self._root.inverse() * pose * T_root_palm)
-            if path is None:
-                return Failure(
-                    kind="arm_unreachable",
-                    text=f"the arm cannot turn the hand to the attitude: it ends "
-                    f"{100 * share:.0f} % of the way there",
-                )
-            touched = verify_arm_path(world, self._root, q, path, clearance=0.0, held=True)
-            if touched:
-                return touched.at("turn the hand to the attitude")
-            q[task.hand.arm_index] = path[-1]
-        return None
-
     def _reached(self, task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray | None:
         """All joints (nq,) with the arm where it brings the palm there; None if it cannot."""
         T_world_palm = T_world_base * HandState(task.hand, q).T_base_palm
@@ -521,3 +501,36 @@ class OnArm:
         assert arm is not None
         q[arm.index] = arm.ready
         return q
+
+
+def lifted_blocked(
+    motion: MovementPlan, height: float, via: Sequence[tuple[float, float]] = ()
+) -> Failure | None:
+    """Why an arm cannot turn a lifted hand to its attitude and carry it on; None if it can.
+
+    Args:
+        motion: Of a hand on an arm.
+        height: How far hand and object are lifted, m.
+        via: Places of the object, x and y in m, world, one after the other.
+    """
+    task, q, root = motion.task, np.array(motion.grasp.q), motion.grasp.T_world_base
+    world, T_root_palm = CollisionWorld(task), palm_pose(task.hand, q)
+    up = np.array([0.0, 0.0, height])
+    way = [
+        (f"turn the hand to the attitude: it ends {100 * share:.0f} % of the way there", share, up)
+        for share in motion.path.wrist_shares
+    ]
+    for place in via:
+        there = np.array([*place, height])
+        there[:2] -= task.T_world_object.translation[:2]
+        way.append((f"carry the object to {place} in the attitude", 1.0, there))
+    for what, share, shift in way:
+        pose = shifted(motion.turned_base(share), shift)
+        path = palm_path(task.hand, q, root.inverse() * pose * T_root_palm)
+        if path is None:
+            return Failure(kind="arm_unreachable", text=f"the arm cannot {what}")
+        touched = verify_arm_path(world, root, q, path, clearance=0.0, held=True)
+        if touched:
+            return touched.at(what.partition(":")[0])
+        q[task.hand.arm_index] = path[-1]
+    return None

@@ -40,6 +40,7 @@ that balance it, are added. The solver chooses the direction of f within its con
 
     load    share of its limit that an actuator spends on F  <= MOST_LOAD
     bearing FRICTION_SHARE mu F_n - |F_t|                    >= 0,   in units of the scale
+    strong  MOST_PLANNED - F_n                               >= 0,   in another attitude
 
 A grasp that is far from the centre of mass, or presses by a long lever, has forces that balance
 each other, but none that also bear the weight.
@@ -132,6 +133,18 @@ BEARING = Term(
     judged="the force programme at every knot",
 )
 
+STRONG = Term(
+    name="strong",
+    meaning="largest normal force in another attitude, less that under the weight, over the former",
+    role=Role.INEQUALITY,
+    unit="-",
+    weight=5.0,
+    wording="force of {} at its largest in the attitude",
+    judged="the force programme at every knot",
+)
+"""Contacts whose heights fit the weight with the palm down press three to five times as hard with
+the palm up: all of 12 grasps of the Shadow-type hand with more than 12 N (3 of 4 cylinders)."""
+
 STEADY = Term(
     name="steady",
     meaning="second differences of the joints over the knots, over their ranges",
@@ -152,7 +165,7 @@ REACH = Term(
 """The weight is that of one radian, or of 35 mm (a fingertip's way in that). It makes a radian
 worth some 0.1 mm of violation, which the last run of least squares takes back."""
 
-MOTION_TERMS = (ROLLING, PATH, *SWING, LOAD, BEARING, REACH, PIVOTING, STEADY)
+MOTION_TERMS = (ROLLING, PATH, *SWING, LOAD, BEARING, STRONG, REACH, PIVOTING, STEADY)
 """All of them."""
 
 
@@ -171,10 +184,11 @@ def swing_rows(fingers: tuple[Finger, ...], swinging: int, knot: int) -> list[Ro
 
 
 def load_rows(hand: Hand, fingers: tuple[Finger, ...], knot: int) -> list[Row]:
-    """Names of the rows of loads at a knot: actuators, then contacts."""
+    """Names of the rows of loads at a knot: actuators, then contacts twice."""
     actuators = [hand.actuation.names[k] for k in driving(hand, fingers)]
     rows = [LOAD.row((name,), i, knot) for i, name in enumerate(actuators)]
-    return rows + rows_of_fingers(BEARING, fingers, 1, knot)
+    contacts = [rows_of_fingers(term, fingers, 1, knot) for term in (BEARING, STRONG)]
+    return [*rows, *contacts[0], *contacts[1]]
 
 
 def steady_rows(hand: Hand, knot: int) -> list[Row]:
@@ -365,6 +379,14 @@ N_EQUAL = 7
 MOST_LOAD = 0.75
 """Largest share (-) of an actuator's limit that the contact forces may take."""
 
+MOST_PLANNED = 9.0
+"""Largest normal force (N) that is asked for in another attitude: less than the verdict allows
+(``planner.motion.verify.MOST_PRESS``), so that the closed loop has something left."""
+
+INSCRIBED = float(np.cos(np.pi / 8))
+"""Share (-) of the friction that the pyramids of the verdict's force programme have: contacts that
+need all of the cone's have to press harder in them."""
+
 LEAST_GRAM = 1e-6
 """Added to G G^T (-), for contacts on a line."""
 
@@ -376,14 +398,15 @@ def load_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
     """CasADi function of a knot's grasp unknowns, R0 (9, by columns) and ``load_parameters``.
 
     Gives margins >= 0: ``MOST_LOAD`` less the load of every actuator of the fingers (k,) and
-    then the friction margins (n,), as residuals; and their Jacobian (k + n, size).
+    then the margins of friction (n,) and of the largest force (n,), as residuals; and their
+    Jacobian (k + 2 n, size).
     """
     unknowns = Unknowns(n_joints=hand.nq, n_contacts=len(fingers))
     n, at = len(fingers), 6 + hand.nq
     x, r0 = ca.SX.sym("x", unknowns.size), ca.SX.sym("R0", 3, 3)
     used = driving(hand, fingers)
     grip, carry, weight = ca.SX.sym("grip"), ca.SX.sym("carry"), ca.SX.sym("weight", 3)
-    mu, length = ca.SX.sym("mu"), ca.SX.sym("length")
+    mu, length, turned = ca.SX.sym("mu"), ca.SX.sym("length"), ca.SX.sym("turned")
     per_limit = ca.SX.sym("per_limit", len(used), 2)
     symbolic = SymbolicHand(hand, x[6:at])
     rotation = r0 @ mrp_matrix(x[:3])
@@ -406,19 +429,22 @@ def load_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
     bearing = grasp.T @ ca.ldl_solve(ca.vertcat(-weight, ca.SX.zeros(3)), *parts)
     scale = ca.fmax(grip / ca.fmax(least, LEAST_PRESS), carry)
     torque = ca.SX.zeros(hand.nq)
-    friction = []
+    friction, spared = [], []
     for i, finger in enumerate(fingers):
         pressed = scale * forces[i] + bearing[3 * i : 3 * i + 3]
         torque += contact_torque(symbolic, finger, rotation, centers[i], normals[i], pressed)
         normal = -ca.dot(pressed, normals[i])
         aside = ca.sqrt(ca.sumsqr(pressed + normal * normals[i]) + TINY)
-        friction.append((FRICTION_SHARE * mu * normal - aside) / scale)
+        share = FRICTION_SHARE * (1 - turned * (1 - INSCRIBED))
+        friction.append((share * mu * normal - aside) / scale)
+        spared.append(turned * (1 - normal / MOST_PLANNED))
     firm = [c.row for c in hand.couplings if not c.one_sided]
     drive = np.linalg.pinv(np.column_stack([hand.actuation.moment.T, *firm]))
     effort = ca.DM(drive[used]) @ torque
     spare = MOST_LOAD - ca.fmax(effort * per_limit[:, 0], effort * per_limit[:, 1])
-    out = ca.densify(ca.vertcat(LOAD.weight * spare, BEARING.weight * ca.vertcat(*friction)))
-    parameters = ca.vertcat(grip, carry, mu, length, weight, ca.vec(per_limit))
+    contacts = [t.weight * ca.vertcat(*m) for t, m in ((BEARING, friction), (STRONG, spared))]
+    out = ca.densify(ca.vertcat(LOAD.weight * spare, *contacts))
+    parameters = ca.vertcat(grip, carry, mu, length, turned, weight, ca.vec(per_limit))
     jacobian = ca.densify(ca.jacobian(out, x))
     return ca.Function("loads", [x, ca.vec(r0), parameters], [out, jacobian])
 
@@ -441,12 +467,12 @@ def load_parameters(
     low, high = np.minimum(low, -LEAST_LIMIT), np.maximum(high, LEAST_LIMIT)
     weight = task.object.mass * path.borne(task).gravity
     carry = float(np.linalg.norm(weight)) / (FRICTION_SHARE * task.mu * len(task.fingers))
-    to_object = task.T_world_object.rotation.T
+    length, to_object = task.object.shape.bounding_radius, task.T_world_object.rotation.T
     return np.array(
         [
             np.concatenate(
                 [
-                    [task.grip_force, carry, task.mu, task.object.shape.bounding_radius],
+                    [task.grip_force, carry, task.mu, length, float(path.turns_wrist)],
                     to_object @ pin.exp3(-c * path.angle * path.axis) @ weight,
                     1 / low,
                     1 / high,

@@ -223,6 +223,23 @@ class TurnExecution(ExecutionOptions):
         ),
     ] = None
     controller: ControllerOption = "impedance"
+    via: Annotated[
+        str,
+        option(
+            "Places, m, through which it is carried while it is turned; it stays if none.",
+            "X,Y;X,Y",
+            TRIAL,
+        ),
+    ] = ""
+
+    def places(self) -> tuple[tuple[float, float], ...]:
+        """Those of ``--via``, m.
+
+        Raises:
+            TaskError: They hold something else.
+        """
+        pairs = [numbers("--via", one, 2) for one in self.via.split(";") if self.via]
+        return tuple((x, y) for x, y in pairs)
 
 
 IN_BOTH = {
@@ -424,6 +441,7 @@ def _execute(
     from sim.report_file import write_report
 
     parts = execution.parts()
+    via = execution.places()
     check_films(execution.video)
     _warn_of_friction(believed_mu, parts["physics"].mu)
     if out_dir is not None:
@@ -441,6 +459,7 @@ def _execute(
             arrows=execution.arrows,
             retry=True,
             view=execution.view,
+            via=via,
         )
     report = replace(report, command=command)
     if out_dir is not None:

@@ -9,7 +9,8 @@ but for fingers that do not feel the object after the squeeze and strokes that s
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -41,6 +42,9 @@ from sim.scene.physics import PhysicsOptions
 STILL_SPEED = np.deg2rad(3.0)
 """Rate (rad/s) below which a turn that has reached its angle has ended."""
 
+CARRY_SPEED = 0.1
+"""Mean speed (m/s) of a hand that carries the object while it turns it."""
+
 LEAST_OF_STROKE = 0.4
 """Least share (-) of the asked angle that a stroke must make for another one to follow."""
 
@@ -59,11 +63,12 @@ class Phases:
         sim: ManipulationSim,
         timeline: ManipulationTimeline,
         criteria: SuccessCriteria,
+        via: Sequence[tuple[float, float]] = (),
     ) -> None:
-        """Prepare."""
-        self._plan, self._sim = plan, sim
+        """Prepare; ``via`` as in ``ManipulationOptions``."""
+        self._plan, self._sim, self._via = plan, sim, via
         self._timeline, self._criteria = timeline, criteria
-        self._turn_begun = False
+        self._turn_begun, self._carrying = False, 0.0
         self.regrasping = Regrasping(plan, sim, timeline)
         self.quality: dict[ManipulationPhase, QualityReport] = {}
 
@@ -185,6 +190,8 @@ class Phases:
         path = self._plan.path
         shares = path.wrist_shares if phase == "wrist" else path.wrist_shares[::-1]
         up = np.array([0.0, 0.0, self.height])
+        if phase == "wrist back" and self._via:  # where the object was carried
+            up = self._carried(self._via[-1])
         poses = [shifted(self._plan.turned_base(share), up) for share in shares]
         duration = float(np.linalg.norm(path.wrist_turn)) / self._timeline.wrist_rate
         before = self._shift
@@ -211,6 +218,7 @@ class Phases:
         first, self._turn_begun = not self._turn_begun, True
         if first:
             self._sim.reading.mark_reference()
+            self._set_out()
         if self._plan.cycles > 1:
             return self._stroke()
         deviation = self._deviation()
@@ -287,8 +295,27 @@ class Phases:
             there = reference.arrived if reference.goal == 0.0 else reference.left <= CLOSE_TO
             return bool(there and abs(rate) < STILL_SPEED)
 
-        fastest = abs(reference.goal) / self._timeline.turn_rate
+        fastest = max(abs(reference.goal) / self._timeline.turn_rate, self._carrying)
+        self._carrying = 0.0
         return self._sim.run(phase, fastest, wait=self._timeline.turn_wait, until=made)
+
+    def _carried(self, place: tuple[float, float]) -> FloatArray:
+        """Shift (3,), m, of a lifted hand from its grasp to where the object is at a place."""
+        there = np.array([*place, self.height])
+        there[:2] -= self._plan.task.T_world_object.translation[:2]
+        return there
+
+    def _set_out(self) -> None:
+        """Send the hand along the places through which it carries the object meanwhile."""
+        if not self._via:
+            return
+        x, y = self._plan.task.T_world_object.translation[:2].tolist()
+        way = [self._carried(place) for place in ((x, y), *self._via)]
+        length = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(way))
+        turned = abs(self._plan.path.angle) / self._timeline.turn_rate
+        self._carrying = max(length / CARRY_SPEED, turned / self._plan.cycles)
+        base = self._plan.turned_base(1.0)
+        self._sim.mover.go_along([shifted(base, shift) for shift in way], self._carrying)
 
     def _tilted(self, numbers: dict[str, float]) -> str:
         tilt = numbers["tilt_deg"]

@@ -15,12 +15,13 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
-from planner.errors import PlannerError
+from planner.errors import PlannerError, TaskError
 from planner.failure import Failure
 from planner.files import given_manipulation
 from planner.motion.ending import backwards, find_release, object_at_target, stands
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
+from planner.motion.single_stroke import lifted_blocked
 from planner.motion.verify import ASKED_SHARE
 from planner.spatial import SE3, pose_from_wxyz, signed_twist
 from sim.manipulation.in_hand import GuidedController, in_hand_controller
@@ -75,6 +76,9 @@ class ManipulationRun:
             plan: What to execute.
             options: Under which conditions; defaults if None.
             changes: Fields of ``ManipulationOptions`` by name that are to be others.
+
+        Raises:
+            TaskError: An arm cannot carry the object through the places.
         """
         self.plan = plan
         self.options = options = (options or ManipulationOptions()).with_changes(**changes)
@@ -83,7 +87,11 @@ class ManipulationRun:
         most = ASKED_SHARE * self._force_limit
         holding = in_hand_controller(plan.grasp, options.controller, max_normal=most)
         self.sim = ManipulationSim(plan, holding, options)
-        self._phases = Phases(plan, self.sim, options.timeline, options.criteria)
+        parts = (options.timeline, options.criteria, options.via)
+        self._phases = Phases(plan, self.sim, *parts)
+        carries = options.via and plan.task.hand.arm is not None
+        if carries and (b := lifted_blocked(plan.motion, self._phases.height, options.via)):
+            raise TaskError(f"{b}; give other places")
 
     def perform(
         self,
@@ -276,12 +284,12 @@ def manipulate(
         view: Show it in MuJoCo's viewer, in real time.
         changes: Fields of ``ManipulationOptions`` by name: ``controller="impedance"``,
             ``true_task``, ``physics``, ``timeline``, ``criteria``, ``push``, ``error_model``,
-            ``estimator``.
+            ``estimator``, ``via``.
 
     Raises:
         NotFoundError: No controller has that name.
-        TaskError: The controller is none, ``view`` without a display, or a video that cannot be
-            written.
+        TaskError: The controller is none, ``view`` without a display, a video that cannot be
+            written, or places through which an arm cannot carry the object.
     """
     plan = given_manipulation(plan)
     options = (options or ManipulationOptions()).with_changes(**changes)
@@ -305,7 +313,8 @@ def manipulate(
         return replace(report, results=(*report.results[:-1], last))
     there = run.sim.simulation.plan.task
     there = replace(there, T_world_object=_stood(plan, report.log, standing)[0])
-    again = ManipulationRun(rest, options, controller=fresh, true_task=there, push=None)
+    options = options.with_changes(push=None, via=())
+    again = ManipulationRun(rest, options, controller=fresh, true_task=there)
     again.sim.simulation.on_step = on_step
     return replace(again.perform(view=view), earlier=report)
 
@@ -329,7 +338,8 @@ def _followed(
     pose = object_at_target(plan.task, UP, heading, (x, y))
     there = replace(there, finger_names=plan.task.finger_names, T_world_object=pose)
     fresh = copy.deepcopy(options.controller)
-    run = ManipulationRun(plan, options, controller=fresh, true_task=there, push=None)
+    once = options.with_changes(controller=fresh, true_task=there, push=None, via=())
+    run = ManipulationRun(plan, once)
     run.sim.simulation.on_step = on_step
     report = replace(run.perform(**drawing, view=view, number=number), earlier=before)
     report = replace(report, drawn="\n".join(filter(None, (before.drawn, report.drawn))))

@@ -20,6 +20,7 @@ from planner.contacts import ContactSet
 from planner.errors import TaskError
 from planner.kinematics import MovingHand
 from planner.motion.manipulation import ManipulationPlan
+from planner.motion.path import check_place
 from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask
 from sim.contacts import hand_contacts
@@ -78,6 +79,7 @@ class ManipulationKeywords(TypedDict, total=False):
     push: Push | None
     error_model: AnyErrorModel | None
     estimator: AnyEstimator | None
+    via: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,6 +98,8 @@ class ManipulationOptions:
         error_model: Errors of sensors, drives and object that the plan does not know; none if None.
         estimator: What tells the controller where the object is: a name, or what makes one; see
             ``sim.simulation.Simulation``.
+        via: Places, x and y in m, world, through which the hand carries the object while it turns
+            it, the last at the end; it stays meanwhile if empty.
     """
 
     controller: AnyTurningController | None = None
@@ -106,9 +110,10 @@ class ManipulationOptions:
     push: Push | None = None
     error_model: AnyErrorModel | None = None
     estimator: AnyEstimator | None = None
+    via: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Check that timeline, criteria, push and true task are such.
+        """Check that timeline, criteria, push, true task and places are such.
 
         Raises:
             TaskError: One of them is something else.
@@ -119,6 +124,8 @@ class ManipulationOptions:
             checked_kind("true_task", self.true_task, GraspTask)
         checked_kind("timeline", self.timeline, ManipulationTimeline)
         checked_kind("criteria", self.criteria, SuccessCriteria)
+        for place in self.via:
+            check_place(place)
 
     def with_changes(self, **changes: Unpack[ManipulationKeywords]) -> ManipulationOptions:
         """The same with other fields; None for timeline or criteria gives their defaults."""
