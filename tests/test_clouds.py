@@ -20,19 +20,9 @@ from planner.clouds.hollow import lidded
 from planner.clouds.sight import _distance, _reflection, hypotheses
 from planner.errors import ObjectError, TaskError, UncertainError
 from planner.objects import parse_object
-from planner.search.from_cloud import (
-    CLEAR,
-    CONE_SHARE,
-    FELT,
-    TABLE_MU,
-    CloudPlan,
-    _hidden,
-    _hits,
-    _spheres,
-    _tips,
-    _tried,
-    _way_in,
-)
+from planner.search.from_cloud import CONE_SHARE, CloudPlan
+from planner.search.in_the_way import CLEAR, _spheres, _way_in, hidden_share, hits
+from planner.search.survival import FELT, TABLE_MU, _tips, survival_of
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from sim.cli import main
@@ -463,7 +453,7 @@ def test_no_mesh_reaches_into_what_a_camera_saw_through() -> None:
 def test_errors_of_place_and_of_turn_are_both_survived_less() -> None:
     plan = found("box", 2).plan
     exact, shifted, turned = (
-        _tried(plan, error, 0, 0.0).survival for error in ((0.0, 0.0), (0.03, 0.0), (0.0, 0.6))
+        survival_of(plan, error, 0, 0.0).survival for error in ((0.0, 0.0), (0.03, 0.0), (0.0, 0.6))
     )
     assert shifted < exact - 0.1 and turned < exact - 0.1
 
@@ -473,8 +463,8 @@ def test_a_hand_in_another_hypothesis_is_noticed() -> None:
     everywhere = replace(belief.hypotheses[0], distance=np.full(belief.grid.shape, -0.05))
     both = replace(belief, hypotheses=(*belief.hypotheses, everywhere), places=belief.places[:0],
                    deviations=belief.deviations[:0], before=belief.before[:0])  # fmt: skip
-    assert not _hits(plan, both, belief.chosen)
-    assert _hits(plan, both, len(belief.hypotheses))
+    assert not hits(plan, both)[belief.chosen]
+    assert hits(plan, both)[len(belief.hypotheses)]
 
 
 def test_what_opened_fingers_meet_on_their_way_in_is_noticed() -> None:
@@ -489,13 +479,13 @@ def test_what_opened_fingers_meet_on_their_way_in_is_noticed() -> None:
     ball = np.linalg.norm(off, axis=1).reshape(belief.grid.shape) - 0.012
     more = replace(belief.hypotheses[0], distance=np.minimum(ball, belief.hypothesis.distance))
     both = replace(belief, hypotheses=(*belief.hypotheses, more))
-    assert not _hits(plan, belief, belief.chosen)
-    assert _hits(plan, both, len(belief.hypotheses))
+    assert not hits(plan, belief)[belief.chosen]
+    assert hits(plan, both)[len(belief.hypotheses)]
     cloud = belief.cloud
     thing = end.act(way[np.linalg.norm(way, axis=1).argmax()])[None]  # where the way begins
     full = replace(cloud, past=np.vstack([cloud.past, thing]), past_of=np.append(cloud.past_of, 0))
     item = replace(plan.task.object, belief=replace(belief, cloud=full))
-    blocked = _tried(replace(plan, task=replace(plan.task, object=item)), (0.0, 0.0), 0, 0.0)
+    blocked = survival_of(replace(plan, task=replace(plan.task, object=item)), (0.0, 0.0), 0, 0.0)
     assert blocked.clearance < CLEAR and blocked.survival == 0.0
 
 
@@ -506,7 +496,7 @@ def test_a_hand_behind_the_object_is_where_no_camera_saw() -> None:
     ahead *= 0.05 / np.linalg.norm(ahead)
     base = plan.T_world_base
     behind, before = (
-        _hidden(
+        hidden_share(
             replace(plan, T_world_base=SE3(base.rotation, base.translation - palm + way)), belief
         )
         for way in (ahead, -3.0 * ahead)
@@ -563,7 +553,7 @@ def test_a_push_tips_what_it_meets_above_the_lever_of_its_base_over_friction() -
 def test_joints_that_are_off_are_survived_less() -> None:
     plan = found("box", 2).plan
     off = replace(plan, task=replace(plan.task, joint_error=0.1))
-    exact, wrong = (_tried(p, (0.0, 0.0), 0, 0.0).survival for p in (plan, off))
+    exact, wrong = (survival_of(p, (0.0, 0.0), 0, 0.0).survival for p in (plan, off))
     assert wrong < exact - 0.1
 
 
@@ -581,7 +571,7 @@ def test_a_wall_thinner_than_a_step_is_felt_from_outside() -> None:
     )
     item = replace(plan.task.object, belief=wall)
     thin = replace(plan, task=replace(plan.task, object=item))
-    assert _tried(thin, (0.0, 0.0), 0, 0.0).survival > 0.6
+    assert survival_of(thin, (0.0, 0.0), 0, 0.0).survival > 0.6
 
 
 def test_felt_places_move_the_surface_and_make_it_certain() -> None:
@@ -637,7 +627,7 @@ def test_what_was_seen_beside_the_object_is_in_the_way() -> None:
     cloud = grasp.belief.cloud
     full = replace(cloud, past=np.vstack([cloud.past, palm]), past_of=np.append(cloud.past_of, 0))
     item = replace(grasp.plan.task.object, belief=replace(grasp.belief, cloud=full))
-    blocked = _tried(
+    blocked = survival_of(
         replace(grasp.plan, task=replace(grasp.plan.task, object=item)), (0.0, 0.0), 0, 0.0
     )
     assert grasp.clearance >= CLEAR and blocked.clearance < CLEAR and blocked.survival == 0.0
