@@ -550,6 +550,33 @@ def test_a_push_tips_what_it_meets_above_the_lever_of_its_base_over_friction() -
     assert _tips(plan).tolist() == [False, True, False]  # along y the lever is 30 mm
 
 
+def test_fingers_that_meet_one_another_or_the_table_are_noticed() -> None:
+    """Index and middle going aside by what is between them; all fingers 2 cm lower."""
+    plan = found("ball").plan
+    hand, still = plan.task.hand, np.zeros((1, len(plan.task.fingers)))
+    world, neighbours = CollisionWorld(plan.task), Neighbours(hand, plan.task.fingers)
+    aside = np.zeros(hand.nq)
+    aside[next(f.q_index[0] for f in plan.task.fingers if f.name == "index")] = 1.0
+    exact: list[bool] = []
+    for angle in np.linspace(-0.6, 0.6, 25):
+        q = plan.q + angle * aside
+        nearest = world.between_fingers(plan.T_world_base, q, 0.05)
+        gap = 0.05 if nearest is None else nearest.distance
+        if abs(gap) < 3e-3:  # capsules are as wide as links to a millimetre or two
+            continue
+        exact.append(gap < 0.0)
+        noticed = _meets(plan, still, angle * aside[None])[0]
+        assert noticed == exact[-1], (angle, gap, neighbours.gap(0, q))
+    assert any(exact) and not all(exact)
+    low = SE3(np.eye(3), np.array([0.0, 0.0, -0.03])) * plan.T_world_base
+    reached = plan.T_world_base.act(neighbours.ends(plan.q).reshape(-1, 3).T[:, 0])
+    assert reached[2] > 0.0
+    way = np.full_like(still, 0.012)
+    tilted = _meets(replace(plan, T_world_base=low), way, np.zeros((1, hand.nq)))
+    assert not _meets(plan, still, np.zeros((1, hand.nq)))[0]
+    assert tilted[0] or (low.translation[2] > 0.1)
+
+
 def test_joints_that_are_off_are_survived_less() -> None:
     plan = found("box", 2).plan
     off = replace(plan, task=replace(plan.task, joint_error=0.1))
