@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pickle
+import re
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,11 +20,14 @@ from planner.clouds.belief import CERTAIN, CORRELATED, DIFFER, LEAST_SLOPE, Beli
 from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
 from planner.clouds.hollow import lidded
 from planner.clouds.sight import _distance, _reflection, hypotheses
+from planner.collision.pair_table import OBJECT
+from planner.collision.world import CollisionWorld
 from planner.errors import ObjectError, TaskError, UncertainError
 from planner.objects import parse_object
-from planner.search.from_cloud import CONE_SHARE, CloudPlan
+from planner.search.from_cloud import CONE_SHARE, UNSEEN_FOOT, CloudPlan, _abstained
 from planner.search.in_the_way import CLEAR, _spheres, _way_in, hidden_share, hits
-from planner.search.survival import FELT, TABLE_MU, _tips, survival_of
+from planner.search.survival import FELT, TABLE_MU, _meets, _tips, survival_of
+from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from sim.cli import main
@@ -551,30 +556,57 @@ def test_a_push_tips_what_it_meets_above_the_lever_of_its_base_over_friction() -
 
 
 def test_fingers_that_meet_one_another_or_the_table_are_noticed() -> None:
-    """Index and middle going aside by what is between them; all fingers 2 cm lower."""
+    """As true distances say of a middle finger turned aside and of a thumb turned down."""
     plan = found("ball").plan
     hand, still = plan.task.hand, np.zeros((1, len(plan.task.fingers)))
-    world, neighbours = CollisionWorld(plan.task), Neighbours(hand, plan.task.fingers)
-    aside = np.zeros(hand.nq)
-    aside[next(f.q_index[0] for f in plan.task.fingers if f.name == "index")] = 1.0
-    exact: list[bool] = []
-    for angle in np.linspace(-0.6, 0.6, 25):
-        q = plan.q + angle * aside
-        nearest = world.between_fingers(plan.T_world_base, q, 0.05)
-        gap = 0.05 if nearest is None else nearest.distance
-        if abs(gap) < 3e-3:  # capsules are as wide as links to a millimetre or two
-            continue
-        exact.append(gap < 0.0)
-        noticed = _meets(plan, still, angle * aside[None])[0]
-        assert noticed == exact[-1], (angle, gap, neighbours.gap(0, q))
-    assert any(exact) and not all(exact)
-    low = SE3(np.eye(3), np.array([0.0, 0.0, -0.03])) * plan.T_world_base
-    reached = plan.T_world_base.act(neighbours.ends(plan.q).reshape(-1, 3).T[:, 0])
-    assert reached[2] > 0.0
-    way = np.full_like(still, 0.012)
-    tilted = _meets(replace(plan, T_world_base=low), way, np.zeros((1, hand.nq)))
-    assert not _meets(plan, still, np.zeros((1, hand.nq)))[0]
-    assert tilted[0] or (low.translation[2] > 0.1)
+    world, met = CollisionWorld(plan.task), []
+    for name, angle in product(("middle", "thumb"), np.linspace(-0.3, 0.6, 13)):
+        turned = np.zeros(hand.nq)
+        turned[next(f.q_index[0] for f in plan.task.fingers if f.name == name)] = angle
+        distances = world.distances(plan.T_world_base, plan.q + turned)
+        gap = min(c.distance for c in distances if c.second != OBJECT)
+        if abs(gap) > 0.003:  # capsules are as wide as links to a millimetre or two
+            met.append(gap < 0.0)
+            assert _meets(plan, still, turned[None])[0] == met[-1], (name, angle, gap)
+    assert any(met) and not all(met)
+
+
+def test_fingers_that_go_on_too_far_meet() -> None:
+    """Each 4 cm on through a ball of 7: they come out behind it, where the thumb is."""
+    plan = found("ball").plan
+    n, joints = len(plan.task.fingers), np.zeros((1, plan.task.hand.nq))
+    assert not _meets(plan, np.zeros((1, n)), joints)[0]
+    assert _meets(plan, np.full((1, n), 0.04), joints)[0]
+
+
+@pytest.mark.parametrize(("solid", "views"), [("box", 1), ("ball", 2)])
+def test_an_object_stands_on_its_table_and_the_hand_keeps_clear_of_where_that_is(
+    solid: str, views: int
+) -> None:
+    grasp = found(solid, views)
+    table, task = grasp.belief.cloud.table, grasp.plan.task
+    assert table is not None and task.table_height is not None
+    assert isinstance(task.object.shape, Mesh)
+    lowest = task.T_world_object.translation[2] - task.object.shape.support(-np.eye(3)[2])
+    assert lowest > table - 2e-4 and table - 2e-4 < task.table_height < table + UNSEEN_FOOT
+
+
+def test_what_a_mask_names_is_one_object_in_two_parts() -> None:
+    bars = [object_alone() + shift for shift in (np.zeros(3), np.array([0.0, 0.16, 0.0]))]
+    given: dict[str, Any] = {"views": CAMERA, "table": None}
+    with pytest.raises(ObjectError, match="two objects"):
+        prepared(PointCloud.create(np.vstack(bars), **given))
+    both = prepared(PointCloud.create(np.vstack(bars), one=True, **given))
+    assert np.ptp(both.points[:, 1]) > 0.16
+    alone = prepared(PointCloud.create(bars[0], one=True, **given))
+    assert np.ptp(alone.points[:, 1]) < 0.1
+
+
+def test_a_refusal_names_what_is_too_low_for_fingertips() -> None:
+    """A thin ring of 13 mm height: fingertips of 24 mm press it down."""
+    belief = Belief.of(scan(parse_object("torus:0.0218x0.0066"), views=2, seed=3).cloud(table=0.0))
+    assert re.search(r"about 1[2-5] mm high", str(_abstained(None, 0.1, belief, ["no"], [])))
+    assert "high" not in str(_abstained(None, 0.1, Belief.of(scanned("ball")), ["no"], []))
 
 
 def test_joints_that_are_off_are_survived_less() -> None:

@@ -436,10 +436,10 @@ def _abstained(
         failures = [a.failure for a in made if a.failure is not None]
         common = _commonest(failures).split(";")[0]
         why += f", {len(made)} tried: {common}" if failures else ": " + "; ".join(refused)
-        table, top = belief.cloud.table, float(belief.cloud.points[:, 2].max())
+        table, top = belief.cloud.table, float(np.percentile(belief.cloud.points[:, 2], 95))
         if table is not None and top - table < LOW:
             why += (
-                f". It is {1e3 * (top - table):.0f} mm high, as a thin ring that lies: fingertips "
+                f". It is about {1e3 * (top - table):.0f} mm high, as a thin ring that lies: fingertips "
                 "that are clear of the table touch it from above"
             )
     elif best.clearance < CLEAR:
