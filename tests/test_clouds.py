@@ -26,7 +26,7 @@ from planner.errors import ObjectError, TaskError, UncertainError
 from planner.objects import parse_object
 from planner.search.from_cloud import CONE_SHARE, UNSEEN_FOOT, CloudPlan, _abstained
 from planner.search.in_the_way import CLEAR, _spheres, _way_in, hidden_share, hits
-from planner.search.survival import FELT, TABLE_MU, _meets, _tips, survival_of
+from planner.search.survival import FELT, SAMPLES, TABLE_MU, _meets, _tips, survival_of
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
@@ -571,12 +571,14 @@ def test_fingers_that_meet_one_another_or_the_table_are_noticed() -> None:
     assert any(met) and not all(met)
 
 
-def test_fingers_that_go_on_too_far_meet() -> None:
+def test_fingers_that_go_on_too_far_meet_and_survive_nothing() -> None:
     """Each 4 cm on through a ball of 7: they come out behind it, where the thumb is."""
     plan = found("ball").plan
     n, joints = len(plan.task.fingers), np.zeros((1, plan.task.hand.nq))
-    assert not _meets(plan, np.zeros((1, n)), joints)[0]
-    assert _meets(plan, np.full((1, n), 0.04), joints)[0]
+    met = [_meets(plan, np.full((1, n), way), joints)[0] for way in (-0.02, -0.01, 0.0, 0.04)]
+    assert met == [False, False, False, True]
+    with patch("planner.search.survival._meets", lambda *_: np.ones(SAMPLES, dtype=bool)):
+        assert survival_of(plan, (0.0, 0.0), 0, 0.0).survival == 0.0
 
 
 @pytest.mark.parametrize(("solid", "views"), [("box", 1), ("ball", 2)])

@@ -439,8 +439,8 @@ def _abstained(
         table, top = belief.cloud.table, float(np.percentile(belief.cloud.points[:, 2], 95))
         if table is not None and top - table < LOW:
             why += (
-                f". It is about {1e3 * (top - table):.0f} mm high, as a thin ring that lies: fingertips "
-                "that are clear of the table touch it from above"
+                f". It is about {1e3 * (top - table):.0f} mm high, as a thin ring that lies: "
+                "fingertips that are clear of the table touch it from above"
             )
     elif best.clearance < CLEAR:
         return UncertainError(
