@@ -86,6 +86,21 @@ def survival_of(
     stencil = np.concatenate([np.zeros((3, 1)), STEP * np.diag([-1.0, 1.0, 1.0])], axis=1)
     spots = points[:, None] + np.einsum("nde,ek->nkd", frames, stencil)
     errors = belief.samples(spots.reshape(-1, 3), SAMPLES, rng).reshape(SAMPLES, n, 4)
+    tilt = errors[..., 2:] - errors[..., :1]
+    own, others = seen_nearby(belief, plan.task.T_world_object)
+    clearance = clearance_of_points(plan, np.concatenate([own, others]))
+    clearance = min(clearance, clearance_of_others(plan, belief, others))
+    nothing = Survival(
+        survival=0.0,
+        tipping=0.0,
+        samples=SAMPLES,
+        position_std=belief.deviation(points),
+        normal_std=np.arctan(tilt.std(axis=0).mean(axis=1) / STEP),
+        clearance=clearance,
+        hidden=hidden_share(plan, belief),
+    )
+    if clearance < CLEAR:
+        return nothing
     weights = np.array([h.weight for h in belief.hypotheses])
     kinds = rng.choice(len(weights), SAMPLES, p=weights / weights.sum())
     shifts = rng.normal(size=(SAMPLES, 3)) * pose_error[0]
@@ -116,10 +131,6 @@ def survival_of(
     normals = -np.einsum("nde,sne->snd", frames, slope)
     lags = way - way.min(axis=1, keepdims=True)
     tips = (lags.max(axis=1) > LAG) & _tips(plan)[way.argmin(axis=1)]
-    own, others = seen_nearby(belief, plan.task.T_world_object)
-    clearance = clearance_of_points(plan, np.concatenate([own, others]))
-    clearance = min(clearance, clearance_of_others(plan, belief, others))
-    touched &= clearance >= CLEAR
     if touched.any():
         touched &= ~hits(plan, belief)[kinds] & ~_meets(plan, way, joints)
     held, left = 0, np.flatnonzero(touched)
@@ -127,16 +138,7 @@ def survival_of(
         if held + len(left) - done <= beaten * SAMPLES:
             break
         held += _closed(planned, positions[k], normals[k])
-    tilt = errors[..., 2:] - errors[..., :1]
-    return Survival(
-        survival=held / SAMPLES,
-        tipping=float(tips.mean()),
-        samples=SAMPLES,
-        position_std=belief.deviation(points),
-        normal_std=np.arctan(tilt.std(axis=0).mean(axis=1) / STEP),
-        clearance=clearance,
-        hidden=hidden_share(plan, belief),
-    )
+    return replace(nothing, survival=held / SAMPLES, tipping=float(tips.mean()))
 
 
 def _tip_errors(plan: GraspPlan, joints: FloatArray) -> FloatArray:
