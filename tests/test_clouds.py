@@ -25,7 +25,7 @@ from planner.collision.world import CollisionWorld
 from planner.errors import ObjectError, TaskError, UncertainError
 from planner.objects import parse_object
 from planner.search.from_cloud import CONE_SHARE, UNSEEN_FOOT, CloudPlan, _abstained
-from planner.search.in_the_way import CLEAR, _spheres, _way_in, hidden_share, hits
+from planner.search.in_the_way import CLEAR, _spheres, _way_in, hidden_share, hits, things_about
 from planner.search.survival import FELT, SAMPLES, TABLE_MU, _meets, _tips, survival_of
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
@@ -692,6 +692,27 @@ def test_what_was_seen_beside_the_object_is_in_the_way() -> None:
         replace(grasp.plan, task=replace(grasp.plan.task, object=item)), (0.0, 0.0), 0, 0.0
     )
     assert grasp.clearance >= CLEAR and blocked.clearance < CLEAR and blocked.survival == 0.0
+
+
+def test_a_search_keeps_away_from_other_things_and_its_plan_does_not_have_them() -> None:
+    """A wall 9 cm beside the box; points near the box are no wall."""
+    cloud, rng = scanned("box", views=2), np.random.default_rng(1)
+    wall = np.array([0.115, 0.0, 0.06]) + rng.uniform(-1, 1, (600, 3)) * [0.002, 0.05, 0.05]
+    near = np.array([0.035, 0.0, 0.04]) + rng.uniform(-1, 1, (50, 3)) * [0.002, 0.01, 0.01]
+    more = np.vstack([cloud.past, wall, near])
+    by = np.concatenate([cloud.past_of, np.zeros(650, dtype=int)])
+    grasp = plan_from_cloud("allegro_hand", replace(cloud, past=more, past_of=by))
+    task = grasp.plan.task
+    boxes = things_about(task)
+    assert boxes and not task.obstacles and grasp.clearance >= CLEAR
+    for box in boxes:
+        least = box.T_world_obstacle.translation - box.size / 2.0
+        assert least[0] > 0.11 and (box.size < [0.01, 0.061, 0.061]).all()
+    held = [
+        np.abs(wall - box.T_world_obstacle.translation) <= box.size / 2.0 + 1e-9 for box in boxes
+    ]
+    assert np.any([inside.all(axis=1) for inside in held], axis=0).mean() > 0.9
+    assert not things_about(found("box", 2).plan.task)
 
 
 def test_a_cloud_that_shows_a_table_is_not_planned_on_without_one(

@@ -33,7 +33,7 @@ from planner.hands.hand import Hand
 from planner.objects import DEFAULT_MASS, GraspObject
 from planner.plan import GraspPlan
 from planner.search.grasp import attempts
-from planner.search.in_the_way import CLEAR, SPARE
+from planner.search.in_the_way import CLEAR, SPARE, things_about
 from planner.search.survival import survival_of
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, signed_twist
@@ -273,12 +273,13 @@ def _searched(
             what = f"{hypothesis.name} (plausibility {hypothesis.weight:.2f})"
             try:
                 task = task_of(number)
-                search = islice(attempts(task, seed=seed, options=margins), most)
+                among = replace(task, obstacles=(*task.obstacles, *things_about(task)))
+                search = islice(attempts(among, seed=seed, options=margins), most)
             except PlannerError as error:
                 out.refused.append(f"{what}: {error}")
                 continue
             begin = len(out.made)
-            _add_best(search, out.kept, pose_error, seed, out.made)
+            _add_best(search, task, out.kept, pose_error, seed, out.made)
             failures = [a.failure for a in out.made[begin:] if a.failure is not None]
             if len(failures) == len(out.made) - begin:
                 common = _commonest(failures)
@@ -292,6 +293,7 @@ def _searched(
 
 def _add_best(
     search: Iterable[Attempt[GraspPlan]],
+    task: GraspTask,
     kept: list[CloudPlan],
     pose_error: tuple[float, float],
     seed: int,
@@ -304,7 +306,10 @@ def _add_best(
         if attempt.plan is None:
             continue
         beaten = kept[-1].merit if len(kept) == KEPT else 0.0
-        kept.append(_tried(attempt.plan, pose_error, seed, beaten))
+        # without what the search alone keeps away from
+        its = replace(attempt.plan.task, obstacles=task.obstacles)
+        plan = replace(attempt.plan, task=its)
+        kept.append(_tried(plan, pose_error, seed, beaten))
         plans += kept[-1].clearance >= CLEAR  # other things in the way are often elsewhere
         kept.sort(key=lambda plan: -plan.merit)
         del kept[KEPT:]
@@ -439,8 +444,8 @@ def _abstained(
         table, top = belief.cloud.table, float(np.percentile(belief.cloud.points[:, 2], 95))
         if table is not None and top - table < LOW:
             why += (
-                f". It is about {1e3 * (top - table):.0f} mm high, as a thin ring that lies: "
-                "fingertips that are clear of the table touch it from above"
+                f". It is about {1e3 * (top - table):.0f} mm high: what is so low, as a "
+                "thin ring, is touched from above by fingertips that are clear of the table"
             )
     elif best.clearance < CLEAR:
         return UncertainError(

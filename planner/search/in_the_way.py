@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.clouds.belief import Belief
-from planner.clouds.cloud import GAP
+from planner.clouds.cloud import GAP, THING
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
+from planner.shapes.mesh import surface_triangles
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
+from planner.task import GraspTask, Obstacle
 
 SPARE = 0.002
 """Distance (m) from the surface that an opened finger keeps, and depth to which spheres in the
@@ -75,6 +77,41 @@ def seen_nearby(belief: Belief, T_world_object: SE3) -> tuple[FloatArray, FloatA
         least = cloud.table + max(SURE_NOISE * cloud.noise, LEAST_ABOVE)
         own, others = own[own[:, 2] > least], others[others[:, 2] > least]
     return own, others
+
+
+def things_about(task: GraspTask) -> list[Obstacle]:
+    """Boxes about other things that were seen, from which a search keeps away; the nearest ones.
+
+    What is near to the object is left out: its plans are refused afterwards if they meet it.
+    """
+    belief, pose = task.object.belief, task.T_world_object
+    assert belief is not None, "the task is of a cloud"
+    others = seen_nearby(belief, pose)[1]
+    far = belief.mean((others - pose.translation) @ pose.rotation)
+    others, far = others[far > APART], far[far > APART]
+    own = surface_triangles(task.object.shape)[0] @ pose.rotation.T + pose.translation
+    cells, cell = np.unique(np.floor(others / BOX), axis=0, return_inverse=True)
+    boxes = []
+    for k in range(len(cells)):
+        mine = cell.ravel() == k
+        if mine.sum() < THING:
+            continue
+        lower, upper = others[mine].min(axis=0), others[mine].max(axis=0)
+        within = (own > lower - APART / 2.0) & (own < upper + APART / 2.0)
+        if not within.all(axis=1).any():
+            size = np.maximum(upper - lower, 2.0 * CLEAR)
+            place = SE3(np.eye(3), (lower + upper) / 2.0)
+            boxes.append((float(far[mine].min()), size, place))
+    boxes.sort(key=lambda box: box[0])
+    return [
+        Obstacle(name=f"seen_{k}", size=size, T_world_obstacle=place)
+        for k, (_, size, place) in enumerate(boxes[:BOXES])
+    ]
+
+
+APART, BOX, BOXES = 0.02, 0.06, 5
+"""Distance (m) from the object from which on things are boxes, the side (m) of cells in which their
+points are put together, and how many boxes there are at most: each costs rows of the problem."""
 
 
 def _spheres(plan: GraspPlan, q: FloatArray, inner: bool = False) -> tuple[FloatArray, FloatArray]:
