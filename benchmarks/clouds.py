@@ -50,8 +50,9 @@ from planner.errors import (
 from planner.exchange.array_files import read_pickle
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
-from planner.search.from_cloud import CLEAR, CloudPlan, clearance_of_points, plan_from_cloud
+from planner.search.from_cloud import CloudPlan, plan_from_cloud
 from planner.search.grasp import plan_grasp
+from planner.search.in_the_way import CLEAR, clearance_of_points
 from planner.shapes import Mesh
 from planner.shapes.hulls import hull_of
 from planner.spatial import SE3, FloatArray

@@ -20,6 +20,7 @@ from planner.files import plan_to_dict, read_plan
 from planner.hands.hand import Hand
 from planner.kinematics import HandState
 from planner.plan import GraspPlan
+from planner.search.beyond import SearchDirection, search_directions
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray, minimum_jerk
 from planner.task import GraspTask
@@ -31,8 +32,6 @@ from sim.controllers.closing import (
     SEARCH_SPEED,
     WAY_SPEED,
     GuardedClosing,
-    SearchDirection,
-    search_directions,
 )
 from sim.controllers.grasp import GraspController
 

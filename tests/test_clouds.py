@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pickle
+import re
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,21 +20,14 @@ from planner.clouds.belief import CERTAIN, CORRELATED, DIFFER, LEAST_SLOPE, Beli
 from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
 from planner.clouds.hollow import lidded
 from planner.clouds.sight import _distance, _reflection, hypotheses
+from planner.collision.pair_table import OBJECT
+from planner.collision.world import CollisionWorld
 from planner.errors import ObjectError, TaskError, UncertainError
 from planner.objects import parse_object
-from planner.search.from_cloud import (
-    CLEAR,
-    CONE_SHARE,
-    FELT,
-    TABLE_MU,
-    CloudPlan,
-    _hidden,
-    _hits,
-    _spheres,
-    _tips,
-    _tried,
-    _way_in,
-)
+from planner.search.from_cloud import CONE_SHARE, UNSEEN_FOOT, CloudPlan, _abstained
+from planner.search.in_the_way import CLEAR, _spheres, _way_in, hidden_share, hits, things_about
+from planner.search.survival import FELT, SAMPLES, TABLE_MU, _meets, _tips, survival_of
+from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from sim.cli import main
@@ -463,7 +458,7 @@ def test_no_mesh_reaches_into_what_a_camera_saw_through() -> None:
 def test_errors_of_place_and_of_turn_are_both_survived_less() -> None:
     plan = found("box", 2).plan
     exact, shifted, turned = (
-        _tried(plan, error, 0, 0.0).survival for error in ((0.0, 0.0), (0.03, 0.0), (0.0, 0.6))
+        survival_of(plan, error, 0, 0.0).survival for error in ((0.0, 0.0), (0.03, 0.0), (0.0, 0.6))
     )
     assert shifted < exact - 0.1 and turned < exact - 0.1
 
@@ -473,8 +468,8 @@ def test_a_hand_in_another_hypothesis_is_noticed() -> None:
     everywhere = replace(belief.hypotheses[0], distance=np.full(belief.grid.shape, -0.05))
     both = replace(belief, hypotheses=(*belief.hypotheses, everywhere), places=belief.places[:0],
                    deviations=belief.deviations[:0], before=belief.before[:0])  # fmt: skip
-    assert not _hits(plan, both, belief.chosen)
-    assert _hits(plan, both, len(belief.hypotheses))
+    assert not hits(plan, both)[belief.chosen]
+    assert hits(plan, both)[len(belief.hypotheses)]
 
 
 def test_what_opened_fingers_meet_on_their_way_in_is_noticed() -> None:
@@ -489,13 +484,13 @@ def test_what_opened_fingers_meet_on_their_way_in_is_noticed() -> None:
     ball = np.linalg.norm(off, axis=1).reshape(belief.grid.shape) - 0.012
     more = replace(belief.hypotheses[0], distance=np.minimum(ball, belief.hypothesis.distance))
     both = replace(belief, hypotheses=(*belief.hypotheses, more))
-    assert not _hits(plan, belief, belief.chosen)
-    assert _hits(plan, both, len(belief.hypotheses))
+    assert not hits(plan, belief)[belief.chosen]
+    assert hits(plan, both)[len(belief.hypotheses)]
     cloud = belief.cloud
     thing = end.act(way[np.linalg.norm(way, axis=1).argmax()])[None]  # where the way begins
     full = replace(cloud, past=np.vstack([cloud.past, thing]), past_of=np.append(cloud.past_of, 0))
     item = replace(plan.task.object, belief=replace(belief, cloud=full))
-    blocked = _tried(replace(plan, task=replace(plan.task, object=item)), (0.0, 0.0), 0, 0.0)
+    blocked = survival_of(replace(plan, task=replace(plan.task, object=item)), (0.0, 0.0), 0, 0.0)
     assert blocked.clearance < CLEAR and blocked.survival == 0.0
 
 
@@ -506,7 +501,7 @@ def test_a_hand_behind_the_object_is_where_no_camera_saw() -> None:
     ahead *= 0.05 / np.linalg.norm(ahead)
     base = plan.T_world_base
     behind, before = (
-        _hidden(
+        hidden_share(
             replace(plan, T_world_base=SE3(base.rotation, base.translation - palm + way)), belief
         )
         for way in (ahead, -3.0 * ahead)
@@ -560,10 +555,66 @@ def test_a_push_tips_what_it_meets_above_the_lever_of_its_base_over_friction() -
     assert _tips(plan).tolist() == [False, True, False]  # along y the lever is 30 mm
 
 
+def test_fingers_that_meet_one_another_or_the_table_are_noticed() -> None:
+    """As true distances say of a middle finger turned aside and of a thumb turned down."""
+    plan = found("ball").plan
+    hand, still = plan.task.hand, np.zeros((1, len(plan.task.fingers)))
+    world, met = CollisionWorld(plan.task), []
+    for name, angle in product(("middle", "thumb"), np.linspace(-0.3, 0.6, 13)):
+        turned = np.zeros(hand.nq)
+        turned[next(f.q_index[0] for f in plan.task.fingers if f.name == name)] = angle
+        distances = world.distances(plan.T_world_base, plan.q + turned)
+        gap = min(c.distance for c in distances if c.second != OBJECT)
+        if abs(gap) > 0.003:  # capsules are as wide as links to a millimetre or two
+            met.append(gap < 0.0)
+            assert _meets(plan, still, turned[None])[0] == met[-1], (name, angle, gap)
+    assert any(met) and not all(met)
+
+
+def test_fingers_that_go_on_too_far_meet_and_survive_nothing() -> None:
+    """Each 4 cm on through a ball of 7: they come out behind it, where the thumb is."""
+    plan = found("ball").plan
+    n, joints = len(plan.task.fingers), np.zeros((1, plan.task.hand.nq))
+    met = [_meets(plan, np.full((1, n), way), joints)[0] for way in (-0.02, -0.01, 0.0, 0.04)]
+    assert met == [False, False, False, True]
+    with patch("planner.search.survival._meets", lambda *_: np.ones(SAMPLES, dtype=bool)):
+        assert survival_of(plan, (0.0, 0.0), 0, 0.0).survival == 0.0
+
+
+@pytest.mark.parametrize(("solid", "views"), [("box", 1), ("ball", 2)])
+def test_an_object_stands_on_its_table_and_the_hand_keeps_clear_of_where_that_is(
+    solid: str, views: int
+) -> None:
+    grasp = found(solid, views)
+    table, task = grasp.belief.cloud.table, grasp.plan.task
+    assert table is not None and task.table_height is not None
+    assert isinstance(task.object.shape, Mesh)
+    lowest = task.T_world_object.translation[2] - task.object.shape.support(-np.eye(3)[2])
+    assert lowest > table - 2e-4 and table - 2e-4 < task.table_height < table + UNSEEN_FOOT
+
+
+def test_what_a_mask_names_is_one_object_in_two_parts() -> None:
+    bars = [object_alone() + shift for shift in (np.zeros(3), np.array([0.0, 0.16, 0.0]))]
+    given: dict[str, Any] = {"views": CAMERA, "table": None}
+    with pytest.raises(ObjectError, match="two objects"):
+        prepared(PointCloud.create(np.vstack(bars), **given))
+    both = prepared(PointCloud.create(np.vstack(bars), one=True, **given))
+    assert np.ptp(both.points[:, 1]) > 0.16
+    alone = prepared(PointCloud.create(bars[0], one=True, **given))
+    assert np.ptp(alone.points[:, 1]) < 0.1
+
+
+def test_a_refusal_names_what_is_too_low_for_fingertips() -> None:
+    """A thin ring of 13 mm height: fingertips of 24 mm press it down."""
+    belief = Belief.of(scan(parse_object("torus:0.0218x0.0066"), views=2, seed=3).cloud(table=0.0))
+    assert re.search(r"about 1[2-5] mm high", str(_abstained(None, 0.1, belief, ["no"], [])))
+    assert "high" not in str(_abstained(None, 0.1, Belief.of(scanned("ball")), ["no"], []))
+
+
 def test_joints_that_are_off_are_survived_less() -> None:
     plan = found("box", 2).plan
     off = replace(plan, task=replace(plan.task, joint_error=0.1))
-    exact, wrong = (_tried(p, (0.0, 0.0), 0, 0.0).survival for p in (plan, off))
+    exact, wrong = (survival_of(p, (0.0, 0.0), 0, 0.0).survival for p in (plan, off))
     assert wrong < exact - 0.1
 
 
@@ -581,7 +632,7 @@ def test_a_wall_thinner_than_a_step_is_felt_from_outside() -> None:
     )
     item = replace(plan.task.object, belief=wall)
     thin = replace(plan, task=replace(plan.task, object=item))
-    assert _tried(thin, (0.0, 0.0), 0, 0.0).survival > 0.6
+    assert survival_of(thin, (0.0, 0.0), 0, 0.0).survival > 0.6
 
 
 def test_felt_places_move_the_surface_and_make_it_certain() -> None:
@@ -637,10 +688,31 @@ def test_what_was_seen_beside_the_object_is_in_the_way() -> None:
     cloud = grasp.belief.cloud
     full = replace(cloud, past=np.vstack([cloud.past, palm]), past_of=np.append(cloud.past_of, 0))
     item = replace(grasp.plan.task.object, belief=replace(grasp.belief, cloud=full))
-    blocked = _tried(
+    blocked = survival_of(
         replace(grasp.plan, task=replace(grasp.plan.task, object=item)), (0.0, 0.0), 0, 0.0
     )
     assert grasp.clearance >= CLEAR and blocked.clearance < CLEAR and blocked.survival == 0.0
+
+
+def test_a_search_keeps_away_from_other_things_and_its_plan_does_not_have_them() -> None:
+    """A wall 9 cm beside the box; points near the box are no wall."""
+    cloud, rng = scanned("box", views=2), np.random.default_rng(1)
+    wall = np.array([0.115, 0.0, 0.06]) + rng.uniform(-1, 1, (600, 3)) * [0.002, 0.05, 0.05]
+    near = np.array([0.035, 0.0, 0.04]) + rng.uniform(-1, 1, (50, 3)) * [0.002, 0.01, 0.01]
+    more = np.vstack([cloud.past, wall, near])
+    by = np.concatenate([cloud.past_of, np.zeros(650, dtype=int)])
+    grasp = plan_from_cloud("allegro_hand", replace(cloud, past=more, past_of=by))
+    task = grasp.plan.task
+    boxes = things_about(task)
+    assert boxes and not task.obstacles and grasp.clearance >= CLEAR
+    for box in boxes:
+        least = box.T_world_obstacle.translation - box.size / 2.0
+        assert least[0] > 0.11 and (box.size < [0.01, 0.061, 0.061]).all()
+    held = [
+        np.abs(wall - box.T_world_obstacle.translation) <= box.size / 2.0 + 1e-9 for box in boxes
+    ]
+    assert np.any([inside.all(axis=1) for inside in held], axis=0).mean() > 0.9
+    assert not things_about(found("box", 2).plan.task)
 
 
 def test_a_cloud_that_shows_a_table_is_not_planned_on_without_one(

@@ -20,7 +20,13 @@ from planner.spatial import SE3
 from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT
 from sim.controllers.base import PHASES
-from sim.controllers.grasp import GraspController, felt_contacts, not_closed
+from sim.controllers.grasp import (
+    MOST_FELT,
+    MOST_FREE,
+    GraspController,
+    felt_contacts,
+    not_closed,
+)
 from sim.scan import scan, write_scan
 from sim.scene.build import OBJECT, TABLE, Truth
 from sim.sensing.errors import ErrorModel
@@ -221,8 +227,34 @@ def test_forces_are_planned_over_the_contacts_that_are_felt(
     assert felt.all() and off.max() < 0.001
     planned = found.plan.contacts_in_object.positions
     assert np.linalg.norm(controller._points - planned, axis=1).max() > 0.001
+    most = MOST_FREE * found.plan.contacts.forces[:, 0].max()
+    assert np.linalg.norm(controller._forces, axis=1).max() < 1.2 * most
     weight = found.plan.task.object.mass * 9.81
     assert np.allclose(controller._forces.sum(axis=0), [0.0, 0.0, weight], atol=0.02)
+
+
+def test_forces_without_torque_limits_are_bounded_by_the_planned_ones(
+    seen: tuple[CloudPlan, Truth], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With limits nothing is found; without them no finger is asked for 97 N."""
+    plan, asked = seen[0].plan, []
+
+    def none(contacts: ContactSet, **given: Any) -> Any:
+        asked.append(given)
+        return replace(plan.forces, found=False, reason="none")
+
+    monkeypatch.setattr("sim.controllers.grasp.distribute_forces", none)
+    controller = GraspController(plan)
+    trial = Trial(plan, truth=seen[1], timeline=QUICK, controller=controller)
+    for phase in PHASES[:2]:
+        run_grasp_phase(trial.simulation, trial.recorder, QUICK, phase)
+    for _ in trial.simulation.run("squeeze", 0.004):
+        pass
+    limited, free = ([a for a in asked if ("jacobians" in a) == w] for w in (True, False))
+    planned = plan.contacts.forces[:, 0].max()
+    assert len(limited) == len(free) == 3 and "forces" in controller.refused
+    assert {a["max_normal"].max() for a in limited} == {MOST_FELT}
+    assert all(a["max_normal"].max() == pytest.approx(MOST_FREE * planned) for a in free)
 
 
 def test_contacts_that_do_not_close_are_refused(seen: tuple[CloudPlan, Truth]) -> None:

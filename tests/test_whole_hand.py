@@ -30,12 +30,13 @@ from planner.kinematics import HandState
 from planner.motion.search import check_task
 from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
+from planner.search.beyond import search_directions
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from planner.synthesis.link_spheres import link_spheres
 from planner.task import Obstacle
 from planner.tolerances import TOUCH_TOL
 from sim import simulate
-from sim.controllers.closing import SEARCH_SPEED, GuardedClosing, search_directions
+from sim.controllers.closing import SEARCH_SPEED, GuardedClosing
 from sim.scene.build import build_scene
 
 pytestmark = pytest.mark.usefixtures("coarse_steps")

@@ -164,6 +164,10 @@ class Belief:
         k = self.chosen if hypothesis is None else hypothesis
         return self._mean(points + self.offset, k)
 
+    def means(self, points: FloatArray) -> FloatArray:
+        """``mean`` of every hypothesis (k, n), m."""
+        return self._means(points + self.offset)
+
     def gradient(self, points: FloatArray, hypothesis: int | None = None) -> FloatArray:
         """Gradient (n, 3) of the mean, by central differences of ``STEP``."""
         steps = STEP * np.concatenate([np.eye(3), -np.eye(3)])
@@ -181,7 +185,7 @@ class Belief:
         scale = self._scale(p)
         reduced = self._solved(scale[:, None] * self._correlation(p) * self._scales)
         own = np.maximum(scale**2 - (reduced**2).sum(axis=0), 0.0)
-        means = np.stack([self._mean(p, k) for k in range(len(self.hypotheses))])
+        means = self._means(p)
         off = np.clip(means - means[self.chosen], -DIFFER, DIFFER)
         between = (self._weights[:, None] * off**2).sum(axis=0)
         slope = np.linalg.norm(self.gradient(points), axis=1)
@@ -229,7 +233,7 @@ class Belief:
             moved = axes @ np.linalg.solve(normal, rows.T @ (left / variance))
         at = points - moved
         sure = np.sqrt(TOUCH**2 + np.einsum("mi,ij,mj->m", rows, np.linalg.inv(normal), rows))
-        off = np.stack([self.mean(at, k) for k in range(len(self.hypotheses))])
+        off = self.means(at)
         weights = self._weights * np.exp(-0.5 * (off**2 / (sure**2 + AGREED**2)).sum(axis=1))
         weights = weights / weights.sum() if weights.sum() > 0.0 else self._weights
         others = tuple(
@@ -307,10 +311,17 @@ class Belief:
         return np.asarray(solved.T * self._scales)
 
     def _mean(self, p: FloatArray, k: int) -> FloatArray:
+        scaled = self._scale(p) * (self._correlation(p) @ self._alphas[k])
+        return np.asarray(self._prior(p, k) + scaled)
+
+    def _means(self, p: FloatArray) -> FloatArray:
+        prior = np.stack([self._prior(p, k) for k in range(len(self.hypotheses))])
+        return np.asarray(prior + self._scale(p) * (self._alphas @ self._correlation(p).T))
+
+    def _prior(self, p: FloatArray, k: int) -> FloatArray:
         prior = self.grid.at(self.hypotheses[k].distance, p)
         beyond = self.grid.beyond(p)  # every hypothesis is in the grid
-        prior = np.where(beyond > 0.0, np.hypot(prior, beyond), prior)
-        return np.asarray(prior + self._scale(p) * (self._correlation(p) @ self._alphas[k]))
+        return np.where(beyond > 0.0, np.hypot(prior, beyond), prior)
 
     @cached_property
     def _levels(self) -> tuple[FloatArray, ...]:
@@ -326,6 +337,8 @@ class Belief:
         levels[:, near] += self._scale(p) * (self._alphas @ self._correlation(p).T)
         free = self.sight.behind(nodes) < -3.0 * self.cloud.noise - step
         levels[:, free] = np.maximum(levels[:, free], 0.15 * step)
+        if self.cloud.table is not None:  # on it, not in it: a hand keeps clear of where it is
+            levels = np.maximum(levels, self.cloud.table - nodes[:, 2])
         return tuple(level.reshape(shape) for level in levels)
 
 

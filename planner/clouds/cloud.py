@@ -85,6 +85,7 @@ class PointCloud:
             wall or 2 m away. All between camera and end is free.
         past_of: Index of the view of each such ray, (k,).
         notes: What ``prepared`` took away, a sentence each.
+        one: Whether all large groups of points are parts of one object, as a mask tells.
     """
 
     points: FloatArray
@@ -96,6 +97,7 @@ class PointCloud:
     past: FloatArray
     past_of: IntArray
     notes: tuple[str, ...] = ()
+    one: bool = False
 
     def __len__(self) -> int:
         """Number of points."""
@@ -113,6 +115,7 @@ class PointCloud:
         table: float | Literal["find"] | None = "find",
         past: Any = (),
         past_of: Any = None,
+        one: bool = False,
     ) -> PointCloud:
         """A cloud of arrays, checked; rows with NaN, which are pixels without depth, are left out.
 
@@ -125,6 +128,7 @@ class PointCloud:
             table: Height of the table's top, m; None for no table; "find" to look for one.
             past: Ends (k, 3) of rays that met nothing of the object, m.
             past_of: View of each such ray (k,); the first if there is only one.
+            one: Whether all large groups of points are parts of one object, as a mask tells.
 
         Raises:
             ObjectError: Wrong shapes, too few points, millimetres; says what to do.
@@ -168,6 +172,7 @@ class PointCloud:
             past=ends[seen],
             past_of=past_by[seen],
             notes=tuple(notes),
+            one=bool(one),
         )
         if table == "find":
             height = find_table(out.points)
@@ -334,7 +339,7 @@ def _without_outliers(cloud: PointCloud) -> PointCloud:
 
 
 def _one_object(cloud: PointCloud) -> PointCloud:
-    """The largest group of points; what is much smaller is left out.
+    """The largest group of points, or all large ones of one; what is much smaller is left out.
 
     Raises:
         ObjectError: A second group is large too, or the largest has too few points.
@@ -356,7 +361,8 @@ def _one_object(cloud: PointCloud) -> PointCloud:
         f"{sizes[g]} points at {np.round(1e3 * cloud.points[group == g].mean(axis=0)).tolist()} mm"
         for g in (first, *others[:1])
     ]
-    if others and sizes[others[0]] > SECOND * sizes[first]:
+    mine = sizes > SECOND * sizes[first]
+    if mine.sum() > 1 and not cloud.one:
         raise ObjectError(
             f"the cloud has two objects, {places[0]} and {places[1]}; cut out the points of the "
             "one to grasp and give the other as an obstacle"
@@ -366,15 +372,15 @@ def _one_object(cloud: PointCloud) -> PointCloud:
             f"the largest group of points has {sizes[first]}, {len(sizes)} groups in all, none "
             f"nearer than {1e3 * gap:.0f} mm; give at least {FEWEST} of an object"
         )
-    if not others:
+    if mine.all():
         return cloud
-    things = np.flatnonzero((group != first) & (sizes[group] >= THING))
-    note = f"took {places[0]}, left out {len(cloud) - sizes[first]} points of other things"
+    things = np.flatnonzero(~mine[group] & (sizes[group] >= THING))
+    note = f"took {places[0]}, left out {sizes[~mine].sum()} points of other things"
     return replace(
         cloud,
         past=np.concatenate([cloud.past, cloud.points[things]]),
         past_of=np.concatenate([cloud.past_of, cloud.view_of[things]]),
-    ).only(group == first, note)
+    ).only(mine[group], note)
 
 
 def _check_size(cloud: PointCloud) -> None:

@@ -202,6 +202,7 @@ def _seen(views: tuple[DepthView, ...] | list[DepthView]) -> dict[str, Any]:
         "view_of": np.concatenate(view_of),
         "past": np.concatenate(past),
         "past_of": np.concatenate(past_of),
+        "one": all(view.mask is not None for view in views),
     }
 
 

@@ -18,47 +18,40 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import coal
 import numpy as np
-from numpy.typing import NDArray
 from pinocchio import exp3
 
 from planner.arrays import checked_kind, checked_number
 from planner.certify import Tolerance, contact_tolerances
-from planner.clouds.belief import STEP, Belief
-from planner.clouds.cloud import GAP, PointCloud
+from planner.clouds.belief import Belief
+from planner.clouds.cloud import PointCloud
 from planner.collision.pregrasp import Approach
-from planner.contacts import ContactSet
 from planner.errors import PlannerError, TaskError, UncertainError
 from planner.failure import Failure
 from planner.hands.hand import Hand
-from planner.kinematics import HandState
 from planner.objects import DEFAULT_MASS, GraspObject
 from planner.plan import GraspPlan
-from planner.quality import force_closure, plainly_closed
 from planner.search.attempt import Attempt, check_seed
 from planner.search.grasp import attempts
+from planner.search.in_the_way import CLEAR, SPARE, things_about
+from planner.search.survival import survival_of
 from planner.shapes import Mesh
-from planner.shapes.mesh import surface_triangles
-from planner.spatial import SE3, FloatArray, contact_frames, signed_twist
-from planner.synthesis.link_spheres import link_spheres
+from planner.spatial import SE3, FloatArray, signed_twist
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
-from planner.tolerances import CLOSURE_EDGES, FRICTION_SHARE
 from planner.verification import verify_grasp
 
 __all__ = ["CloudPlan", "plan_from_cloud"]
 
-SAMPLES = 60
-"""Samples of what may be true on which a plan is tried: a share of 0.9 is known to 0.04."""
-
-SURVIVES, ENOUGH = 0.1, 0.8
-"""Share of samples (-) that a plan must survive, and the merit with which the search ends. Samples
+SURVIVES, GOOD, ENOUGH = 0.1, 0.8, 0.9
+"""Share of samples (-) that a plan must survive, the merit with which no other hypothesis is
+planned on, and the one with which no other plan is made. Samples
 are harder than the world is: on 80 development scans (40 of one view) 67 of 72 plans that survived
 0.3 or more were held, and of the 7 that survived less, 0.03 to 0.23, six were held too."""
 
-ATTEMPTS, NEXT_SEED = 12, 1000
-"""Attempts for each hypothesis, and what is added to a seed to plan anew (-)."""
+ATTEMPTS, AGAIN, NEXT_SEED = 12, 4, 1000
+"""Attempts for each hypothesis, one in how many of them again with ordinary margins, and what is
+added to a seed to plan anew (-)."""
 
 PLAUSIBLE = 0.08
 """Weight (-) of a hypothesis below which nothing is planned on it."""
@@ -69,16 +62,6 @@ TRIED, PLANS, KEPT = 2, 3, 3
 CONE_SHARE = 0.5
 """Share of the friction (-) that the internal force of synthesis may use: 14 degrees of 27 are left
 to errors of the normals."""
-
-FELT = 0.012
-"""How far (m) a finger goes beyond its planned place until it feels the surface."""
-
-SPARE = 0.002
-"""Distance (m) from the surface that an opened finger keeps, and depth to which spheres in the
-links may be in another hypothesis: they bulge by as much."""
-
-CLEAR = 0.002
-"""Distance (m) from every seen point that a hand keeps where it does not touch."""
 
 ROOM = 0.005
 """Most (m) that is added to the clearances of the hand for errors of surface and pose."""
@@ -281,32 +264,36 @@ def _searched(
     out = _Searched()
     order = np.argsort([-h.weight for h in belief.hypotheses], kind="stable")[:TRIED].tolist()
     likely = [k for k in order if k == order[0] or belief.hypotheses[k].weight >= PLAUSIBLE]
+    few = -(-max_attempts // AGAIN)
     # ordinary margins where none is found with those for what is uncertain: the samples judge
-    for margins in (options,) if options else (_widened(belief, pose_error[0]), SynthesisOptions()):
+    both = (_widened(belief, pose_error[0]), max_attempts), (SynthesisOptions(), few)
+    for margins, most in ((options, max_attempts),) if options else both:
         for number in likely:
             hypothesis = belief.hypotheses[number]
             what = f"{hypothesis.name} (plausibility {hypothesis.weight:.2f})"
             try:
                 task = task_of(number)
-                search = islice(attempts(task, seed=seed, options=margins), max_attempts)
+                among = replace(task, obstacles=(*task.obstacles, *things_about(task)))
+                search = islice(attempts(among, seed=seed, options=margins), most)
             except PlannerError as error:
                 out.refused.append(f"{what}: {error}")
                 continue
             begin = len(out.made)
-            _add_best(search, out.kept, pose_error, seed, out.made)
+            _add_best(search, task, out.kept, pose_error, seed, out.made)
             failures = [a.failure for a in out.made[begin:] if a.failure is not None]
             if len(failures) == len(out.made) - begin:
                 common = _commonest(failures)
                 out.refused.append(f"{what}: no grasp in {len(failures)} attempts: {common}")
-            if out.kept and out.kept[0].merit >= ENOUGH:
+            if out.kept and out.kept[0].merit >= GOOD:
                 break
-        if out.kept:
+        if any(plan.clearance >= CLEAR for plan in out.kept):
             break
     return out
 
 
 def _add_best(
     search: Iterable[Attempt[GraspPlan]],
+    task: GraspTask,
     kept: list[CloudPlan],
     pose_error: tuple[float, float],
     seed: int,
@@ -319,12 +306,21 @@ def _add_best(
         if attempt.plan is None:
             continue
         beaten = kept[-1].merit if len(kept) == KEPT else 0.0
-        kept.append(_tried(attempt.plan, pose_error, seed, beaten))
+        # without what the search alone keeps away from
+        its = replace(attempt.plan.task, obstacles=task.obstacles)
+        plan = replace(attempt.plan, task=its)
+        kept.append(_tried(plan, pose_error, seed, beaten))
         plans += kept[-1].clearance >= CLEAR  # other things in the way are often elsewhere
         kept.sort(key=lambda plan: -plan.merit)
         del kept[KEPT:]
         if plans == PLANS or kept[0].merit >= ENOUGH:
             break
+
+
+def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: float) -> CloudPlan:
+    """A plan with what it survives, as far as it is above ``beaten``."""
+    found = survival_of(plan, pose_error, seed, beaten)
+    return CloudPlan(plan=plan, pose_error=pose_error, **vars(found))
 
 
 def along_table(moved: SE3, about: FloatArray) -> SE3:
@@ -365,6 +361,8 @@ def _widened(belief: Belief, shift: float) -> SynthesisOptions:
     return replace(
         usual,
         clear_object=usual.clear_object + min(surface + shift, ROOM),
+        # neighbours go on towards one another by less than each goes
+        clear_fingers=usual.clear_fingers + min(surface + shift, ROOM) / 2.0,
         # along the table nothing comes nearer to it, and low objects leave no room below fingers
         clear_table=usual.clear_table + min(surface, ROOM),
         cone_share=CONE_SHARE,
@@ -416,252 +414,12 @@ def _stands_on(chosen: Belief, mesh: Mesh) -> float | None:
     return lowest if abs(lowest - table) < UNSEEN_FOOT else table
 
 
+LOW = 0.025
+"""Height (m) of an object on a table, about that of a fingertip, below which a refusal says so."""
+
 UNSEEN_FOOT = 0.015
 """Distance (m) from the table's top within which a mesh ends on it: its foot is in the shadow of
 what is above, and cells of the grid are as large as 3 mm."""
-
-
-def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: float) -> CloudPlan:
-    """A plan with the share of samples that it survives; less where it is not above ``beaten``."""
-    belief = plan.task.object.belief
-    assert belief is not None, "the plan is of a cloud"
-    planned = plan.contacts_in_object
-    n, rng = len(planned), np.random.default_rng(seed)
-    points, frames = planned.positions, planned.frames
-    # a contact, one step before it, where the finger comes from, and along each tangent: value and
-    # slope of the surface; beyond a thin wall its far side rises again
-    stencil = np.concatenate([np.zeros((3, 1)), STEP * np.diag([-1.0, 1.0, 1.0])], axis=1)
-    spots = points[:, None] + np.einsum("nde,ek->nkd", frames, stencil)
-    errors = belief.samples(spots.reshape(-1, 3), SAMPLES, rng).reshape(SAMPLES, n, 4)
-    weights = np.array([h.weight for h in belief.hypotheses])
-    kinds = rng.choice(len(weights), SAMPLES, p=weights / weights.sum())
-    shifts = rng.normal(size=(SAMPLES, 3)) * pose_error[0]
-    turns = rng.normal(size=(SAMPLES, 3)) * pose_error[1]
-    if belief.cloud.table is not None:
-        shifts[:, 2] = turns[:, :2] = 0.0
-    # where the object's surface is if its pose is off: seen from it, contacts are elsewhere
-    moved = spots[None] - shifts[:, None, None] - np.cross(turns[:, None, None], spots[None])
-    moved += _tip_errors(plan, rng)[:, :, None]
-    way = np.zeros((SAMPLES, n))
-    for _ in range(NEWTON):
-        at = moved + way[:, :, None, None] * frames[:, None, :, 0]
-        values = np.empty((SAMPLES, n, 4))
-        for kind in np.unique(kinds):
-            mine = kinds == kind
-            values[mine] = belief.mean(at[mine].reshape(-1, 3), int(kind)).reshape(-1, n, 4)
-        here = values[..., 0] + errors[..., 0]
-        slope = (values[..., 1:] - values[..., :1]) / STEP  # against the normal, along tangents
-        inward = slope[..., 0].copy()
-        steep = inward > LEAST_SLOPE
-        way = np.clip(way + here / np.where(steep, inward, 1.0), -2.0 * FELT, 2.0 * FELT)
-    slope[..., 0] *= -1.0
-    slope[..., 1:] += (errors[..., 2:] - errors[..., :1]) / STEP
-    reached = (way <= FELT) & (way >= SPARE - plan.pregrasp_distance)
-    touched = (steep & reached & (np.abs(here) < FELT / 4)).all(axis=1)
-    positions = moved[:, :, 0] + way[..., None] * frames[:, :, 0]
-    normals = -np.einsum("nde,sne->snd", frames, slope)
-    hits = [_hits(plan, belief, kind) for kind in range(len(weights))]
-    lags = way - way.min(axis=1, keepdims=True)
-    tips = (lags.max(axis=1) > LAG) & _tips(plan)[way.argmin(axis=1)]
-    own, others = _seen(belief, plan.task.T_world_object)
-    clearance = clearance_of_points(plan, np.concatenate([own, others]))
-    clearance = min(clearance, _clearance_of_others(plan, belief, others))
-    touched &= clearance >= CLEAR
-    held, left = 0, np.flatnonzero(touched & ~np.array(hits)[kinds])
-    for done, k in enumerate(left):
-        if held + len(left) - done <= beaten * SAMPLES:
-            break
-        held += _closed(planned, positions[k], normals[k])
-    tilt = errors[..., 2:] - errors[..., :1]
-    return CloudPlan(
-        plan=plan,
-        survival=held / SAMPLES,
-        tipping=float(tips.mean()),
-        samples=SAMPLES,
-        position_std=belief.deviation(points),
-        normal_std=np.arctan(tilt.std(axis=0).mean(axis=1) / STEP),
-        pose_error=pose_error,
-        clearance=clearance,
-        hidden=_hidden(plan, belief),
-    )
-
-
-def _tip_errors(plan: GraspPlan, rng: np.random.Generator) -> FloatArray:
-    """Errors (SAMPLES, n, 3) of contacts by ``task.joint_error``, object's axes, m."""
-    task, state = plan.task, HandState(plan.task.hand, plan.q)
-    joints = task.joint_error * rng.normal(size=(SAMPLES, task.hand.nq))
-    turn = task.T_world_object.rotation.T @ plan.T_world_base.rotation
-    points = plan.contacts.transformed(plan.T_world_base.inverse()).positions
-    rows = [
-        turn @ state.point_jacobian(finger.pad.joint_id, point)[:3]
-        for finger, point in zip(task.fingers, points, strict=True)
-    ]
-    return np.asarray(np.einsum("nij,sj->sni", np.array(rows), joints))
-
-
-NEWTON = 3
-"""Steps by which a finger's way to the surface is found."""
-
-LEAST_SLOPE = 0.3
-"""Slope (-) of the surface's distance along a contact's normal below which a finger slides past."""
-
-
-LAG = 0.002
-"""Way (m) by which the last finger comes later than the first that moves an object on its table."""
-
-TABLE_MU = 0.6
-"""Friction (-) of object and table beyond which pushes are not thought of: that of a trial."""
-
-
-BASE = 0.005
-"""Height (m) of what counts as an object's base, whose edge a belief rounds."""
-
-
-def _tips(plan: GraspPlan) -> NDArray[np.bool_]:
-    """Whether each finger (n,), were it the first to push, tips the object instead of sliding it.
-
-    A push at height h by what friction with the table bears, mu W, tips it where mu h exceeds the
-    lever of the weight about the edge of the base. What has no base, as a ball, rolls either way.
-    """
-    task, contacts = plan.task, plan.contacts
-    if task.table_height is None:
-        return np.zeros(len(contacts), dtype=bool)
-    vertices = surface_triangles(task.object.shape)[0] @ task.T_world_object.rotation.T
-    base = vertices[vertices[:, 2] < vertices[:, 2].min() + BASE]
-    push = contacts.normals[:, :2]
-    levers = (push @ base[:, :2].T).max(axis=1)
-    heights = contacts.positions[:, 2] - task.table_height
-    flat = np.linalg.norm(push, axis=1)
-    tips = (levers > SPARE * flat) & (TABLE_MU * heights * flat > levers)
-    return np.asarray(tips, dtype=bool)
-
-
-def _closed(contacts: ContactSet, positions: FloatArray, normals: FloatArray) -> bool:
-    """Whether contacts close elsewhere, within the share of the friction that is pressed with."""
-    mu = FRICTION_SHARE * contacts.mu
-    there = replace(contacts, positions=positions, frames=contact_frames(normals), mu=mu)
-    return plainly_closed(there, CLOSURE_EDGES) or force_closure(there, CLOSURE_EDGES).closed
-
-
-def clearance_of_points(plan: GraspPlan, points: FloatArray) -> float:
-    """Least distance (m) of the hand from points (n, 3), world, links that touch left out.
-
-    Beyond twice ``CLEAR`` it is only known to be that far.
-    """
-    hand, state = plan.task.hand, HandState(plan.task.hand, plan.q)
-    pads = {finger.pad.joint_id for finger in plan.task.fingers}
-    ball, least = coal.Sphere(1e-6), 2.0 * CLEAR
-    request = coal.DistanceRequest()
-    for link in hand.geometries:
-        if link.joint_id in pads:
-            continue
-        T = plan.T_world_base * state.joint_pose(link.joint_id) * link.T_joint_geometry
-        link.geometry.computeLocalAABB()
-        local = (points - T.translation) @ T.rotation
-        beyond = (
-            np.linalg.norm(local - link.geometry.aabb_center, axis=1) - link.geometry.aabb_radius
-        )
-        for k in np.flatnonzero(beyond < least):
-            there = coal.Transform3s(np.eye(3), local[k])
-            found = coal.distance(
-                link.geometry, coal.Transform3s(), ball, there, request, coal.DistanceResult()
-            )
-            least = min(least, float(found))
-    return least
-
-
-def _seen(belief: Belief, T_world_object: SE3) -> tuple[FloatArray, FloatArray]:
-    """Places of the object (n, 3) and of other things (m, 3), m, world, that were seen nearby.
-
-    The object's as it has moved since; of other things all but the table.
-    """
-    cloud, turn = belief.cloud, T_world_object.rotation
-    own = (cloud.points - belief.offset) @ turn.T + T_world_object.translation
-    near = np.linalg.norm(cloud.past - T_world_object.translation, axis=1) < REACH
-    others = cloud.past[near]
-    if cloud.table is not None:
-        least = cloud.table + max(SURE_NOISE * cloud.noise, LEAST_ABOVE)
-        own, others = own[own[:, 2] > least], others[others[:, 2] > least]
-    return own, others
-
-
-LEAST_ABOVE, SURE_NOISE = 0.003, 3.0
-"""Height (m) above the table, and in deviations of the camera's noise (-), from which on a point is
-no longer taken for the table's: a plane found in a cloud is off by a millimetre or two, and of
-normal noise one point in 700 lies further out."""
-
-REACH = 0.3
-"""Distance (m) from an object beyond which no part of a hand is that grasps it."""
-
-
-def _spheres(plan: GraspPlan, q: FloatArray, inner: bool = False) -> tuple[FloatArray, FloatArray]:
-    """Centres (n, 3), m, object's frame, and radii (n,), m, of spheres in the links at the grasp.
-
-    Args:
-        plan: Where the hand's base is.
-        q: Joints (nq,).
-        inner: Whether fingertips are left out.
-    """
-    state = HandState(plan.task.hand, q)
-    spheres = [s for s in link_spheres(plan.task.hand) if not inner or not (s.is_pad or s.on_tip)]
-    T_object_base: SE3 = plan.task.T_world_object.inverse() * plan.T_world_base
-    poses = [T_object_base * state.joint_pose(i) for i in range(len(state.pin_data.oMi))]
-    centers = np.array([poses[s.joint_id].act(s.center) for s in spheres])
-    return centers, np.array([s.radius for s in spheres])
-
-
-def _way_in(plan: GraspPlan) -> tuple[FloatArray, FloatArray]:
-    """The same of all links on the way in, fingers opened; of an arm's at its end."""
-    centers, radii = _spheres(plan, plan.q_pregrasp)
-    back = plan.T_world_base_start.translation - plan.T_world_base.translation
-    steps = int(np.ceil(np.linalg.norm(back) / WAY_STEP)) + 1
-    shifts = np.linspace(0.0, 1.0, steps)[:, None, None] * (
-        back @ plan.task.T_world_object.rotation
-    )
-    return (shifts + centers).reshape(-1, 3), np.tile(radii, steps)
-
-
-WAY_STEP = 0.01
-"""Distance (m) of the poses at which the way in is looked at: less than a finger is thick."""
-
-
-def _hits(plan: GraspPlan, belief: Belief, kind: int) -> bool:
-    """Whether the palm or an inner link is in another hypothesis, or any link on the way in."""
-    centers, radii = _joined(_spheres(plan, plan.q, inner=True), _way_in(plan))
-    # on the chosen one the plan is verified: links are no larger than they are clear of it
-    radii = np.minimum(radii, belief.mean(centers))
-    gaps = belief.mean(centers, kind) - radii
-    return bool(gaps.min(initial=np.inf) < -SPARE - belief.grid.spacing)
-
-
-def _clearance_of_others(plan: GraspPlan, belief: Belief, others: FloatArray) -> float:
-    """Least distance (m) of any link, at the grasp or on the way in, from points (n, 3), world.
-
-    Those as near to the object as its own may be its edge. It is twice ``CLEAR`` at most.
-    """
-    from scipy.spatial import cKDTree
-
-    pose = plan.task.T_world_object
-    things = (others - pose.translation) @ pose.rotation
-    things = things[belief.mean(things) > GAP]
-    if not len(things):
-        return 2.0 * CLEAR
-    centers, radii = _joined(_spheres(plan, plan.q), _way_in(plan))
-    return min(float((cKDTree(things).query(centers)[0] - radii).min()), 2.0 * CLEAR)
-
-
-def _joined(*spheres: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Spheres of several postures."""
-    centers, radii = zip(*spheres, strict=True)
-    return np.concatenate(centers), np.concatenate(radii)
-
-
-def _hidden(plan: GraspPlan, belief: Belief) -> float:
-    """Share (-) of the hand's volume, at the grasp, through which no camera saw."""
-    centers, radii = _spheres(plan, plan.q)
-    pose = plan.task.T_world_object
-    behind = belief.sight.behind(centers @ pose.rotation.T + pose.translation)
-    return float((radii**3)[behind >= 0.0].sum() / (radii**3).sum())
 
 
 def _commonest(failures: list[Failure]) -> str:
@@ -683,6 +441,12 @@ def _abstained(
         failures = [a.failure for a in made if a.failure is not None]
         common = _commonest(failures).split(";")[0]
         why += f", {len(made)} tried: {common}" if failures else ": " + "; ".join(refused)
+        table, top = belief.cloud.table, float(np.percentile(belief.cloud.points[:, 2], 95))
+        if table is not None and top - table < LOW:
+            why += (
+                f". It is about {1e3 * (top - table):.0f} mm high: what is so low, as a "
+                "thin ring, is touched from above by fingertips that are clear of the table"
+            )
     elif best.clearance < CLEAR:
         return UncertainError(
             f"in the best grasp the hand is {1e3 * best.clearance:.1f} mm from what was seen of "

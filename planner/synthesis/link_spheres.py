@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -86,6 +87,7 @@ def moving(hand: Hand, spheres: tuple[LinkSphere, ...]) -> tuple[LinkSphere, ...
     return tuple(b for b in spheres if hand.arm is None or b.joint_id > 0)
 
 
+@lru_cache(maxsize=8)
 def link_spheres(hand: Hand) -> tuple[LinkSphere, ...]:
     """Spheres that fill every colliding geometry of a hand."""
     return _distinct(hand, _spheres(hand, corners=False))

@@ -10,72 +10,18 @@ object's place, a touch more than ``EARLY`` before the planned one, tells of tha
 closing is careful: a finger that touched holds still where it is, a wall rather than a push, and
 follows the object slowly along its normal if that moves off; the others come at
 ``CAREFUL_SPEED``, and search at it. So does a finger that is ``EARLY`` beyond its planned contact.
-None searches on where that leads it into its neighbour.
-
-``Neighbours``: how near the links of a finger are to those of the other fingers, by the joints.
-
-Called by ``GuardedClosing`` while a finger looks for the object beyond its planned contact: nothing
-was planned there, and on a hand with narrow fingers it would run into its neighbour.
+None searches on where that leads it into its neighbour: nothing was planned there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
-from planner.hands.fingers import Finger
-from planner.hands.hand import Hand
-from planner.kinematics import HandState, MovingHand
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray, IntArray, minimum_jerk
-from planner.synthesis.terms.fingers import closest_on_segments, collision_pairs, finger_capsules
+from planner.search.beyond import Neighbours, search_directions
+from planner.spatial import FloatArray, minimum_jerk
 from sim.controllers.base import TOUCH_FORCE, Observation
-
-
-class Neighbours:
-    """Distances between fingers, their links taken as capsules."""
-
-    def __init__(self, hand: Hand, fingers: Sequence[Finger]) -> None:
-        """Find the pairs of links that can meet.
-
-        Args:
-            hand: The hand.
-            fingers: The n fingers that are asked for.
-        """
-        capsules = finger_capsules(hand)
-        self._pairs = np.array(collision_pairs(hand), dtype=np.int64).reshape(-1, 2)
-        self._joints = [c.joint_id for c in capsules]
-        self._ends = np.array([[c.inner, c.outer] for c in capsules]).reshape(-1, 2, 3)
-        self._radii = np.array([c.radius for c in capsules])[self._pairs].sum(axis=1)
-        names = np.array([c.finger for c in capsules])[self._pairs]
-        owner = hand.finger_of_body
-        whole = [  # a link is as near to its neighbours as its finger
-            owner.get(next(iter(finger.bodies)), "") if finger.is_link else finger.name
-            for finger in fingers
-        ]
-        self._of = [np.flatnonzero((names == name).any(axis=1)) for name in whole]
-        self._moving = MovingHand(hand, (hand.q_lower + hand.q_upper) / 2.0)
-
-    def gap(self, finger: int, q: FloatArray) -> float:
-        """Distance (m) of a finger, by its number, from the nearest other one at joints q (nq,).
-
-        Below 0 where capsules overlap; infinite if it meets no other.
-        """
-        mine = self._of[finger]
-        if not len(mine):
-            return np.inf
-        poses = self._moving.move(q).pin_data.oMi
-        turns = np.array([poses[j].rotation for j in self._joints])
-        at = np.array([poses[j].translation for j in self._joints])
-        ends = np.einsum("cij,ckj->cki", turns, self._ends) + at[:, None]
-        first, second = ends[self._pairs[mine, 0]], ends[self._pairs[mine, 1]]
-        one, other = closest_on_segments(first[:, 0], first[:, 1], second[:, 0], second[:, 1])
-        return float((np.linalg.norm(other - one, axis=1) - self._radii[mine]).min())
-
 
 CLOSE_RATE = 4.0
 """Fastest change (1/s) of a finger's share of the closing motion, for one that lost touch."""
@@ -107,18 +53,6 @@ what plans leave between fingers."""
 
 LOOK = 1e-4
 """Step of a joint (rad) of the differences that tell how it changes that distance."""
-
-SEARCH_DAMPING = 0.05
-"""Cost of joint motion in a search, as the lever (m/rad) at which a pad's motion across its normal
-costs as much. Without it a curled finger, of which hardly a joint moves the pad along its normal,
-swings to the side by 8 degrees and comes no nearer."""
-
-
-STUCK = 1e-2
-"""Least a M^-1 a (-) that is divided by: a pad that no joint moves along its normal stays."""
-
-MOST_AROUND = 3.0
-"""Most by which a way past a neighbour may be longer than the straight one, in joint motion (-)."""
 
 
 class GuardedClosing:
@@ -219,70 +153,3 @@ class GuardedClosing:
         if self.careful:
             for i in set(np.flatnonzero(self._touched).tolist()) - set(self._held):
                 self._held[i] = q[self._fingers[i].q_index].copy()
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SearchDirection:
-    """How a finger of k joints moves its pad along the contact normal.
-
-    With a = J^T n, the pad's motion along the normal per joint, and T its motion across it, the
-    straight way is the joint motion v with
-
-        minimise v^T M v   subject to   a v = 1,   couplings v = 0,   M = T^T T + SEARCH_DAMPING^2 I
-
-    which is M^-1 a / (a M^-1 a) in a basis of what the couplings let.
-
-    Attributes:
-        index: The finger's joints (k,).
-        along: a (k,), m/rad.
-        straight: v (k,), rad/m.
-        free: Basis (k, m) of what couplings let.
-        cost: M in that basis (m, m).
-    """
-
-    index: IntArray
-    along: FloatArray
-    straight: FloatArray
-    free: FloatArray
-    cost: FloatArray
-
-    def around(self, slope: FloatArray) -> FloatArray | None:
-        """The way (k,), rad/m, that does not lessen a distance that changes by ``slope`` (k,).
-
-        None where there is none, or it is too long.
-        """
-        if slope @ self.straight >= 0.0:
-            return self.straight
-        rows = np.vstack([self.along, slope]) @ self.free
-        inverse = np.linalg.solve(self.cost, rows.T)
-        gram = rows @ inverse
-        if np.linalg.det(gram) <= STUCK * gram[0, 0] * gram[1, 1]:
-            return None
-        way = self.free @ (inverse @ np.linalg.solve(gram, np.array([1.0, 0.0])))
-        if np.linalg.norm(way) > MOST_AROUND * np.linalg.norm(self.straight):
-            return None
-        return np.asarray(way)
-
-
-def search_directions(plan: GraspPlan) -> list[SearchDirection]:
-    """The directions of a plan's fingers, in their order."""
-    state = HandState(plan.task.hand, plan.q)
-    inverse = plan.T_world_base.inverse()
-    couplings, _ = plan.task.hand.coupling_matrix
-    directions = []
-    for finger, point, normal in zip(
-        plan.task.fingers, plan.contacts.positions, plan.contacts.normals, strict=True
-    ):
-        k = finger.q_index
-        jacobian = state.point_jacobian(finger.pad.joint_id, inverse.act(point))[:3, k]
-        inwards = inverse.rotation @ normal
-        along = jacobian.T @ inwards
-        free = null_space(couplings[:, k]) if len(k) else np.zeros((0, 0))
-        across = (jacobian - np.outer(inwards, along)) @ free
-        cost = across.T @ across + SEARCH_DAMPING**2 * np.eye(free.shape[1])
-        way = np.linalg.solve(cost, free.T @ along)
-        straight = free @ way / max(float(along @ free @ way), STUCK)
-        directions.append(
-            SearchDirection(index=k, along=along, straight=straight, free=free, cost=cost)
-        )
-    return directions

@@ -167,9 +167,10 @@ LOOKED = 0.8
 """Share of the phase "settle" (-) after which contacts, now under full forces, are looked at again.
 """
 
-MOST_FELT = 100.0
+MOST_FELT, MOST_FREE = 100.0, 3.0
 """Normal force (N) without limit: beyond that of any actuator; times 0 for a finger that feels
-nothing."""
+nothing. Without torque limits the largest planned one times this (-): within less of the friction
+programmes answered with 97 N where 4 were planned, and fingers swung past the object."""
 
 
 class GraspController:
@@ -290,8 +291,10 @@ class GraspController:
         free: ForceArguments = {"wrench": limited["wrench"]}
         # fingers with fewer drives than joints press in one direction alone, and the surface is
         # elsewhere: what no drive gives is then left to the finger's own bones
+        most = MOST_FREE * float(self.plan.contacts.forces[:, 0].max())
+        limited["max_normal"], free["max_normal"] = MOST_FELT * felt, most * felt
         for given, share in product((limited, free), SHARES):
-            given |= {"min_normal": task.grip_force * felt, "max_normal": MOST_FELT * felt}
+            given["min_normal"] = task.grip_force * felt
             given["friction_scale"] = share
             forces = distribute_forces(contacts, **given)
             if forces.found:

@@ -36,9 +36,9 @@ from planner.motion.gait import Relocation
 from planner.motion.manipulation import ManipulationPlan
 from planner.motion.plan import MovementPlan
 from planner.plan import GraspPlan
+from planner.search.beyond import SEARCH_DAMPING
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers import Event, HasOwnAim, Observation, Phase, Recloses
-from sim.controllers.closing import SEARCH_DAMPING
 from sim.controllers.follow import MotionReference
 from sim.controllers.hand_dynamics import MotorServo, motor_servo
 from sim.manipulation.in_hand import InHandController

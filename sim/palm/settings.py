@@ -106,8 +106,10 @@ class PalmSettings:
         """
         whole = ("horizon", "contacts", "sweeps", "branches")
         check_fields(self, whole, above=0, most=LONGEST)
-        free = ("weight_share", "running_share", "tip_cost", "scatter_rad", "still_deg", "mu")
-        free += ("beyond", "beside_rad")
+        free = (
+            *("weight_share", "running_share", "tip_cost", "still_deg", "mu"),
+            *("scatter_rad", "beyond", "beside_rad"),
+        )
         check_fields(self, free, least=0.0, most=MOST)
         rest = [name for name in self.__dataclass_fields__ if name not in (*free, *whole)]
         check_fields(self, rest, above=0.0, most=MOST)
