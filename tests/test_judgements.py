@@ -1,0 +1,326 @@
+"""Small judgements that files, reports and models rest on: just within and just beyond each."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from planner.bridge.object_body import GROWN, _grown
+from planner.clouds.files import _columns, _matrix
+from planner.describe.fingertips import ConvexLink
+from planner.describe.overlaps import HandGaps
+from planner.describe.pads import _tangent_ball
+from planner.errors import ObjectError
+from planner.files.plans import _agree, _balance
+from planner.forces.grip import ExpectedLoad
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
+from planner.hands.two_hands import _at_rest, _facing
+from planner.joints.actuation import _disjoint_basis
+from planner.kinematics.state import HandState
+from planner.proximity.convex import DistancePair
+from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.system.disk_cache import _is_closed
+from planner.task import GRIP_SAFETY, MIN_GRIP, _default_grip
+from sim.contacts.history import _elliptic_forces
+from sim.creep import HIGHEST_IMPEDANCE, _needed_impedance
+from sim.crosscheck.compare import _inertia, _relative
+from sim.crosscheck.parts import Difference, LinkInertia, Tally, Tolerances
+from sim.crosscheck.report import Cell, Column, CrosscheckReport
+from sim.datasets.episodes.episode import _command_unit
+from sim.real_hand.safety import Stopped
+from sim.scene.physics import PhysicsOptions
+
+
+@pytest.mark.parametrize(
+    ("mine", "theirs", "error"),
+    [
+        ([1.0, -2.0], [1.0, -2.0], 0.0),
+        ([1.0, -2.0], [1.0, -1.0], 0.5),  # by the reference's largest
+        ([0.0], [3.0], 1.0),  # by the other's, where the reference has none
+        ([-np.inf, 1.0], [-1e16, 1.0], 0.0),  # as good as infinite
+        ([-np.inf, 1.0], [np.inf, 1.0], np.inf),
+        ([-np.inf, 2.0], [-np.inf, 1.0], 0.5),
+    ],
+)
+def test_values_differ_by_a_share_of_the_references(
+    mine: list[float], theirs: list[float], error: float
+) -> None:
+    tally = Tally(tolerances=Tolerances())
+    _relative(tally, "mass", "palm", np.array(mine), np.array(theirs))
+    assert tally.worst["mass"][0] == error
+    assert (("mass", "palm") in tally.differences) == (error > 0)
+
+
+def test_inertias_differ_by_mass_by_centre_and_by_tensor() -> None:
+    def link(mass: float, center: float, inertia: float) -> LinkInertia:
+        return LinkInertia(
+            mass=mass, center=np.array([center, 0, 0]), inertia=np.diag([4.0, 4.0, inertia])
+        )
+
+    def told(theirs: LinkInertia | None) -> dict[str, float]:
+        tally = Tally(tolerances=Tolerances())
+        _inertia(tally, "palm", link(2.0, 0.1, 4.0), theirs)
+        return {quantity: worst for quantity, (worst, _, _) in tally.worst.items()}
+
+    assert told(link(1.0, 0.13, 3.0)) == pytest.approx(
+        {"mass": 0.5, "link centre": 0.03, "inertia": 0.25}
+    )
+    assert told(None) == {"mass": 1.0}
+
+
+def test_only_judged_sides_have_faults_and_consequences_are_none_of_a_part() -> None:
+    def difference(quantity: str, **of: Any) -> Difference:
+        return Difference(quantity=quantity, part="palm", error=1.0, tolerance=0.1, **of)
+
+    def cell(quantity: str, verdict: str) -> Cell:
+        about: dict[str, Any] = {"error": 0.0, "where": "", "state": -1, "compared": 1}
+        return Cell(quantity=quantity, verdict=verdict, tolerance=0.1, **about)
+
+    mass, known = difference("mass"), difference("inertia", cause="axes", reason="turned axes")
+    wrong = Column(
+        name="urdf",
+        cells=(cell("mass", "differs"), cell("inertia", "reported"), cell("timestep", "agrees")),
+        differences=(mass, known),
+        notes=("no tendons",),
+    )
+    aside = Column(name="aside", cells=wrong.cells, differences=(mass,), judged=False)
+    sound = Column(name="sound", cells=(cell("mass", "agrees"),), differences=())
+    broken = Column(name="broken", cells=(), differences=(), failure="not read")
+    assert [c.ok for c in (wrong, aside, sound, broken)] == [False, False, True, False]
+    assert wrong.faults == (mass, known)
+    assert wrong.unexplained == (mass,)
+    assert wrong.causes == {"axes": "turned axes"}
+
+    def report(*columns: Column) -> CrosscheckReport:
+        return CrosscheckReport(
+            model="m",
+            reference="r",
+            columns=columns,
+            seed=1,
+            n_configurations=2,
+            tolerances=Tolerances(),
+        )
+
+    assert report(wrong, aside).faults == (str(mass), str(known))
+    assert report(aside, sound).faults == ()
+    assert report(aside, sound).ok and not report(wrong, sound).ok
+    text = str(report(wrong, aside, broken))
+    assert "urdf: 1 of 3 quantities differ: mass" in text
+    assert "aside (not judged): 1 of 3 quantities differ" in text
+    assert "broken: not read" in text and "no tendons" in text
+    assert "sound: 1 quantities agree" in str(report(sound))
+
+
+@pytest.mark.parametrize("least", [500, 501, 777, round(1000 * HIGHEST_IMPEDANCE)])
+def test_the_least_impedance_that_creeps_little_enough_is_found(least: int) -> None:
+    def creep(physics: PhysicsOptions) -> float:
+        assert physics.solimp[0] == physics.solimp[1]
+        return 1.0 if 1000 * physics.solimp[0] < least - 1e-6 else 0.1
+
+    physics = PhysicsOptions()
+    assert _needed_impedance(physics, creep, 0.5) == pytest.approx(least / 1000)
+    assert _needed_impedance(physics, lambda _: 1.0, 0.5) is None
+
+
+@pytest.mark.parametrize(
+    ("claimed", "true", "same"),
+    [
+        (1.0005, 1.0, True),
+        (1.002, 1.0, False),
+        (5e-7, 0.0, True),
+        (1, 1.0, True),
+        (True, True, True),
+        (1, True, False),
+        (None, None, True),
+        (None, 0.0, False),
+        ([1], [1], True),
+        ([1], [2], False),
+        ("1", 1.0, False),
+    ],
+)
+def test_claimed_figures_agree_but_for_rounding(claimed: Any, true: Any, same: bool) -> None:
+    assert _agree(claimed, true) == same
+
+
+def test_weights_prove_closure_if_they_sum_to_one_and_balance() -> None:
+    wrenches = np.array([[1.0, -1.0, 0.0], [0.0, 0.0, 0.0]])
+    closure = {"weights": [0.4, 0.4, 0.2], "min_weight": 0.2}
+    assert _balance([0.4, 0.4, 0.2], closure, wrenches)
+    assert not _balance([0.4, 0.4, 0.4], closure, wrenches)  # sum
+    assert not _balance([0.5, 0.3, 0.2], closure, wrenches)  # resultant
+    assert not _balance([0.45, 0.45, 0.1], closure, wrenches)  # least
+    assert not _balance([0.5, 0.5], closure, wrenches)
+    none = {"weights": None, "min_weight": None}
+    assert _balance(None, none, wrenches) and not _balance([0.4, 0.4, 0.2], none, wrenches)
+
+
+def test_poses_of_views_are_rigid_and_columns_three_or_six() -> None:
+    pose = np.eye(4)
+    pose[:3, :3] = pin.exp3(np.array([0.1, 0.2, 0.3]))
+    pose[:3, 3] = 1.0, 2.0, 3.0
+    np.testing.assert_array_equal(_matrix("f", "pose", pose.tolist(), 4), pose)
+    np.testing.assert_array_equal(_matrix("f", "k", (2 * np.eye(3)).tolist(), 3), 2 * np.eye(3))
+    mirrored, moved = pose.copy(), pose.copy()
+    mirrored[:3, 0] *= -1
+    moved[3, 0] = 0.1
+    faulty: list[Any] = [mirrored, moved, 2 * pose, np.eye(3), np.full((4, 4), np.nan), "x", None]
+    for given in faulty:
+        with pytest.raises(ObjectError, match="pose"):
+            _matrix("f", "pose", given.tolist() if isinstance(given, np.ndarray) else given, 4)
+    rows = np.arange(12.0).reshape(2, 6)
+    both = _columns(Path("a.npy"), rows)
+    np.testing.assert_array_equal(both["points"], rows[:, :3])
+    np.testing.assert_array_equal(both["normals"], rows[:, 3:])
+    assert _columns(Path("a.npy"), rows[:, :3])["normals"] is None
+    for wrong in (rows[:, :4], rows[0]):
+        with pytest.raises(ObjectError, match="shape"):
+            _columns(Path("a.npy"), wrong)
+
+
+def test_commands_have_the_unit_of_their_law(allegro: Hand) -> None:
+    torque = load_hand("shadow_hand_torque")
+    for hand, turning, sliding in ((allegro, "rad", "m"), (torque, "N m", "N")):
+        fingers = range(2, 4)
+        assert {_command_unit(hand, i, [False] * hand.nq) for i in fingers} == {turning}
+        assert {_command_unit(hand, i, [True] * hand.nq) for i in fingers} == {sliding}
+
+
+@pytest.mark.parametrize("name", ["allegro_hand", "shadow_hand"])
+def test_a_palm_of_a_pair_faces_where_it_is_told_with_its_fingers_up(name: str) -> None:
+    hand = load_hand(name)
+    direction = np.array([0.6, -0.8, 0.0])
+    wxyz = _facing(hand, direction)
+    turn = pose_from_wxyz(np.zeros(3), np.array(wxyz)).rotation
+    state = HandState(hand, hand.neutral)
+    data = hand.pin_model.createData()
+    pin.framesForwardKinematics(hand.pin_model, data, hand.neutral)
+    palm = data.oMf[hand.palm_frame_id]
+    np.testing.assert_allclose(turn @ palm.rotation @ hand.palm_normal, direction, atol=1e-6)
+    middle = hand.fingers["middle"]
+    up = turn @ (state.pad_center(middle) - palm.translation)
+    assert up[2] > 0.95 * np.linalg.norm(up[1:])
+    held: Any = SimpleNamespace(quaternion_wxyz=wxyz, position=(0.1, 0.2, 0.3))
+    rest, base = _at_rest(held, hand)
+    there = rest * base  # pose of the base in the pair
+    placed = there * SE3(palm.rotation, palm.translation)
+    np.testing.assert_allclose(placed.translation, [0.1, 0.2, 0.3], atol=1e-9)
+    np.testing.assert_allclose(there.rotation, turn, atol=1e-9)
+    np.testing.assert_allclose(rest.rotation[:, 0], direction, atol=1e-6)
+    assert np.linalg.det(rest.rotation) == pytest.approx(1.0)
+
+
+def test_distances_from_a_handle_are_those_of_coal_and_of_what_may_not_touch(
+    allegro: Hand,
+) -> None:
+    """Exact where near, else no more than that; none from what may touch."""
+    gaps, data = HandGaps(allegro, near=0.02), allegro.pin_model.createData()
+    pin.forwardKinematics(allegro.pin_model, data, allegro.posture("pinch"))
+    middle, along = np.array([0.06, 0.01, 0.03]), np.array([0.0, 0.6, 0.8])
+    free = {allegro.geometries[0].joint_id}
+    found = gaps.from_handle(data.oMi, free, middle, along, 0.05, 0.01)
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
+    handle, near = coal.Capsule(0.01, 0.1), 0
+    for g, distance in zip(allegro.geometries, found, strict=True):
+        if g.joint_id in free:
+            assert distance == np.inf
+            continue
+        placed = SE3(data.oMi[g.joint_id]) * g.T_joint_geometry
+        true = DistancePair(handle, g.geometry).distance(SE3(turn, middle), placed)
+        if distance <= 0.02:
+            assert distance == pytest.approx(true, abs=1e-6)
+            near += true <= 0.02
+        else:
+            assert true >= distance - 1e-9
+    assert near >= 1
+
+
+def test_the_largest_ball_in_a_box_that_touches_a_face_is_half_its_thickness() -> None:
+    geometry: Any = SimpleNamespace(
+        name="box",
+        kind="box",
+        body="b",
+        size=(0.01, 0.02, 0.03),
+        T_joint_geometry=SE3(np.eye(3), np.array([0.1, 0.0, 0.0])),
+    )
+    solid = ConvexLink(geometry)
+    for point, normal, radius in (
+        ([0.11, 0.0, 0.0], [1.0, 0.0, 0.0], 0.01),
+        ([0.1, 0.02, 0.0], [0.0, 1.0, 0.0], 0.01),  # the sides are nearer than the far face
+        ([0.11, 0.015, 0.0], [1.0, 0.0, 0.0], 0.005),
+    ):
+        found = _tangent_ball(solid, np.array(point), np.array(normal))
+        assert found == pytest.approx(radius, abs=3e-4)
+
+
+def test_a_part_grows_by_as_much_at_its_farthest_corner() -> None:
+    corners = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.4]])
+    moved = _grown(corners) - corners
+    away = corners - corners.mean(axis=0)
+    sizes = np.linalg.norm(moved, axis=1)
+    assert sizes.max() == pytest.approx(GROWN) == pytest.approx(sizes[3])
+    np.testing.assert_allclose(np.cross(moved, away), 0.0, atol=1e-12)
+    assert ((moved * away).sum(axis=1) > 0).all()
+
+
+def test_the_default_grip_carries_the_weight_by_friction_twice() -> None:
+    item: Any = SimpleNamespace(mass=3.0, shape=SimpleNamespace(bounding_radius=0.05))
+    gravity = np.array([0.0, 0.0, -10.0])
+    grip = _default_grip(item, gravity, 0.5, 4, ExpectedLoad())
+    assert 4 * 0.5 * grip == pytest.approx(GRIP_SAFETY * 30.0)
+    light: Any = SimpleNamespace(mass=0.01, shape=item.shape)
+    assert _default_grip(light, gravity, 0.5, 4, ExpectedLoad()) == MIN_GRIP
+    assert _default_grip(item, gravity, 0.5, 4, ExpectedLoad(force=50.0)) > grip
+
+
+def test_rows_of_a_projector_span_it_and_mix_no_joints_that_it_does_not() -> None:
+    rows = np.zeros((2, 5))
+    rows[0, :2] = 0.6, 0.8
+    rows[1, 3:] = np.sqrt(0.5), -np.sqrt(0.5)
+    projector: FloatArray = rows.T @ rows
+    basis = _disjoint_basis(projector)
+    np.testing.assert_allclose(basis.T @ basis, projector, atol=1e-12)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(2), atol=1e-12)
+    assert sorted(np.flatnonzero(np.abs(row) > 1e-9).tolist() for row in basis) == [[0, 1], [3, 4]]
+    assert _disjoint_basis(np.zeros((3, 3))).shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "owner", "mode", "closed"),
+    [
+        (stat.S_IFREG, "mine", 0o644, True),
+        (stat.S_IFREG, "root", 0o600, True),
+        (stat.S_IFREG, "other", 0o600, False),
+        (stat.S_IFREG, "mine", 0o664, False),
+        (stat.S_IFREG, "mine", 0o646, False),
+        (stat.S_IFIFO, "mine", 0o600, False),
+    ],
+)
+def test_files_are_trusted_that_no_other_user_writes(
+    kind: int, owner: str, mode: int, closed: bool
+) -> None:
+    mine = os.getuid() if hasattr(os, "getuid") else 0
+    owners = {"mine": mine, "root": 0, "other": mine + 1}
+    state: Any = SimpleNamespace(st_uid=owners[owner], st_mode=kind | mode)
+    assert bool(_is_closed(state)) == closed
+
+
+def test_forces_of_contacts_are_found_from_where_their_moment_begins() -> None:
+    """Of a contact with three numbers the fourth is 0; one without constraint has none."""
+    forces = np.arange(20.0)
+    found = _elliptic_forces(
+        forces, np.array([0, 10, 10]), np.array([2, 4, -1]), np.array([3, 4, 3])
+    )
+    np.testing.assert_array_equal(found, [[2, 3, 4, 0], [14, 15, 16, 17], [0, 0, 0, 0]])
+
+
+def test_why_a_run_stopped_is_in_its_message() -> None:
+    assert str(Stopped("reading stale", "30 ms")) == "reading stale: 30 ms"
