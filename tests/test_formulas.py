@@ -425,6 +425,7 @@ def test_the_inner_side_of_a_wall_is_everywhere_as_far_as_the_wall_is_thick() ->
     points = spaced(outline)
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert gaps.max() <= ROW + 1e-9
+    assert len(spaced(np.array([[0.0, 0.0], [0.0, 3 * ROW]]))) == 4
     assert gaps.sum() == pytest.approx(np.linalg.norm(np.diff(outline, axis=0), axis=1).sum())
 
 
@@ -484,8 +485,8 @@ def test_independent_columns_are_as_many_as_the_rank_and_span_the_others(seed: i
 
 
 def test_a_tendon_reaches_from_the_sum_of_its_shortest_to_that_of_its_longest_parts() -> None:
-    row, lower, upper = np.array([2.0, -1.0, 0.0]), np.array([-1, 0, 5.0]), np.array([3, 4, 6.0])
-    assert _reach(row, lower, upper) == (-6.0, 6.0)
+    row, lower, upper = np.array([2.0, -1.0, 0.0]), np.array([-1, 1, 5.0]), np.array([3, 4, 6.0])
+    assert _reach(row, lower, upper) == (-6.0, 5.0)
 
 
 def test_dead_taxels_read_what_those_around_them_do() -> None:

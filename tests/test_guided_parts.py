@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from planner.errors import TaskError
 from planner.failure import Failure
 from planner.forces.problem import torque_table
 from planner.hands.hand import Hand
@@ -20,7 +21,7 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import margin_of
 from sim.controllers.joint_stops import StopCorrection
 from sim.manipulation.driver import BaseMover
-from sim.scene.carrier import ArmCarrier, Timeline
+from sim.scene.carrier import ArmCarrier, GantryCarrier, Timeline
 from sim.sensing.estimation.log import EstimateLog
 from sim.sensing.touch.senses import PlannedPads
 
@@ -72,6 +73,70 @@ def test_an_arm_is_where_its_paths_say_at_the_ends_of_phases() -> None:
     assert {key: at(*key) for key in ends} == pytest.approx(ends)
 
 
+@pytest.mark.parametrize("phase", ["approach", "open", "retreat", "lift", "hold"])
+def test_a_gantry_moves_at_the_rate_of_its_places(phase: Any) -> None:
+    """After an approach that was given up half way, too: it opens there, and goes back from it."""
+    start, timeline = np.arange(1.0, 7.0), Timeline(approach=0.8, lift=1.5, lift_height=0.1)
+    lifted = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.3])
+    carrier: Any = SimpleNamespace(
+        _timeline=timeline, _start=start, _lifted=lifted, _low=np.zeros(6), _still=np.zeros(6)
+    )
+    carrier._approached = 0.6
+    seconds = timeline.lift if phase == "lift" else timeline.approach
+    for share in (0.2, 0.9):
+        (before, _), (after, _) = (
+            GantryCarrier.motion(carrier, phase, share + d) for d in (-STEP, STEP)
+        )
+        _, rate = GantryCarrier.motion(carrier, phase, share)
+        np.testing.assert_allclose(rate, (after - before) / (2 * STEP * seconds), atol=1e-6)
+    ends = {
+        "approach": (start, 0 * start),
+        "open": (0.4 * start, 0.4 * start),
+        "retreat": (0.4 * start, start),
+        "lift": (0 * start, lifted),
+        "hold": (lifted, lifted),
+    }
+    for share, expected in zip((0.0, 1.0), ends[phase], strict=True):
+        found, rate = GantryCarrier.motion(carrier, phase, share)
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+        np.testing.assert_allclose(rate, 0.0, atol=1e-12)
+
+
+def turned(x: float, angle: float) -> SE3:
+    return SE3(pin.exp3(np.array([0.0, 0.0, angle])), np.array([x, x**2, 0.0]))
+
+
+def heading(pose: SE3) -> float:
+    return float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
+
+
+@pytest.mark.parametrize("along", [False, True])
+def test_a_base_turns_the_short_way_past_half_a_turn(along: bool) -> None:
+    given: list[FloatArray] = []
+
+    def command(_: Any, target: FloatArray, velocity: FloatArray) -> FloatArray:
+        given.append(target)
+        return velocity
+
+    gantry: Any = SimpleNamespace(
+        coordinates=lambda pose: np.append(pose.translation, [0.0, 0.0, heading(pose)]),
+        command=command,
+        ctrl=np.arange(6),
+    )
+    places = [turned(0.0, 3.0), turned(0.1, 3.1), turned(0.2, 3.3)]
+    mover = BaseMover(gantry, places[0])
+    if along:
+        mover.go_along(places, 1.0)
+    else:
+        mover.go(places[-1], 1.0)
+    data: Any = SimpleNamespace(ctrl=np.zeros(6))
+    for share in np.linspace(0.0, 1.0, 9):
+        mover.drive(data, "approach", float(share))
+    headings = np.array(given)[:, 5]
+    assert (np.diff(headings) > 0).all()
+    np.testing.assert_allclose(headings[[0, -1]], [3.0, 3.3])
+
+
 @pytest.mark.parametrize("along", [False, True])
 def test_a_base_moves_at_the_rate_of_its_places(along: bool) -> None:
     """What is given over to the servos: targets from end to end, rates of these, rest at both."""
@@ -82,11 +147,11 @@ def test_a_base_moves_at_the_rate_of_its_places(along: bool) -> None:
         return np.zeros(6)
 
     gantry: Any = SimpleNamespace(
-        coordinates=lambda pose: np.append(pose.translation, np.zeros(3)),
+        coordinates=lambda pose: np.append(pose.translation, [0.0, 0.0, heading(pose)]),
         command=command,
         ctrl=np.arange(6),
     )
-    places = [SE3(np.eye(3), np.array([x, x**2, 0.0])) for x in (0.0, 0.1, 0.3)]
+    places = [turned(x, x) for x in (0.0, 0.1, 0.3)]
     mover = BaseMover(gantry, places[0])
     if along:
         mover.go_along(places, 2.0)
@@ -97,9 +162,12 @@ def test_a_base_moves_at_the_rate_of_its_places(along: bool) -> None:
         mover.drive(data, "approach", share)
     begin, end, before, middle, after = given
     np.testing.assert_allclose(begin[0], np.zeros(6), atol=1e-12)
-    np.testing.assert_allclose(end[0], [0.3, 0.09, 0.0, 0.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(end[0], [0.3, 0.09, 0.0, 0.0, 0.0, 0.3], atol=1e-12)
     np.testing.assert_allclose([begin[1], end[1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(middle[1], (after[0] - before[0]) / (2 * STEP * 2.0), atol=1e-6)
+    if along:  # half of the way is at the place between
+        mover.drive(data, "approach", 0.5)
+        np.testing.assert_allclose(given[-1][0][:3], [0.1, 0.01, 0.0], atol=1e-9)
     mover.stay()
     mover.drive(data, "hold", 0.5)
     np.testing.assert_allclose(given[-1][0], end[0], atol=1e-12)
@@ -119,9 +187,11 @@ def test_a_path_that_is_cut_short_goes_where_the_whole_one_does(share: float) ->
 def test_the_reserve_is_that_of_the_actuator_nearest_to_its_limit(allegro: Hand) -> None:
     """Pulls count against the lower limit, forces on the way too, those of no finger not at all."""
     q = allegro.posture("pinch")
-    limits = allegro.actuation.force_limits(q)
+    moment = allegro.actuation.moment
+    limits = np.outer(np.arange(1.0, len(moment) + 1), [-1.0, 3.0])
+    actuation = SimpleNamespace(moment=moment, force_limits=lambda _: limits)
     finger = allegro.fingers["index"]
-    mine = np.flatnonzero(np.abs(allegro.actuation.moment[:, finger.q_index]).sum(axis=1))
+    mine = np.flatnonzero(np.abs(moment[:, finger.q_index]).sum(axis=1))
     others = np.setdiff1d(np.arange(len(limits)), mine)
 
     def forces(actuator: int, share: float) -> Any:
@@ -131,7 +201,7 @@ def test_the_reserve_is_that_of_the_actuator_nearest_to_its_limit(allegro: Hand)
 
     def reserve(*given: Any) -> float:
         knot = SimpleNamespace(q=q, forces=given[0], on_the_way=given[1:])
-        task = SimpleNamespace(hand=allegro, fingers=(finger,))
+        task = SimpleNamespace(hand=SimpleNamespace(actuation=actuation), fingers=(finger,))
         getter: Any = MovementPlan.reserve
         return float(getter.func(SimpleNamespace(task=task, knots=(knot,))))
 
@@ -203,6 +273,8 @@ def test_errors_of_estimates_are_true_minus_estimated_in_the_world() -> None:
     np.testing.assert_allclose(log.deviation[0], [1e-3, 2e-3, 3e-3, 1e-2, 1e-2, 2e-2])
     assert log.within_two_sigma == pytest.approx(5 / 6)
     assert log._phases() == [(0.0, "hold"), (0.01, "lift")]
+    with pytest.raises(TaskError, match="nothing was noted"):
+        _ = EstimateLog().within_two_sigma
 
 
 def test_planned_normals_turn_with_the_fingers_that_hold() -> None:

@@ -84,6 +84,7 @@ def test_forces_are_drawn_beside_the_planned_ones_of_their_finger() -> None:
 def test_the_edge_of_the_cone_is_at_one_and_no_closure_at_zero() -> None:
     *fingers, edge = cone_plot(("index", "thumb"), np.array([[0.2, 0.4]])).lines
     assert [float(line.values[0]) for line in (*fingers, edge)] == [0.2, 0.4, 1.0]
+    assert [line.dashed for line in (*fingers, edge)] == [False, False, True]
     epsilon, weight = quality_plot(np.array([0.1]), np.array([-0.3])).lines
     assert (float(epsilon.values[0]), float(weight.values[0])) == (0.1, 0.0)
     assert len(quality_plot(np.array([0.1]), None).lines) == 1

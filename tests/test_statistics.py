@@ -71,9 +71,18 @@ def test_round_cones_their_support_and_their_use_are_of_one_cone() -> None:
 
 
 def test_use_of_a_cone_that_there_is_none_of() -> None:
-    forces = np.array([[1.0, 0, 0, 0], [0.0, 0.1, 0, 0], [1, 0, 0, 0.1], [np.nan, 0, 0, 0]])
-    used = cone_utilisation(forces, np.full(4, 0.5), np.array([0.0, 0.1, np.nan, 0.1]))
-    np.testing.assert_array_equal(used, [0.0, np.inf, 0.0, np.nan])
+    """Friction that is missing matters where it is asked for, and only there."""
+    cases: list[tuple[list[float], float, float]] = [
+        ([1.0, 0.0, 0.0, 0.0], 0.0, 0.0),
+        ([0.0, 0.1, 0.0, 0.0], 0.1, np.inf),
+        ([1.0, 0.0, 0.0, 0.1], np.nan, 0.0),  # torsion does not count
+        ([np.nan, 0.0, 0.0, 0.0], 0.1, np.nan),
+        ([1.0, 0.1, 0.0, 0.0], 0.0, 0.2),
+        ([1.0, 0.1, 0.0, 0.01], 0.0, np.inf),
+    ]
+    forces, torsion, expected = zip(*cases, strict=True)
+    used = cone_utilisation(np.array(forces), np.full(len(cases), 0.5), np.array(torsion))
+    np.testing.assert_allclose(used, expected)
 
 
 def test_correlations_are_those_of_the_matern_kernel() -> None:
