@@ -19,9 +19,11 @@ from planner.describe.fingertips import ConvexLink
 from planner.describe.overlaps import HandGaps
 from planner.describe.pads import _tangent_ball
 from planner.errors import ObjectError
+from planner.files.disk import Journal
 from planner.files.plans import _agree, _balance
 from planner.forces.grip import ExpectedLoad
 from planner.hand_loading import load_hand
+from planner.hands.catalog import joined_names
 from planner.hands.hand import Hand
 from planner.hands.two_hands import _at_rest, _facing
 from planner.joints.actuation import _disjoint_basis
@@ -30,13 +32,16 @@ from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 from planner.system.disk_cache import _is_closed
 from planner.task import GRIP_SAFETY, MIN_GRIP, _default_grip
+from sim.contacts import reading
 from sim.contacts.history import _elliptic_forces
 from sim.creep import HIGHEST_IMPEDANCE, _needed_impedance
 from sim.crosscheck.compare import _inertia, _relative
 from sim.crosscheck.parts import Difference, LinkInertia, Tally, Tolerances
 from sim.crosscheck.report import Cell, Column, CrosscheckReport
 from sim.datasets.episodes.episode import _command_unit
+from sim.real_hand import loop
 from sim.real_hand.safety import Stopped
+from sim.recorder import StateRecorder
 from sim.scene.physics import PhysicsOptions
 
 
@@ -324,3 +329,61 @@ def test_forces_of_contacts_are_found_from_where_their_moment_begins() -> None:
 
 def test_why_a_run_stopped_is_in_its_message() -> None:
     assert str(Stopped("reading stale", "30 ms")) == "reading stale: 30 ms"
+
+
+def test_a_journal_has_every_row_at_once_and_none_once_it_is_closed(tmp_path: Path) -> None:
+    path = tmp_path / "rows.jsonl"
+    with Journal(path) as journal:
+        journal.add({"row": 1})
+        assert path.read_text(encoding="utf-8") == '{"row": 1}\n'
+    with pytest.raises(ValueError, match="closed"):
+        journal.add({"row": 2})
+
+
+def test_names_are_joined_by_a_plus_but_not_in_a_path_that_is_there(tmp_path: Path) -> None:
+    there = tmp_path / "left+right.toml"
+    assert joined_names(there) == (f"{tmp_path}/left", "right.toml")
+    there.touch()
+    assert joined_names(there) == ()
+    assert joined_names("allegro_hand + shadow_hand") == ("allegro_hand", "shadow_hand")
+    assert joined_names("allegro_hand") == ()
+
+
+def test_moments_at_which_nothing_was_read_have_no_numbers() -> None:
+    recorder: Any = SimpleNamespace(_read=[None, (np.ones(4), np.full(7, 2.0))])
+    joints, poses = StateRecorder._readings(recorder, 4)
+    np.testing.assert_array_equal(joints, [[np.nan] * 4, [1.0] * 4])
+    np.testing.assert_array_equal(poses, [[np.nan] * 7, [2.0] * 7])
+    recorder._read = [None, None]
+    assert StateRecorder._readings(recorder, 4) == (None, None)
+
+
+def test_time_of_a_tick_is_that_of_interface_controller_and_the_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Read 1 s, made ready 2 s, controlled 4 s, limited 5 s, written 8 s."""
+    monkeypatch.setattr(loop.time, "thread_time", lambda: 20.0)
+    ran: Any = SimpleNamespace(_spans=[])
+    loop.ControlLoop._note_cpu(ran, [0.0, 1.0, 3.0, 7.0, 12.0])
+    assert ran._spans == [(9.0, 4.0, 7.0)]
+
+
+def test_the_hardest_collision_of_the_hand_is_told_and_none_of_the_object(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Contacts of one pair add up."""
+
+    def touch(kind: Any, first: str, second: str, force: float) -> reading.Touch:
+        return reading.Touch(kind=kind, first=first, second=second, normal_force=force)
+
+    touches = [
+        touch("object-table", "object", "table", 50.0),
+        touch("hand-table", "palm", "table", 3.0),
+        touch("hand-obstacle", "tip", "shelf", 2.0),
+        touch("hand-obstacle", "tip", "shelf", 2.5),
+    ]
+    scene: Any = None
+    monkeypatch.setattr(reading, "_touches", lambda *_: touches)
+    assert reading.collisions(scene, (), ()) == ("tip - shelf", 4.5)
+    monkeypatch.setattr(reading, "_touches", lambda *_: touches[:1])
+    assert reading.collisions(scene, (), ()) == ("", 0.0)
