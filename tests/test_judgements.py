@@ -29,7 +29,7 @@ from planner.hands.two_hands import _at_rest, _facing
 from planner.joints.actuation import _disjoint_basis
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
-from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.system.disk_cache import _is_closed
 from planner.task import GRIP_SAFETY, MIN_GRIP, _default_grip
 from sim.contacts import reading
@@ -39,7 +39,8 @@ from sim.crosscheck.compare import _inertia, _relative
 from sim.crosscheck.parts import Difference, LinkInertia, Tally, Tolerances
 from sim.crosscheck.report import Cell, Column, CrosscheckReport
 from sim.datasets.episodes.episode import _command_unit
-from sim.real_hand import loop
+from sim.manipulation.report import ManipulationReport
+from sim.real_hand import ReplayedHand, loop
 from sim.real_hand.safety import Stopped
 from sim.recorder import StateRecorder
 from sim.scene.physics import PhysicsOptions
@@ -387,3 +388,36 @@ def test_the_hardest_collision_of_the_hand_is_told_and_none_of_the_object(
     assert reading.collisions(scene, (), ()) == ("tip - shelf", 4.5)
     monkeypatch.setattr(reading, "_touches", lambda *_: touches[:1])
     assert reading.collisions(scene, (), ()) == ("", 0.0)
+
+
+def test_a_command_below_the_logged_one_differs_as_much_as_one_above() -> None:
+    log = SimpleNamespace(
+        commands=np.array([[1.0, 2.0], [np.nan, 0.0]]),
+        begin_s=np.array([5.0, 5.1]),
+        end_s=np.array([5.05, 5.15]),
+    )
+    hand: Any = SimpleNamespace(
+        log=log, actuator_names=("a", "b"), _i=0, _stopped=False, _differences=[], _now=0.0
+    )
+    ReplayedHand.write(hand, np.array([0.5, 2.1]))
+    hand._i = 1
+    ReplayedHand.write(hand, np.array([9.0, 9.0]))  # nothing was logged
+    found = ReplayedHand.comparison(hand)
+    assert (found.compared, found.largest, found.actuator, found.time_s) == (1, 0.5, "a", 0.0)
+    assert hand._now == 5.15
+
+
+@pytest.mark.parametrize("off", [0.0, 0.2])
+def test_the_turn_off_a_goal_is_that_between_it_and_where_the_object_is(off: float) -> None:
+    """The goal is itself a turn; of a plan without one there is no number."""
+    goal = SE3(pin.exp3(np.array([0.7, 0.1, 0.3])), np.zeros(3))
+    last = SE3(goal.rotation @ pin.exp3(np.array([0.0, off, 0.0])), np.ones(3))
+    states = np.array([np.zeros(7), np.concatenate(pose_to_wxyz(last))])
+    ending = SimpleNamespace(turned=True, T_world_target=goal)
+    report: Any = SimpleNamespace(
+        plan=SimpleNamespace(ending=ending), recording=SimpleNamespace(T_world_object=states)
+    )
+    getter: Any = ManipulationReport.goal_off
+    assert getter.fget(report) == pytest.approx(off, abs=1e-7)
+    ending.turned = False
+    assert np.isnan(getter.fget(report))
