@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from planner.bridge.geometry import LinkSurface
 from planner.bridge.object_body import GROWN, _grown
 from planner.clouds.files import _columns, _matrix
 from planner.describe.fingertips import ConvexLink
@@ -28,13 +29,16 @@ from planner.hands.hand import Hand
 from planner.hands.two_hands import _at_rest, _facing
 from planner.joints.actuation import _disjoint_basis
 from planner.kinematics.state import HandState
+from planner.pages.hand_model import MUJOCO_GREY, PLAIN_COLOUR, TIP_COLOUR, _visual
 from planner.proximity.convex import DistancePair
+from planner.quality.weakest import _distinct, distinct_faces
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.system.disk_cache import _is_closed
 from planner.task import GRIP_SAFETY, MIN_GRIP, _default_grip
 from sim.contacts import reading
 from sim.contacts.history import _elliptic_forces
 from sim.creep import HIGHEST_IMPEDANCE, _needed_impedance
+from sim.crosscheck.causes import MjcfText
 from sim.crosscheck.compare import _inertia, _relative
 from sim.crosscheck.parts import Difference, LinkInertia, Tally, Tolerances
 from sim.crosscheck.report import Cell, Column, CrosscheckReport
@@ -421,3 +425,72 @@ def test_the_turn_off_a_goal_is_that_between_it_and_where_the_object_is(off: flo
     assert getter.fget(report) == pytest.approx(off, abs=1e-7)
     ending.turned = False
     assert np.isnan(getter.fget(report))
+
+
+@pytest.mark.parametrize("find", [_distinct, distinct_faces])
+def test_a_face_that_is_met_twice_is_told_once(find: Any) -> None:
+    """Nearest first; those at one distance in the order of their products with the ties."""
+    axes, ties = np.eye(6), np.array([3.0, 1.0, 2.0, 0.0, 0.0, 0.0])
+    rows = [(axes[0], -0.1), (axes[1], -0.1), (axes[0], -0.1), (axes[2], -0.1), (axes[1], -0.3)]
+    faces = np.array([[*normal, offset] for normal, offset in rows])
+    expected = [(axes[1], -0.1), (axes[2], -0.1), (axes[0], -0.1), (axes[1], -0.3)]
+    np.testing.assert_array_equal(
+        find(faces, ties), [[*normal, offset] for normal, offset in expected]
+    )
+
+
+@pytest.mark.parametrize(
+    ("colour", "carries_pad", "shown"),
+    [
+        (MUJOCO_GREY, True, TIP_COLOUR),
+        (MUJOCO_GREY, False, PLAIN_COLOUR),
+        ((1.0, 0.0, 0.0, 0.0), True, PLAIN_COLOUR),  # not to be seen in the file
+        ((1.0, 0.0, 0.0, 1.0), True, (1.0, 0.0, 0.0, 1.0)),
+    ],
+)
+def test_links_without_a_colour_of_their_own_are_dark_where_they_touch(
+    colour: tuple[float, float, float, float], carries_pad: bool, shown: tuple[float, ...]
+) -> None:
+    surface = LinkSurface(
+        name="tip",
+        body="tip",
+        joint_id=1,
+        collides=True,
+        is_mesh=False,
+        vertices=np.eye(4, 3),
+        triangles=np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
+        colour=colour,
+    )
+    part = _visual(surface, 1.0, carries_pad)
+    np.testing.assert_allclose(part.colour, shown)
+    assert len(part.triangles) == 4
+
+
+def test_what_an_element_has_as_mujoco_reads_it(tmp_path: Path) -> None:
+    """Of sections that come again the last counts; classes add to those around them."""
+    path = tmp_path / "model.xml"
+    path.write_text(
+        """<mujoco>
+        <compiler angle="radian" autolimits="true"/><compiler angle="degree"/>
+        <default><joint damping="1" armature="2"/>
+          <default class="finger"><joint damping="3"/>
+            <default class="tip"><joint armature="4"/></default>
+          </default>
+        </default>
+        <worldbody><body name="a" childclass="finger">
+          <joint name="one"/><body><joint name="two" class="tip"/></body></body>
+          <body><joint name="three"/></body>
+        </worldbody></mujoco>""",
+        encoding="utf-8",
+    )
+    text = MjcfText(path)
+    assert text.option("compiler", "angle") == "degree"
+    assert text.option("compiler", "autolimits") == "true"
+    assert text.option("compiler", "meshdir") is None and text.option("option", "gravity") is None
+    expected = {"one": ("3", "2"), "two": ("3", "4"), "three": ("1", "2")}
+    for name, values in expected.items():
+        element = text.element("joint", name)
+        assert element is not None
+        inherited = text.inherited(element)
+        assert (inherited["damping"], inherited["armature"]) == values
+    assert text.element("joint", "four") is None and not text.includes
