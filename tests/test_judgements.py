@@ -9,12 +9,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import coal
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 
 from planner.bridge.geometry import LinkSurface
+from planner.bridge.numbers import _principal
 from planner.bridge.object_body import GROWN, _grown
+from planner.bridge.structure import structure_of
 from planner.clouds.files import _columns, _matrix
 from planner.describe.fingertips import ConvexLink
 from planner.describe.overlaps import HandGaps
@@ -23,6 +27,7 @@ from planner.errors import ObjectError
 from planner.files.disk import Journal
 from planner.files.plans import _agree, _balance
 from planner.forces.grip import ExpectedLoad
+from planner.forces.solve import ForceSolution
 from planner.hand_loading import load_hand
 from planner.hands.catalog import joined_names
 from planner.hands.hand import Hand
@@ -30,6 +35,7 @@ from planner.hands.two_hands import _at_rest, _facing
 from planner.joints.actuation import _disjoint_basis
 from planner.kinematics.state import HandState
 from planner.pages.hand_model import MUJOCO_GREY, PLAIN_COLOUR, TIP_COLOUR, _visual
+from planner.pages.scene import Model, Part
 from planner.proximity.convex import DistancePair
 from planner.quality.weakest import _distinct, distinct_faces
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
@@ -48,6 +54,7 @@ from sim.real_hand import ReplayedHand, loop
 from sim.real_hand.safety import Stopped
 from sim.recorder import StateRecorder
 from sim.scene.physics import PhysicsOptions
+from sim.show.dataset import MOST_TRIANGLES, _light
 
 
 @pytest.mark.parametrize(
@@ -494,3 +501,62 @@ def test_what_an_element_has_as_mujoco_reads_it(tmp_path: Path) -> None:
         inherited = text.inherited(element)
         assert (inherited["damping"], inherited["armature"]) == values
     assert text.element("joint", "four") is None and not text.includes
+
+
+def test_principal_moments_are_those_of_the_whole_tensor() -> None:
+    """MuJoCo writes it as xx yy zz xy xz yz; NaN where only a diagonal is given."""
+    turn = pin.exp3(np.array([0.3, -0.8, 0.5]))
+    tensor = turn @ np.diag([1.0, 2.0, 4.0]) @ turn.T
+    full = [*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
+    body: Any = SimpleNamespace(fullinertia=full, inertia=np.ones(3))
+    np.testing.assert_allclose(_principal(body), [1.0, 2.0, 4.0])
+    body = SimpleNamespace(fullinertia=[np.nan] * 6, inertia=[3.0, 2.0, 1.0])
+    np.testing.assert_array_equal(_principal(body), [3.0, 2.0, 1.0])
+
+
+def test_actuators_are_read_with_the_stiffness_and_the_limit_of_their_law() -> None:
+    """A servo holds with its gain; a motor and one of another law hold nothing."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body><joint name="j"/><geom size="0.1"/></body></worldbody>
+        <actuator><position joint="j" kp="7" forcerange="-3 2"/><motor joint="j" gear="4"/>
+        </actuator></mujoco>"""
+    )
+    servo, motor = structure_of(model).actuators
+    assert (servo.stiffness, servo.force_limit, servo.row.tolist()) == (7.0, 3.0, [1.0])
+    assert (motor.stiffness, motor.force_limit, motor.row.tolist()) == (0.0, np.inf, [4.0])
+
+
+@pytest.mark.parametrize(
+    ("found", "solver", "said"),
+    [
+        (False, "daqp", "not found"),
+        (True, "", "found, nothing to solve"),
+        (True, "daqp", "found by daqp in 2.5 ms"),
+    ],
+)
+def test_how_forces_were_found_is_said_with_the_time_in_milliseconds(
+    found: bool, solver: str, said: str
+) -> None:
+    solution: Any = SimpleNamespace(found=found, solver=solver, solve_time_s=0.0025)
+    getter: Any = ForceSolution._verdict
+    assert getter.fget(solution) == said
+
+
+def test_a_small_picture_has_few_triangles_shared_out_by_size() -> None:
+    """What it does not show is left out; a small part keeps its least number, here all it has."""
+    ball, cube = trimesh.creation.icosphere(5, 0.05), trimesh.creation.box((0.02, 0.02, 0.02))
+
+    def part(mesh: trimesh.Trimesh, name: str, layer: Any) -> Part:
+        return Part(
+            name=name,
+            layer=layer,
+            vertices=np.array(mesh.vertices),
+            triangles=np.array(mesh.faces),
+            colour=(1.0, 1.0, 1.0, 1.0),
+        )
+
+    parts = part(ball, "ball", "object"), part(cube, "cube", "hand"), part(ball, "c", "collision")
+    small = _light(Model(joints=(), parts=parts))
+    assert [p.name for p in small.parts] == ["ball", "cube"]
+    assert 0.8 * MOST_TRIANGLES < len(small.parts[0].triangles) <= MOST_TRIANGLES
+    assert len(small.parts[1].triangles) == len(cube.faces)
