@@ -49,6 +49,7 @@ from sim.crosscheck.compare import _inertia, _relative
 from sim.crosscheck.parts import Difference, LinkInertia, Tally, Tolerances
 from sim.crosscheck.report import Cell, Column, CrosscheckReport
 from sim.datasets.episodes.episode import _command_unit
+from sim.learning.teacher import Demonstrator
 from sim.manipulation.report import ManipulationReport
 from sim.real_hand import ReplayedHand, loop
 from sim.real_hand.safety import Stopped
@@ -560,3 +561,10 @@ def test_a_small_picture_has_few_triangles_shared_out_by_size() -> None:
     assert [p.name for p in small.parts] == ["ball", "cube"]
     assert 0.8 * MOST_TRIANGLES < len(small.parts[0].triangles) <= MOST_TRIANGLES
     assert len(small.parts[1].triangles) == len(cube.faces)
+
+
+def test_a_demonstrator_gives_up_when_its_teacher_does() -> None:
+    getter: Any = Demonstrator.gave_up
+    for reason in ("", "the grasp opens"):
+        demonstrator: Any = SimpleNamespace(teacher=SimpleNamespace(gave_up=reason))
+        assert getter.fget(demonstrator) == reason
