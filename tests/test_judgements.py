@@ -24,6 +24,7 @@ from planner.describe.fingertips import ConvexLink
 from planner.describe.overlaps import HandGaps
 from planner.describe.pads import _tangent_ball
 from planner.errors import ObjectError
+from planner.failure import Failure
 from planner.files.disk import Journal
 from planner.files.plans import _agree, _balance
 from planner.forces.grip import ExpectedLoad
@@ -38,6 +39,7 @@ from planner.pages.hand_model import MUJOCO_GREY, PLAIN_COLOUR, TIP_COLOUR, _vis
 from planner.pages.scene import Model, Part
 from planner.proximity.convex import DistancePair
 from planner.quality.weakest import _distinct, distinct_faces
+from planner.search import from_cloud
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.system.disk_cache import _is_closed
 from planner.task import GRIP_SAFETY, MIN_GRIP, _default_grip
@@ -568,3 +570,33 @@ def test_a_demonstrator_gives_up_when_its_teacher_does() -> None:
     for reason in ("", "the grasp opens"):
         demonstrator: Any = SimpleNamespace(teacher=SimpleNamespace(gave_up=reason))
         assert getter.fget(demonstrator) == reason
+
+
+@pytest.mark.parametrize("table", [None, 0.0])
+def test_an_object_that_was_felt_beside_its_place_is_planned_for_there(
+    table: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The shift is felt in the object's frame; on a table nothing goes up or down."""
+    given: list[SE3] = []
+
+    def verified(_: Any, __: Any, there: SE3) -> Failure:
+        given.append(there)
+        return Failure(kind="no", text="no")
+
+    monkeypatch.setattr(from_cloud, "_verified", verified)
+    turn, shift = pin.exp3(np.array([0.0, 0.0, np.pi / 2])), np.array([0.01, 0.002, 0.003])
+    belief = SimpleNamespace(
+        with_felt=lambda felt, error: (None, shift), cloud=SimpleNamespace(table=table)
+    )
+    task = SimpleNamespace(T_world_object=SE3(turn, np.array([0.3, 0.0, 0.1])))
+    plan: Any = SimpleNamespace(
+        belief=belief,
+        pose_error=(0.005, 0.0),
+        plan=SimpleNamespace(task=task, arm=object()),
+        others=(SimpleNamespace(plan=None),),
+        survives=0.5,
+    )
+    assert from_cloud.CloudPlan.after(plan, np.zeros((1, 3))) is None
+    up = 0.003 if table is None else 0.0
+    moved = given[0].act(task.T_world_object.translation) - task.T_world_object.translation
+    np.testing.assert_allclose(moved, [-0.002, 0.01, up], atol=1e-12)
