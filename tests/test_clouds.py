@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from planner import GraspObject, PointCloud, plan_from_cloud
-from planner.clouds.belief import CERTAIN, CORRELATED, DIFFER, LEAST_SLOPE, Belief
+from planner.clouds.belief import CERTAIN, CORRELATED, DIFFER, LEAST_SLOPE, TOUCH, Belief
 from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
 from planner.clouds.hollow import lidded
 from planner.clouds.sight import _distance, _reflection, hypotheses
@@ -646,6 +646,9 @@ def test_felt_places_move_the_surface_and_make_it_certain() -> None:
     assert np.linalg.norm(moved - shift) < 0.002 and moved[2] == 0.0
     assert belief.deviation(true)[2] > 1.5 * after.deviation(true)[2]
     assert abs(after.mean(true))[2] < abs(belief.mean(true))[2] + 0.0005
+    # each new place is as sure as the touch and what is left of the shift, no less
+    sure = after.deviations[len(belief.deviations) :]
+    assert ((sure > TOUCH) & (sure < np.hypot(TOUCH, 0.005))).all()
     weights = [h.weight for h in after.hypotheses]
     assert sum(weights) == pytest.approx(1.0)
     off = [abs(belief.mean(true, k)).max() for k in range(len(weights))]

@@ -281,6 +281,20 @@ def test_edges_converge_on_the_true_cone() -> None:
 # Invariants
 
 
+def test_edges_begin_at_the_phase_that_is_asked_for() -> None:
+    """With k edges a phase of 2 pi / k changes nothing, and half of it puts edges between them."""
+    contacts = random_grasp(4, "point")
+    step = 2 * np.pi / 3
+
+    def found(phase: float) -> float:
+        return epsilon_l1(contacts, length=RADIUS, edges=3, phase=phase)
+
+    assert found(step) == pytest.approx(found(0.0), rel=1e-9)
+    turned = primitive_wrenches(contacts, 3, length=RADIUS, phase=step / 2)
+    assert found(step / 2) == pytest.approx(measure_hull(turned).epsilon, rel=1e-12)
+    assert abs(found(step / 2) - found(0.0)) > 1e-3 * found(0.0)
+
+
 @settings(max_examples=15, deadline=None)
 @given(seed=SEEDS)
 def test_epsilon_and_volume_do_not_depend_on_frame_order_or_size(seed: int) -> None:

@@ -214,10 +214,11 @@ def command_plot(recording: Recording, hand: Hand | None) -> Plot | None:
     limited = np.flatnonzero(np.isfinite(low) & np.isfinite(high) & (high > low))
     if not len(limited):
         return None
-    share = (recording.commands - low) / np.where(high > low, high - low, 1.0)
+    low, high = low[limited], high[limited]
+    share = (recording.commands[:, limited] - low) / (high - low)
     lines = [
-        Line(name=recording.actuator_names[k], values=share[:, k], group=_finger_of(hand, int(k)))
-        for k in limited
+        Line(name=recording.actuator_names[k], values=values, group=_finger_of(hand, int(k)))
+        for k, values in zip(limited, share.T, strict=True)
     ]
     limits = [
         Line(name=name, values=np.array([value]), dashed=True)
