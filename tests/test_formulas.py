@@ -31,21 +31,21 @@ from planner.search.refine.pose import JOINT_UNIT, LENGTH_UNIT, TURN_UNIT, Movem
 from planner.shapes.base import nearest_on_cylinder
 from planner.shapes.vessels import ROW, closed_shell, spaced
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.link_capsules import between_segments, closest_on_segments
 from planner.synthesis.symbols import mrp_rates
+from planner.synthesis.terms.fingers import between_segments, closest_on_segments
 from planner.task import Obstacle
 from planner.tools import _turn_between
 from sim.contacts.reading import body_twist
+from sim.controllers.base import CREEP, PadReading, PoseUncertainty
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw
-from sim.controllers.readings import CREEP, PadReading, PoseUncertainty
-from sim.crosscheck.equalities import _times
+from sim.crosscheck.compare import _times
 from sim.datasets.reset_states.shards import direction_cells
 from sim.manipulation.log import SPAN, wandering
 from sim.protocols.shake_pushes import LEAST, PAUSE, PUSH_TIME, Shaker, _force_at, drawn_pushes
 from sim.scene.carrier import _on
 from sim.scene.gantry import Gantry
-from sim.sensing.touch.estimate import _fill_of
 from sim.sensing.touch.exact import spread_with_slopes
+from sim.sensing.touch.layout import _fill_of
 
 
 def turn_of(s: FloatArray) -> FloatArray:

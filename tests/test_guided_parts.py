@@ -19,7 +19,7 @@ from planner.motion.plan import MovementPlan
 from planner.search.from_cloud import _commonest
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import margin_of
-from sim.controllers.joint_stops import StopCorrection
+from sim.controllers.calibration import StopCorrection
 from sim.manipulation.driver import BaseMover
 from sim.scene.carrier import ArmCarrier, GantryCarrier, Timeline
 from sim.sensing.estimation.log import EstimateLog

@@ -20,6 +20,7 @@ from planner.bridge.numbers import _principal
 from planner.bridge.object_body import GROWN, _grown
 from planner.bridge.structure import structure_of
 from planner.clouds.files import _columns, _matrix
+from planner.contacts.friction import ExpectedLoad
 from planner.describe.fingertips import ConvexLink
 from planner.describe.overlaps import HandGaps
 from planner.describe.pads import _tangent_ball
@@ -27,19 +28,17 @@ from planner.errors import ObjectError
 from planner.failure import Failure
 from planner.files.disk import Journal
 from planner.files.plans import _agree, _balance
-from planner.forces.grip import ExpectedLoad
 from planner.forces.solve import ForceSolution
 from planner.hand_loading import load_hand
 from planner.hands.catalog import joined_names
 from planner.hands.hand import Hand
 from planner.hands.two_hands import _at_rest, _facing
 from planner.joints.actuation import _disjoint_basis
-from planner.kinematics.state import HandState
-from planner.pages.hand_model import MUJOCO_GREY, PLAIN_COLOUR, TIP_COLOUR, _visual
-from planner.pages.scene import Model, Part
-from planner.proximity.convex import DistancePair
+from planner.kinematics import HandState
+from planner.pages.scene import MUJOCO_GREY, PLAIN_COLOUR, TIP_COLOUR, Model, Part, _visual
 from planner.quality.weakest import _distinct, distinct_faces
 from planner.search import from_cloud
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.system.disk_cache import _is_closed
 from planner.task import GRIP_SAFETY, MIN_GRIP, _default_grip
@@ -51,7 +50,7 @@ from sim.crosscheck.compare import _inertia, _relative
 from sim.crosscheck.parts import Difference, LinkInertia, Tally, Tolerances
 from sim.crosscheck.report import Cell, Column, CrosscheckReport
 from sim.datasets.episodes.episode import _command_unit
-from sim.learning.teacher import Demonstrator
+from sim.learning.controller import Demonstrator
 from sim.manipulation.report import ManipulationReport
 from sim.real_hand import ReplayedHand, loop
 from sim.real_hand.safety import Stopped

@@ -13,6 +13,7 @@ import pytest
 from scipy.special import kv
 from scipy.stats import chi2, norm
 
+from planner.certify.stiffness import _curvatures
 from planner.clouds.belief import _matern
 from planner.clouds.cloud import _area, estimated_noise
 from planner.clouds.level import _turn_to_vertical
@@ -23,7 +24,6 @@ from planner.hands.hand import Hand
 from planner.shapes import Capsule, Cylinder, Sphere
 from planner.shapes.mesh import Mesh
 from planner.spatial import SE3, FloatArray
-from planner.verification.stiffness import _curvatures
 from sim.controllers.hand_dynamics import MOTOR_DAMPING, MOTOR_FREQUENCY, motor_servo
 from sim.controllers.torques import twist_of
 from sim.crosscheck.reader import _half_extents
