@@ -29,7 +29,7 @@ from sim.tables import Row
 REST = 12
 """Steps with the commands' middle after a reset: the hammer falls onto the table."""
 
-START = (0.2, 0.0, 0.12, 0.15)
+START = (0.21, -0.04, 0.13, 0.0)
 """Where forearm and wrist begin in the search (rad): palm over the handle, wrist turned away from
 the nail, so that it can turn towards it."""
 
@@ -53,13 +53,14 @@ RAISED = 0.12
 HEAD, FACE = np.array([-0.24, 0.0, -0.04]), np.array([0.0, 0.0, -1.0])
 """Middle of the head's face (m) and its normal, in the hammer's body."""
 
-OFF, TURNED = 10.0, 70.0
+OFF, TURNED = 10.0, 60.0
 """Largest offset (mm) and angle (degrees) of the face from the nail along its way in."""
 
-BEFORE, IN = 0.06, 0.10
-"""Where the face begins before the nail's head, and how deep it is led (m)."""
+BEFORE, IN, BEYOND = 0.06, 0.09, 0.04
+"""Where the face begins before the nail's head, how deep the nail goes, and how far beyond that the
+face is led (m): the carrier yields to the nail, and the hammer in the hand."""
 
-GOING = {"above": 16, "down": 26, "close": 18, "squeeze": 10, "lift": 30, "near": 12, "push": 32}
+GOING = {"above": 16, "down": 26, "close": 18, "squeeze": 10, "lift": 30, "push": 44, "more": 10}
 """Steps of each part."""
 
 LEARNS, LEARNED, STIFFER = 0.16, 0.15, 1.5
@@ -142,12 +143,13 @@ class _Hammering:
             return "not grasped"
         self._go(run, self._reach(run.T_palm_object, -BEFORE, q), "lift", "hold")
         self._closed = run.touching() > 1 and force_closure(run.contacts).closed
+        deep, part = IN + BEYOND, "push"
         while not self._over:
-            self._go(run, self._reach(run.T_palm_object, -BEFORE / 2, self._now()), "near", "hold")
-            deep = IN - max(self._depth, 0.0)
-            self._go(run, self._reach(run.T_palm_object, deep, self._now()), "push", "hold")
+            left = deep - max(self._depth, 0.0)
+            self._go(run, self._reach(run.T_palm_object, left, self._now()), part, "hold")
             if run.touching() < 2:
                 return "lost"
+            deep, part = deep + BEYOND, "more"
         return "nail not in"
 
     def _go(self, run: ForeignRun, q: FloatArray, part: str, phase: Phase) -> None:
