@@ -44,7 +44,7 @@ CLEAR_TABLE = 0.008
 ATTEMPTS, BEST_OF = 400, 1
 """Attempts, and grasps to find: the first that can be used."""
 
-HARDER = 2.0
+HARDER = 4.0
 """How many times (-) the planned forces the fingers press with: the nail pushes the hammer."""
 
 RAISED = 0.12
@@ -53,14 +53,14 @@ RAISED = 0.12
 HEAD, FACE = np.array([-0.24, 0.0, -0.04]), np.array([0.0, 0.0, -1.0])
 """Middle of the head's face (m) and its normal, in the hammer's body."""
 
-OFF, TURNED = 10.0, 60.0
+OFF, TURNED = 10.0, 45.0
 """Largest offset (mm) and angle (degrees) of the face from the nail along its way in."""
 
-BEFORE, IN, BEYOND = 0.06, 0.09, 0.04
+BEFORE, IN, BEYOND = 0.04, 0.09, 0.04
 """Where the face begins before the nail's head, how deep the nail goes, and how far beyond that the
 face is led (m): the carrier yields to the nail, and the hammer in the hand."""
 
-GOING = {"above": 16, "down": 26, "close": 18, "squeeze": 10, "lift": 30, "push": 44, "more": 10}
+GOING = {"above": 16, "down": 26, "close": 18, "squeeze": 10, "lift": 30, "push": 64, "more": 10}
 """Steps of each part."""
 
 LEARNS, LEARNED, STIFFER = 0.16, 0.15, 1.5
@@ -205,7 +205,8 @@ class _Hammering:
         for deep in (-BEFORE, 0.0, IN):
             q = self._reach(T_palm_object, deep, q)
             off, turned = self._beside(T_palm_object, deep, q)
-            if 1e3 * np.linalg.norm(off) > OFF or np.linalg.norm(turned) > np.deg2rad(TURNED):
+            far, most = 1e3 * np.linalg.norm(off), 2 * np.sin(np.deg2rad(TURNED) / 2)
+            if far > OFF or np.linalg.norm(turned) > most:
                 raise TaskError("forearm and wrist do not bring the hammer's face to the nail")
         return []
 
