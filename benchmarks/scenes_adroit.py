@@ -22,7 +22,7 @@ from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.tools import plan_use
-from sim.controllers import Phase
+from sim.controllers import GraspController, Phase
 from sim.foreign import ForeignRun, ForeignScene
 from sim.tables import Row
 
@@ -113,8 +113,9 @@ class _Hammering:
             plan = plan_use(task, self._way, seed=seed, options=options, **given)
         except NoGraspFoundError as error:
             return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
-        run = ForeignRun(plan, self.scene, self._step, period=TWICE * self._served.period)
-        ended = self._episode(run)
+        fingers, period = GraspController(plan), TWICE * self._served.period
+        run = ForeignRun(plan, self.scene, self._step, period=period, controller=fingers)
+        ended = self._episode(run, fingers)
         far, turned = run.slip
         return {
             "done": self._done,
@@ -130,7 +131,7 @@ class _Hammering:
             "closed": self._closed,
         }
 
-    def _episode(self, run: ForeignRun) -> str:
+    def _episode(self, run: ForeignRun, fingers: GraspController) -> str:
         """Grasp, lift, push the nail in; where it ended."""
         q = run.plan.q[self._wrist]
         raised = q - [RAISED, 0.0, 0.0, 0.0]
@@ -138,7 +139,7 @@ class _Hammering:
         self._go(run, q, "down", "approach")
         self._go(run, q, "close", "close")
         self._go(run, q, "squeeze", "squeeze")
-        run.held, run.controller.share = run.T_palm_object, HARDER
+        run.held, fingers.share = run.T_palm_object, HARDER
         if run.touching() < 2:
             return "not grasped"
         self._go(run, self._reach(run.T_palm_object, -BEFORE, q), "lift", "hold")

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from benching import run_bench
 
-from benchmarks import scenes_task
+from benchmarks import scenes, scenes_launch, scenes_task
 from benchmarks.scenes_dexjoco import HAMMER
 from benchmarks.scenes_task import Served
-from planner.errors import TaskError
+from planner.errors import NotFoundError, TaskError
 
-DEXJOCO = "DEXJOCO"
-"""Environment variable: CHECKOUT:PYTHON:HAND_TOML, see docs/how/scenes.md."""
+PLACES = {"hammer_nail": "DEXJOCO", "adroit_hammer": "ADROIT"}
+"""Environment variables by task: CHECKOUT:PYTHON:HAND_TOML, see docs/how/scenes.md."""
 
 STAND_IN = """
 import json, sys
@@ -78,10 +78,19 @@ def test_a_scene_that_does_not_compile_starts_no_process(
     assert not started
 
 
+def test_every_task_is_served_and_another_is_none() -> None:
+    assert scenes.TASKS.keys() == scenes_launch.SERVED.keys() == PLACES.keys()
+    options = scenes.Options(scene=Path("a"), python=Path("b"), hand=Path("c"), task="hamer_nail")
+    with pytest.raises(NotFoundError, match="Did you mean 'hammer_nail'"):
+        list(scenes.cases(options))
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(DEXJOCO not in os.environ, reason="DEXJOCO names no checkout of DexJoCo")
-def test_a_nail_is_driven_in_dexjoco_by_its_own_test() -> None:
-    scene, python, hand = os.environ[DEXJOCO].split(":")
+@pytest.mark.parametrize("task", PLACES)
+def test_a_nail_is_driven_by_their_own_test(task: str) -> None:
+    if PLACES[task] not in os.environ:
+        pytest.skip(f"{PLACES[task]} names no checkout, Python and hand.toml")
+    scene, python, hand = os.environ[PLACES[task]].split(":")
     where: dict[str, Any] = {"scene": Path(scene), "python": Path(python), "hand": Path(hand)}
-    (row,) = run_bench("scenes", **where, n=1, seed=1)["rows"]
+    (row,) = run_bench("scenes", **where, task=task, n=1, seed=1)["rows"]
     assert row["done"] and row["depth_mm"] >= 40.0 and row["steps"] < 1000 and row["closed"]

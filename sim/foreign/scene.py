@@ -438,7 +438,7 @@ class _Seen(Scene):
         """That of the object's origin, which is not its body's; of any joints."""
         jacobian, body = np.zeros((6, self.model.nv)), self.object_body
         mujoco.mj_jacBody(self.model, data, jacobian[:3], jacobian[3:], body)
-        twist = jacobian @ data.qvel
+        twist = np.asarray(jacobian @ data.qvel)
         inside = self.foreign.pose(body).rotation @ self.foreign.T_body_object.translation
         twist[:3] += np.cross(twist[3:], inside)
         return twist
