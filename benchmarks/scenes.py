@@ -17,14 +17,15 @@ from typing import Annotated
 
 import typer
 
-from benchmarks import scenes_adroit, scenes_dexjoco
 from benchmarks.bench import Options as Shared
+from benchmarks.scenes_adroit import HAMMER as ADROIT_HAMMER
+from benchmarks.scenes_dexjoco import HAMMER as DEXJOCO_HAMMER
 from benchmarks.scenes_task import Served
 from benchmarks.summary import counted, of, share, summary
 from planner.errors import NotFoundError
 from sim.tables import Row
 
-TASKS = {task.name: task for task in (scenes_dexjoco.HAMMER, scenes_adroit.HAMMER)}
+TASKS = {task.name: task for task in (DEXJOCO_HAMMER, ADROIT_HAMMER)}
 """By name."""
 
 
