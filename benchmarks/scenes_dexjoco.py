@@ -43,7 +43,7 @@ BLOWS, BLOW = 6, 0.8
 DEPTH = 0.04
 """Depth (m) that its test asks for."""
 
-BEST_OF, ATTEMPTS = 3, 100
+BEST_OF, ATTEMPTS = 3, 300
 """Grasps to choose from, and attempts to find them."""
 
 
