@@ -1,157 +1,50 @@
-"""Another project's scene, unchanged: the hammer and the nail of DexJoCo, by its own test.
+"""Other projects' scenes, unchanged, by their own tests of success.
 
-DexJoCo (github brave-eai/dexjoco, MIT) runs in its own environment, with its own MuJoCo; see
-``scenes_launch``. Here the hand is read from its scene file, the hammer from its geoms; a grasp is
-planned where its reset has put the hammer, and executed through its ``step`` alone: it takes where
-the flange is wanted and the targets of the fingers' servos. Poses, joints and contacts are the true
-ones (policies that its authors publish see pictures). ``done`` counts by its own test: the nail is
-40 mm deep before 1000 of its steps are over.
+Each runs in its own environment, with its own MuJoCo; see ``scenes_launch``. Here the hand is read
+from its scene file, the object from its geoms; a grasp is planned where its reset has put the
+object, and executed through its ``step`` alone. Poses, joints and contacts are the true ones
+(policies that their authors publish see pictures). ``done`` counts by their own test.
+
+A task is one ``Task`` in a file of its project, and one name in ``TASKS``.
 """
 
 from __future__ import annotations
 
-import json
-import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import Annotated, Any
+from typing import Annotated
 
-import mujoco
-import numpy as np
 import typer
 
 from benchmarks.bench import Options as Shared
+from benchmarks.scenes_adroit import HAMMER as ADROIT_HAMMER
+from benchmarks.scenes_dexjoco import HAMMER as DEXJOCO_HAMMER
+from benchmarks.scenes_task import Served
 from benchmarks.summary import counted, of, share, summary
-from planner.errors import NoGraspFoundError, TaskError
-from planner.plan import GraspPlan
-from planner.quality import force_closure
-from planner.spatial import SE3, FloatArray, pose_to_wxyz, shifted
-from planner.tools import plan_use
-from sim.foreign import ForeignRun, ForeignScene
-from sim.simulation import Simulation
+from planner.errors import NotFoundError
 from sim.tables import Row
 
-LAUNCH = Path(__file__).with_name("scenes_launch.py")
-"""Script for its environment's Python."""
-
-MODEL = "dexjoco/dexjoco/sim/envs/xmls/arena_arm_hand_hammer_nail.xml"
-"""Its scene file, in the checkout."""
-
-PALM, FLANGE = "allegro_palm", "attachment_site"
-"""Body of the hand's base, and site that its arm controller moves."""
-
-REST = 50
-"""Steps of 20 ms that it is left alone for after a reset: the hammer falls onto the table."""
-
-CLEAR = 0.25
-"""Height (m) to which the hand goes before it comes down, and after it has grasped."""
-
-HOVER = 0.08
-"""Height (m) of the face over the nail before a blow."""
-
-BELOW = 0.15
-"""How far (m) below the nail the flange is sent in a blow: its arm controller follows with a time
-constant of 0.4 s, so the face comes at about 0.4 m/s."""
-
-BLOWS, BLOW = 6, 0.8
-"""Most blows, and longest time of one, s."""
-
-DEPTH = 0.04
-"""Depth (m) that its test asks for."""
-
-BEST_OF, ATTEMPTS = 3, 100
-"""Grasps to choose from, and attempts to find them."""
-
-
-class Served:
-    """Its task in its own process, mirrored here.
-
-    Attributes:
-        model: Its scene in this MuJoCo, for reading.
-        data: Its state, after every step.
-        told: What it said last.
-        steps: Steps made since the reset.
-        period: Time that one of them takes, s.
-    """
-
-    def __init__(self, checkout: Path, python: Path, seed: int) -> None:
-        """Start it and reset it.
-
-        Raises:
-            TaskError: There is no such file, or it does not start.
-        """
-        for what, file in (("--scene", checkout / MODEL), ("--python", python)):
-            if not file.is_file():
-                raise TaskError(
-                    f"there is no {file}; give {what}: a checkout of github brave-eai/dexjoco, and "
-                    "the Python of an environment with the versions that it asks for"
-                )
-        # read first: a scene that does not compile leaves no process behind
-        self.model: Any = mujoco.MjModel.from_xml_path(str(checkout / MODEL))
-        self.data: Any = mujoco.MjData(self.model)
-        # isolated: no module of the current folder is imported
-        command = [str(python), "-I", str(LAUNCH), str(checkout), str(seed)]
-        pipe = subprocess.PIPE
-        self._said = TemporaryFile("w+")  # noqa: SIM115  # as long as the process
-        self._process = subprocess.Popen(
-            command, stdin=pipe, stdout=pipe, stderr=self._said, text=True
-        )
-        self.steps = 0
-        self._ask({"reset": True})
-        self.period: float = self.told["seconds"]
-
-    def step(self, T_world_flange: SE3, targets: FloatArray) -> None:
-        """One of its steps."""
-        place, turn = pose_to_wxyz(T_world_flange)
-        self._ask({"action": [*place.tolist(), *turn.tolist(), *targets.tolist()]})
-        self.steps += 1
-
-    def _ask(self, line: dict[str, Any]) -> None:
-        assert self._process.stdin is not None and self._process.stdout is not None
-        try:
-            self._process.stdin.write(json.dumps(line) + "\n")
-            self._process.stdin.flush()
-            answer = self._process.stdout.readline()
-        except BrokenPipeError:
-            answer = ""
-        if not answer:
-            self._process.wait()
-            self._said.seek(0)
-            said = self._said.read().strip().splitlines()
-            self.close()
-            raise TaskError(f"DexJoCo ended: {said[-1] if said else 'without a word'}")
-        self.told: dict[str, Any] = json.loads(answer)
-        for owner in (self.model, self.data):
-            for name, values in self.told.items():
-                if isinstance(values, list) and hasattr(owner, name):
-                    getattr(owner, name)[:] = values
-        self.data.time = self.told["time"]
-        mujoco.mj_forward(self.model, self.data)
-
-    def close(self) -> None:
-        """End it; again does nothing."""
-        if not self._said.closed:
-            self._process.communicate()
-            self._said.close()
+TASKS = {task.name: task for task in (DEXJOCO_HAMMER, ADROIT_HAMMER)}
+"""By name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options(Shared):
-    """Seeds of its own randomness count from ``--seed``."""
+    """Seeds of their own randomness count from ``--seed``."""
 
-    scene: Annotated[Path, typer.Option(help="Checkout of DexJoCo.")]
+    scene: Annotated[Path, typer.Option(help="Checkout of the project.")]
     python: Annotated[Path, typer.Option(help="Python of its environment.")]
     hand: Annotated[
         Path,
-        typer.Option(help=f"hand.toml: opposable hands SCENE --base-body {PALM} --describe -o it."),
+        typer.Option(help="hand.toml: opposable hands SCENE --base-body NAME --describe -o it."),
     ]
+    task: Annotated[str, typer.Option(help=f"One of {', '.join(TASKS)}.")] = "hammer_nail"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Where:
-    """Where DexJoCo, its Python and the description of its hand are."""
+    """Where the project, its Python and the description of its hand are."""
 
     scene: Path
     python: Path
@@ -160,136 +53,33 @@ class Where:
 
 def cases(options: Options) -> Iterator[Row]:
     """Seeds."""
+    if options.task not in TASKS:
+        raise NotFoundError("task", options.task, TASKS)
     where = Where(scene=options.scene, python=options.python, hand=options.hand)
     for seed in range(options.seed, options.seed + options.n):
-        yield {"task": "hammer_nail", "seed": seed, "where": where}
+        yield {"task": options.task, "seed": seed, "where": where}
 
 
 def measure(case: Row) -> Row:
-    """One start of its own: plan, grasp, strike."""
+    """One start of its own, played once."""
     where: Where = case["where"]
-    served = Served(where.scene, where.python, case["seed"])
+    task = TASKS[case["task"]]
+    served = Served(task, where.scene, where.python, case["seed"])
     try:
-        return _Hammering(served, where.hand).row(case["seed"])
+        return task.play(served, where.hand, case["seed"])
     finally:
         served.close()
-
-
-class _Hammering:
-    """One episode."""
-
-    def __init__(self, served: Served, hand: Path) -> None:
-        """Let the hammer come to rest, and read the scene."""
-        self._served = served
-        model, data = served.model, served.data
-        site, palm = model.site(FLANGE).id, model.body(PALM).id
-        T_world_palm = SE3(data.xmat[palm].reshape(3, 3), data.xpos[palm])
-        T_world_flange = SE3(data.site_xmat[site].reshape(3, 3), data.site_xpos[site])
-        self._T_base_flange = T_world_palm.inverse() * T_world_flange
-        self._closed = False
-        self._face, self._nail = model.geom("face").id, model.body("nail").id
-        self.scene = ForeignScene(
-            model,
-            data,
-            hand,
-            "hammer_body",
-            table="table_collision",
-            obstacles=("wood_collision",),
-            touch=("handle",),
-        )
-        still = np.zeros(self.scene.hand.nq)
-        home = self.scene.hand.actuation.commands(self.scene.q, still, still)
-        for _ in range(REST):
-            served.step(T_world_flange, home)
-
-    def row(self, seed: int) -> Row:
-        """What came of it."""
-        try:
-            plan = plan_use(
-                self.scene.task(), self._way, seed=seed, max_attempts=ATTEMPTS, best_of=BEST_OF
-            )
-        except NoGraspFoundError as error:
-            return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
-        run = ForeignRun(plan, self.scene, self._step, period=self._served.period)
-        run.on_step = self._end
-        ended = self._episode(run)
-        far, turned = run.slip
-        told = self._served.told
-        return {
-            "done": bool(told["succeed"]),
-            "ended": "done" if told["succeed"] else ended,
-            "depth_mm": 1e3 * told["nail_depth"],
-            "fingers_left": run.touching(),
-            "slip_mm": far,
-            "slip_deg": turned,
-            "steps": self._served.steps,
-            "attempts": plan.record.attempts,
-            "plan_s": plan.record.cpu_s,
-            "fingers": len(plan.task.finger_names),
-            "closed": self._closed,
-        }
-
-    def _episode(self, run: ForeignRun) -> str:
-        """Grasp, lift, strike; where it ended."""
-        plan = run.plan
-        above = shifted(plan.T_world_base_start, [0.0, 0.0, CLEAR])
-        run.move(above, 1.5, wait=1.0, phase="approach")
-        run.move(plan.T_world_base_start, 1.0, wait=0.5, phase="approach")
-        if not run.grasp():
-            return "not grasped"
-        run.move(shifted(plan.T_world_base, [0.0, 0.0, CLEAR]), 1.5, wait=0.5)
-        self._closed = run.touching() > 1 and force_closure(run.contacts).closed
-        for _ in range(BLOWS):
-            run.move(shifted(run.wanted, self._over()), 1.2, wait=0.6)
-            if run.touching() < plan.task.fingers_needed:
-                return "lost"
-            below = shifted(run.wanted, [0.0, 0.0, -BELOW - HOVER])
-            run.move(below, 0.2, wait=BLOW, until=self._met)
-            run.wanted = run.T_world_base  # no longer pressed down
-            if run.ended:
-                break
-        return "nail not in"
-
-    def _end(self, run: Simulation) -> None:
-        """Make no further step after its last one."""
-        if self._served.told["ended"]:
-            run.stop("its test or its steps ended it")
-
-    def _met(self, _: Any) -> bool:
-        return bool(self._served.told["hit"])
-
-    def _over(self) -> FloatArray:
-        """Way (3,), m, of the face to its place over the nail."""
-        data = self._served.data
-        return np.array(data.xpos[self._nail] + [0.0, 0.0, HOVER] - data.geom_xpos[self._face])
-
-    def _way(self, plan: GraspPlan) -> list[SE3]:
-        """Over and into the nail; the arm must reach all of it.
-
-        Raises:
-            TaskError: It does not.
-        """
-        low = self._over() - [0.0, 0.0, HOVER + DEPTH]
-        up = [0.0, 0.0, CLEAR]
-        way = [shifted(plan.T_world_base, by) for by in (np.zeros(3), up, low + up, low)]
-        for pose in (plan.T_world_base_start, *way):
-            if not self.scene.reaches(pose):
-                raise TaskError(f"its arm does not reach {pose.translation.round(3)} m")
-        return way
-
-    def _step(self, T_world_base: SE3, targets: FloatArray) -> None:
-        self._served.step(T_world_base * self._T_base_flange, targets)
 
 
 def tables(result: Row) -> Iterator[Row]:
     """One line."""
     yield summary(
-        "DexJoCo: by its own test",
+        "Scenes of others: by their own tests",
         result["rows"],
         ("task",),
         {
             "done": share("done"),
-            "steps of 1000": of("steps"),
+            "steps": of("steps"),
             "depth, mm, least": of("depth_mm", "min", digits=1),
             "slip, mm, most": of("slip_mm", "max", digits=1),
             "plan, CPU s": of("plan_s", digits=1),

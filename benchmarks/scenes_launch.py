@@ -1,12 +1,11 @@
-"""Runs a task of DexJoCo in its own environment: a script of that environment's Python.
+"""Runs a task of another project in its own environment: a script of that environment's Python.
 
-    python scenes_launch.py CHECKOUT SEED     the hammer and the nail; seed of its randomness
+    python scenes_launch.py TASK CHECKOUT SEED     TASK: a name of ``SERVED``
 
-Lines of JSON in, ``{"reset": true}`` or ``{"action": [...]}`` (flange position, quaternion w, x, y,
-z, and 16 joint targets, as its ``step`` takes them); lines out, the state of its MuJoCo after that.
-The task's scene, reset, step, arm controller and test of success are its own. Two things are left
-out: its pictures, which nobody looks at here, and its waiting for the wall clock. This file imports
-nothing of this project.
+Lines of JSON in, ``{"reset": true}`` or ``{"action": [...]}``, as its ``step`` takes it; lines out,
+the state of its MuJoCo after that. Scene, reset, step, controllers and test of success are its own.
+Of DexJoCo two things are left out: its pictures, which nobody looks at here, and its waiting for
+the wall clock. This file imports nothing of this project.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from typing import Any
 STATE = ("qpos", "qvel", "ctrl", "mocap_pos", "mocap_quat")
 """Parts of ``mujoco.MjData`` that are told."""
 
-DRAWN = ("body_pos", "geom_size", "body_mass")
-"""Parts of ``mujoco.MjModel`` that its reset changes."""
+DRAWN = ("body_pos", "body_quat", "geom_size", "body_mass")
+"""Parts of ``mujoco.MjModel`` that resets change."""
 
 
 class _NoPictures:
@@ -34,38 +33,84 @@ class _NoPictures:
         """Nothing."""
 
 
-def serve(checkout: str, seed: int) -> None:
+class DexJoCo:
+    """A task of DexJoCo: position and quaternion (w, x, y, z) of the flange, 16 joint targets."""
+
+    def __init__(self, module: str, name: str, checkout: str, seed: int) -> None:
+        """Make it."""
+        sys.path.insert(0, os.path.join(checkout, "dexjoco"))
+        task: Any = import_module(f"dexjoco.sim.envs.{module}")
+        task.MujocoRenderer = _NoPictures
+        kind = getattr(task, name)
+        kind._compute_observation = lambda self: {}
+        self._env = env = kind(seed=seed)
+        env.hz = float("inf")
+        self.model, self.data, self.seconds = env.model, env.data, float(env.control_dt)
+
+    def reset(self) -> None:
+        """Its reset."""
+        self._env.reset()
+
+    def step(self, action: Any) -> dict[str, Any]:
+        """Its step; what it says of it."""
+        _, _, ended, _, info = self._env.step(action)
+        keys = ("succeed", "nail_depth", "hammer_hit")
+        return {"ended": bool(ended)} | {key: float(info.get(key, 0.0)) for key in keys}
+
+
+class Adroit:
+    """The hammer of gymnasium-robotics: 26 commands of actuators, each scaled to -1 .. 1."""
+
+    def __init__(self, checkout: str, seed: int) -> None:
+        """Make it as it registers it: with its limit of steps."""
+        sys.path.insert(0, checkout)
+        import gymnasium
+
+        gymnasium.register_envs(import_module("gymnasium_robotics"))
+        known = [name for name in gymnasium.registry if name.startswith("AdroitHandHammer-v")]
+        self._env, self._seed = gymnasium.make(max(known)), seed
+        env: Any = self._env.unwrapped
+        self.model, self.data, self.seconds = env.model, env.data, float(env.dt)
+
+    def reset(self) -> None:
+        """Its reset."""
+        self._env.reset(seed=self._seed)
+
+    def step(self, action: Any) -> dict[str, Any]:
+        """Its step; what it says of it."""
+        _, _, ended, truncated, info = self._env.step(action)
+        return {"ended": bool(ended or truncated), "succeed": float(info["success"])}
+
+
+SERVED = {
+    "hammer_nail": lambda checkout, seed: DexJoCo(
+        "panda_hammer_nail_env", "PandaHammerNailGymEnv", checkout, seed
+    ),
+    "adroit_hammer": Adroit,
+}
+"""How each task is made; takes a checkout and a seed."""
+
+
+def serve(task: Any, mujoco: Any, answers: Any) -> None:
     """Answer line by line until the input ends."""
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what the task prints is none of the answers
-    sys.path.insert(0, os.path.join(checkout, "dexjoco"))
-    import mujoco
+    import numpy as np
 
-    task: Any = import_module("dexjoco.sim.envs.panda_hammer_nail_env")
-
-    task.MujocoRenderer = _NoPictures
-    task.PandaHammerNailGymEnv._compute_observation = lambda self: {}
-    env = task.PandaHammerNailGymEnv(seed=seed)
-    env.hz = float("inf")
     for line in sys.stdin:
         asked = json.loads(line)
-        info, ended = {}, False
+        told: dict[str, Any] = {"ended": False, "succeed": 0.0, "seconds": task.seconds}
         if "action" in asked:
-            import numpy as np
-
-            _, _, ended, _, info = env.step(np.array(asked["action"]))
+            told |= task.step(np.array(asked["action"]))
         else:
-            env.reset()
-        told: dict[str, Any] = {name: getattr(env.data, name).tolist() for name in STATE}
-        if "reset" in asked:
-            told |= {name: getattr(env.model, name).tolist() for name in DRAWN}
-            told |= {"mujoco": mujoco.__version__, "seconds": float(env.control_dt)}
-        told |= {"time": float(env.data.time), "ended": bool(ended)}
-        told |= {name: float(info.get(name, 0.0)) for name in ("succeed", "nail_depth")}
-        told["hit"] = bool(info.get("hammer_hit", False))
+            task.reset()
+            told |= {name: getattr(task.model, name).tolist() for name in DRAWN}
+            told |= {"mujoco": mujoco.__version__}
+        told |= {name: getattr(task.data, name).tolist() for name in STATE}
+        told |= {"time": float(task.data.time)}
         answers.write(json.dumps(told) + "\n")
         answers.flush()
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1], int(sys.argv[2]))
+    said = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what the task prints is none of the answers
+    serve(SERVED[sys.argv[1]](sys.argv[2], int(sys.argv[3])), import_module("mujoco"), said)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from benching import run_bench
 
-from benchmarks import scenes
-from benchmarks.scenes import MODEL, Served
-from planner.errors import TaskError
-from planner.spatial import SE3
+from benchmarks import scenes, scenes_launch, scenes_task
+from benchmarks.scenes_dexjoco import HAMMER
+from benchmarks.scenes_task import Served
+from planner.errors import NotFoundError, TaskError
 
-DEXJOCO = "DEXJOCO"
-"""Environment variable: CHECKOUT:PYTHON:HAND_TOML, see docs/how/scenes.md."""
+PLACES = {"hammer_nail": "DEXJOCO", "adroit_hammer": "ADROIT"}
+"""Environment variables by task: CHECKOUT:PYTHON:HAND_TOML, see docs/how/scenes.md."""
 
 STAND_IN = """
 import json, sys
@@ -30,7 +30,7 @@ for line in sys.stdin:
             raise ValueError("too high")
         height = asked["action"][2]
     told = {"qpos": [0, 0, height, 1, 0, 0, 0], "time": height, "seconds": 0.02}
-    told |= {"body_mass": [0, float(sys.argv[2])]} if "reset" in asked else {}
+    told |= {"body_mass": [0, float(sys.argv[3])]} if "reset" in asked else {}
     print(json.dumps(told), flush=True)
 """
 
@@ -40,48 +40,57 @@ SCENE = '<mujoco><worldbody><body name="b"><freejoint/><geom size="1"/></body></
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder that looks like a checkout, and a script in place of its task."""
-    (tmp_path / MODEL).parent.mkdir(parents=True)
-    (tmp_path / MODEL).write_text(SCENE)
+    (tmp_path / HAMMER.model).parent.mkdir(parents=True)
+    (tmp_path / HAMMER.model).write_text(SCENE)
     launch = tmp_path / "launch.py"
     launch.write_text(STAND_IN)
-    monkeypatch.setattr(scenes, "LAUNCH", launch)
+    monkeypatch.setattr(scenes_task, "LAUNCH", launch)
     return tmp_path
 
 
 def test_state_and_drawn_model_are_mirrored(checkout: Path) -> None:
-    served = Served(checkout, Path(sys.executable), 7)
+    served = Served(HAMMER, checkout, Path(sys.executable), 7)
     assert served.period == 0.02 and served.model.body_mass[1] == 7.0
-    served.step(SE3(np.eye(3), np.array([0.0, 0.0, 2.5])), np.zeros(16))
+    served.step([0.0, 0.0, 2.5])
     np.testing.assert_allclose(served.data.xpos[1], [0.0, 0.0, 2.5])
     assert served.steps == 1 and served.data.time == 2.5
     served.close()
 
 
 def test_a_task_that_ends_says_why(checkout: Path) -> None:
-    served = Served(checkout, Path(sys.executable), 0)
-    with pytest.raises(TaskError, match="DexJoCo ended: ValueError: too high"):
-        served.step(SE3(np.eye(3), np.array([0.0, 0.0, 9.0])), np.zeros(16))
+    served = Served(HAMMER, checkout, Path(sys.executable), 0)
+    with pytest.raises(TaskError, match="github brave-eai/dexjoco ended: ValueError: too high"):
+        served.step([0.0, 0.0, 9.0])
     with pytest.raises(TaskError, match=r"there is no .*hammer_nail.xml; give --scene"):
-        Served(checkout / "elsewhere", Path(sys.executable), 0)
+        Served(HAMMER, checkout / "elsewhere", Path(sys.executable), 0)
     with pytest.raises(TaskError, match="there is no none; give --python"):
-        Served(checkout, Path("none"), 0)
+        Served(HAMMER, checkout, Path("none"), 0)
 
 
 def test_a_scene_that_does_not_compile_starts_no_process(
     checkout: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (checkout / MODEL).write_text("<mujoco><nothing/></mujoco>")
+    (checkout / HAMMER.model).write_text("<mujoco><nothing/></mujoco>")
     started = []
     monkeypatch.setattr("subprocess.Popen", lambda *_, **__: started.append(1))
     with pytest.raises(ValueError, match="XML Error"):
-        Served(checkout, Path(sys.executable), 0)
+        Served(HAMMER, checkout, Path(sys.executable), 0)
     assert not started
 
 
+def test_every_task_is_served_and_another_is_none() -> None:
+    assert scenes.TASKS.keys() == scenes_launch.SERVED.keys() == PLACES.keys()
+    options = scenes.Options(scene=Path("a"), python=Path("b"), hand=Path("c"), task="hamer_nail")
+    with pytest.raises(NotFoundError, match="Did you mean 'hammer_nail'"):
+        list(scenes.cases(options))
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(DEXJOCO not in os.environ, reason="DEXJOCO names no checkout of DexJoCo")
-def test_a_nail_is_driven_in_dexjoco_by_its_own_test() -> None:
-    scene, python, hand = os.environ[DEXJOCO].split(":")
+@pytest.mark.parametrize("task", PLACES)
+def test_a_nail_is_driven_by_their_own_test(task: str) -> None:
+    if PLACES[task] not in os.environ:
+        pytest.skip(f"{PLACES[task]} names no checkout, Python and hand.toml")
+    scene, python, hand = os.environ[PLACES[task]].split(":")
     where: dict[str, Any] = {"scene": Path(scene), "python": Path(python), "hand": Path(hand)}
-    (row,) = run_bench("scenes", **where, n=1, seed=1)["rows"]
+    (row,) = run_bench("scenes", **where, task=task, n=1, seed=1)["rows"]
     assert row["done"] and row["depth_mm"] >= 40.0 and row["steps"] < 1000 and row["closed"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -11,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner import plan_grasp
+from planner.describe import propose, write_proposal
 from planner.errors import NotFoundError, TaskError
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, pose_to_wxyz, shifted
@@ -82,7 +84,7 @@ class Owner:
         for body in spec.body("carriage").find_all("body"):
             body.gravcomp = 1.0
         spec.body("carriage").gravcomp = 1.0
-        self.model: Any = spec.compile()
+        self.spec, self.model = spec, spec.compile()
         self.data: Any = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, self.data)
 
@@ -249,6 +251,72 @@ def test_a_table_is_level() -> None:
         plane(5.0).scene(table="g").task()
 
 
+def six_joints(spec: Any, _: Any) -> None:
+    """The tool free by three slides and three hinges, as some scenes have it."""
+    tool = spec.body("tool")
+    for joint in tool.find_all("joint"):
+        spec.delete(joint)
+    for kind in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE):
+        for axis in np.eye(3):
+            tool.add_joint(type=kind, axis=axis)
+
+
+def test_an_object_may_be_free_by_slides_and_hinges(owner: Owner) -> None:
+    there, here = owner.scene().task(), Owner(change=six_joints).scene().task()
+    np.testing.assert_allclose(
+        here.T_world_object.homogeneous, there.T_world_object.homogeneous, atol=1e-9
+    )
+
+    def without_one(spec: Any, hand: Any) -> None:
+        six_joints(spec, hand)
+        spec.delete(spec.body("tool").find_all("joint")[0])
+
+    with pytest.raises(TaskError, match="'tool' of the scene has no free joint, nor three slides"):
+        Owner(change=without_one).scene()
+
+
+def test_a_table_without_a_name_is_that_of_its_body() -> None:
+    def unnamed(spec: Any, _: Any) -> None:
+        counter = spec.worldbody.add_body(name="counter", pos=[0, 0, 0.38])
+        size = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": [0.5, 0.5, 0.02]}
+        counter.add_geom(**size)
+        counter.add_geom(**size, pos=[0, 0, 1], contype=0, conaffinity=0)  # only drawn
+
+    assert Owner(change=unnamed).scene(table="counter").task().table_height == pytest.approx(0.4)
+
+
+def test_a_base_whose_joints_are_the_hands_is_where_they_are_zero(tmp_path: Path) -> None:
+    """A forearm on hinges that the hand's description begins with, as Adroit's."""
+
+    def hinges(spec: Any, _: Any) -> None:
+        for joint in spec.body("carriage").find_all("joint"):
+            if joint.name not in "ab":
+                spec.delete(joint)
+            else:
+                joint.range, joint.limited = [-1, 1], True
+        for actuator in list(spec.actuators):
+            if actuator.target in ("a", "b"):
+                actuator.name = f"A_{actuator.target}"
+            else:
+                spec.delete(actuator)
+
+    owner = Owner(change=hinges)
+    model, data = owner.parts
+    file = tmp_path / "scene.xml"
+    file.write_text(owner.spec.to_xml())
+    write_proposal(propose(file, base_body="carriage"), tmp_path / "hand.toml")
+    data.qpos[model.joint("a").qposadr] = 0.2
+    data.qpos[model.joint("b").qposadr] = -0.1
+    mujoco.mj_forward(model, data)
+    scene = ForeignScene(model, data, tmp_path / "hand.toml", "tool", table="bench")
+    assert scene.hand.description.wrist_joints == ("a", "b")
+    np.testing.assert_allclose(scene.T_world_base.rotation, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(scene.T_world_base.translation, [0, 0, 0.75], atol=1e-9)
+    seen = scene.for_task(scene.task(T_world_base=scene.T_world_base), 0.02)
+    base = seen.body_pose(data, seen.base_body)
+    np.testing.assert_allclose(base.homogeneous, scene.T_world_base.homogeneous)
+
+
 @pytest.mark.parametrize("carried", ["free", "fixed"])
 def test_a_carrier_with_a_free_joint_or_none_has_no_reach_here(carried: str) -> None:
     def change(spec: Any, _: Any) -> None:
@@ -274,8 +342,9 @@ def test_reach_is_that_of_the_joints_above_the_base(owner: Owner) -> None:
     np.testing.assert_array_equal(owner.data.qpos, before)
 
 
-def test_motion_of_the_object_is_that_of_its_origin() -> None:
-    owner = Owner()
+@pytest.mark.parametrize("change", [lambda spec, hand: None, six_joints])
+def test_motion_of_the_object_is_that_of_its_origin(change: Callable[[Any, Any], object]) -> None:
+    owner = Owner(change=change)
     scene, model = owner.scene(), owner.model
     seen = scene.for_task(scene.task(), 0.02)
     data, h = owner.data, 1e-6

@@ -99,8 +99,9 @@ class ForeignScene:
             hand: The hand, or its ``hand.toml``: that of the model that was attached to the scene,
                 or of the scene itself (``opposable hands SCENE --base-body PALM --describe``).
             object: Name of the free body to grasp.
-            table: Name of the plane or box that carries it; None for none.
-            obstacles: Names of boxes that hand and object must not touch.
+            table: Name of the plane or box that carries it, or of a body which that is the only
+                colliding geom of; None for none.
+            obstacles: Names of boxes that hand and object must not touch; as of the table.
             touch: Names of the object's geoms in whose bounds fingers may touch it; all if none.
             prefix: What the names of the hand begin with in the scene and not in its description.
 
@@ -115,17 +116,15 @@ class ForeignScene:
         what = f"body {object!r} of the scene"
         read = object_in_model(model, object, what)
         self.object_body = int(model.body(object).id)
-        self._joint = int(model.body_jntadr[self.object_body])
-        if self._joint < 0 or model.jnt_type[self._joint] != mujoco.mjtJoint.mjJNT_FREE:
-            raise TaskError(f"{what} has no free joint; name the body that has it")
+        self._check_free(what)
         self._check_alone(what)
         self.T_body_object, self.center = read.T_body_object, read.center
         region = None
         if touch:
             region = TouchRegion(allowed=tuple(self._bounds(name) for name in touch))
         self.object = GraspObject(name=object, shape=read.shape, mass=read.mass, touch=region)
-        self._table = None if table is None else _id(model, "geom", table)
-        self._obstacles = {name: _id(model, "geom", name) for name in obstacles}
+        self._table = None if table is None else _solid(model, table)
+        self._obstacles = {name: _solid(model, name) for name in obstacles}
         self._base = self._id("body", self.hand.description.base_body)
         self._joints = [self._id("joint", name) for name in self.hand.joint_names]
         self._ctrl = np.array([self._id("actuator", n) for n in self.hand.actuation.names])
@@ -138,8 +137,12 @@ class ForeignScene:
 
     @property
     def T_world_base(self) -> SE3:
-        """Pose of the hand's base now."""
-        return self.pose(self._base)
+        """Pose of the hand's base now: of its body as it is where the hand's joints are zero."""
+        pose = self.pose(self._base)
+        first, number = self.model.body_jntadr[self._base], self.model.body_jntnum[self._base]
+        if not np.isin(self._joints, first + np.arange(number)).any():
+            return pose
+        return pose * _pose(self._posed().body(self.hand.description.base_body)).inverse()
 
     @property
     def q(self) -> FloatArray:
@@ -232,7 +235,7 @@ class ForeignScene:
             table_height=table,
             obstacles=[
                 Obstacle(
-                    name=name, size=self._box(geom), T_world_obstacle=_pose(self.data.geom(name))
+                    name=name, size=self._box(geom), T_world_obstacle=_pose(self.data.geom(geom))
                 )
                 for name, geom in self._obstacles.items()
             ],
@@ -249,7 +252,8 @@ class ForeignScene:
             task: Of this scene.
             period: Time (s) from one of its owner's steps to the next.
         """
-        model, hand, joint = self.model, self.hand, self._joint
+        model, hand = self.model, self.hand
+        joint = int(model.body_jntadr[self.object_body])
         part_of = task.part_of_body
         parts = {self._id("body", g.body): part_of.get(g.body, "") for g in hand.geometries}
         body_of = model.geom_bodyid.tolist()
@@ -265,7 +269,8 @@ class ForeignScene:
             hand_ctrl=self._ctrl,
             arm_ctrl=np.zeros(0, dtype=np.int64),
             gantry=None,
-            object_qpos=int(model.jnt_qposadr[joint]) + np.arange(7),
+            # of slides and hinges there are six coordinates, which are no pose
+            object_qpos=int(model.jnt_qposadr[joint]) + np.arange(7 if self._one_joint else 0),
             object_dof=int(model.jnt_dofadr[joint]) + np.arange(6),
             object_body=self.object_body,
             base_body=self._base,
@@ -282,6 +287,19 @@ class ForeignScene:
         body_of = {g.name: g.body for g in self.hand.geometries}
         return tuple(self._id("body", body_of[f.pad.geom]) for f in fingers)
 
+    def _check_free(self, what: str) -> None:
+        """Refuse an object that is not free: by one joint, or by three slides and three hinges."""
+        model, body = self.model, self.object_body
+        first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        kinds = sorted(model.jnt_type[first : first + number].tolist()) if number else []
+        self._one_joint = kinds == [mujoco.mjtJoint.mjJNT_FREE]
+        six = sorted(3 * [int(kind) for kind in ONE_AXIS])
+        if not self._one_joint and (kinds != six or model.body_parentid[body]):
+            raise TaskError(
+                f"{what} has no free joint, nor three slides and three hinges; name the body that "
+                "moves freely"
+            )
+
     def _check_alone(self, what: str) -> None:
         """Refuse an object that bodies hang on: they would be missing in its shape and mass."""
         model, body = self.model, self.object_body
@@ -292,6 +310,15 @@ class ForeignScene:
                     f"{model.body(child).name or child!r} hangs on {what}; an object is one body: "
                     "give its geoms to that"
                 )
+
+    def _posed(self) -> Any:
+        """The hand's own model as its joints are now, with its kinematics computed."""
+        own = self.hand.mj_model
+        posed = mujoco.MjData(own)
+        for part, value in zip(self.hand.joint_names, self.q, strict=True):
+            posed.qpos[own.joint(part).qposadr] = value
+        mujoco.mj_kinematics(own, posed)
+        return posed
 
     def _check_hand(self) -> None:
         """Refuse a hand whose links, axes or actuators are other than the scene's."""
@@ -310,13 +337,10 @@ class ForeignScene:
                         f"actuator {part} of the scene has {key} {its.tolist()}, that of {name} "
                         f"{mine.tolist()}: {again}"
                     )
-        posed = mujoco.MjData(own)
-        for part, value in zip(self.hand.joint_names, self.q, strict=True):
-            posed.qpos[own.joint(part).qposadr] = value
-        mujoco.mj_kinematics(own, posed)
+        posed, T_world_body = self._posed(), self.pose(self._base)
         T_own = _pose(posed.body(self.hand.description.base_body))
         for part in sorted({g.body for g in self.hand.geometries}):
-            there = self.T_world_base.actInv(self.pose(self._id("body", part)))
+            there = T_world_body.actInv(self.pose(self._id("body", part)))
             far = T_own.actInv(_pose(posed.body(part))).actInv(there)
             off, turned = np.linalg.norm(far.translation), np.linalg.norm(pin.log3(far.rotation))
             if off > SAME_HAND or turned > SAME_HAND_RAD:
@@ -325,7 +349,7 @@ class ForeignScene:
                     f"degrees from where {name} has it: {again}"
                 )
         for part, joint in zip(self.hand.joint_names, self._joints, strict=True):
-            axis = self.T_world_base.rotation.T @ self.data.xaxis[joint]
+            axis = T_world_body.rotation.T @ self.data.xaxis[joint]
             mine = T_own.rotation.T @ posed.joint(part).xaxis
             if np.linalg.norm(axis - mine) > SAME_HAND_RAD:
                 raise TaskError(
@@ -404,16 +428,18 @@ class _Seen(Scene):
         return self.foreign.data
 
     def body_pose(self, data: Any, body: int) -> SE3:
-        """Pose of a body in the world; of the object's body that of the object."""
+        """Pose of a body in the world; of the object's body the object's, of the base's its."""
+        if body == self.base_body:
+            return self.foreign.T_world_base
         pose = super().body_pose(data, body)
         return pose * self.foreign.T_body_object if body == self.object_body else pose
 
     def object_twist(self, data: Any) -> FloatArray:
-        """That of the object's origin, which is not its body's."""
-        twist = super().object_twist(data)
-        inside = (
-            self.foreign.pose(self.object_body).rotation @ self.foreign.T_body_object.translation
-        )
+        """That of the object's origin, which is not its body's; of any joints."""
+        jacobian, body = np.zeros((6, self.model.nv)), self.object_body
+        mujoco.mj_jacBody(self.model, data, jacobian[:3], jacobian[3:], body)
+        twist = np.asarray(jacobian @ data.qvel)
+        inside = self.foreign.pose(body).rotation @ self.foreign.T_body_object.translation
         twist[:3] += np.cross(twist[3:], inside)
         return twist
 
@@ -421,6 +447,19 @@ class _Seen(Scene):
 def _pose(part: Any) -> SE3:
     """Pose of a body or geom of ``mujoco.MjData``."""
     return SE3(part.xmat.reshape(3, 3), part.xpos)
+
+
+def _solid(model: Any, name: str) -> int:
+    """Id of a geom: of that name, or the only one that collides of a body of that name.
+
+    Raises:
+        NotFoundError: There is none.
+    """
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    named = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name) >= 0
+    collides = (model.geom_contype | model.geom_conaffinity).astype(bool)
+    own = np.flatnonzero(collides & (model.geom_bodyid == body))
+    return int(own[0]) if not named and len(own) == 1 else _id(model, "geom", name)
 
 
 def _id(model: Any, kind: str, name: str) -> int:

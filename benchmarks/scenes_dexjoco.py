@@ -1,0 +1,165 @@
+"""DexJoCo (github brave-eai/dexjoco, MIT): a Panda arm with an Allegro hand.
+
+Its ``step`` takes where the flange is wanted and the targets of the fingers' servos. ``HAMMER``:
+the nail is 40 mm deep before 1000 of its steps are over.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.scenes_task import Served, Task
+from planner.errors import NoGraspFoundError, TaskError
+from planner.plan import GraspPlan
+from planner.quality import force_closure
+from planner.spatial import SE3, FloatArray, pose_to_wxyz, shifted
+from planner.tools import plan_use
+from sim.foreign import ForeignRun, ForeignScene
+from sim.simulation import Simulation
+from sim.tables import Row
+
+PALM, FLANGE = "allegro_palm", "attachment_site"
+"""Body of the hand's base, and site that its arm controller moves."""
+
+REST = 50
+"""Steps of 20 ms that it is left alone for after a reset: the hammer falls onto the table."""
+
+CLEAR = 0.25
+"""Height (m) to which the hand goes before it comes down, and after it has grasped."""
+
+HOVER = 0.08
+"""Height (m) of the face over the nail before a blow."""
+
+BELOW = 0.15
+"""How far (m) below the nail the flange is sent in a blow: its arm controller follows with a time
+constant of 0.4 s, so the face comes at about 0.4 m/s."""
+
+BLOWS, BLOW = 6, 0.8
+"""Most blows, and longest time of one, s."""
+
+DEPTH = 0.04
+"""Depth (m) that its test asks for."""
+
+BEST_OF, ATTEMPTS = 3, 300
+"""Grasps to choose from, and attempts to find them."""
+
+
+class _Hammering:
+    """One episode."""
+
+    def __init__(self, served: Served, hand: Path) -> None:
+        """Let the hammer come to rest, and read the scene."""
+        self._served = served
+        model, data = served.model, served.data
+        site, palm = model.site(FLANGE).id, model.body(PALM).id
+        T_world_palm = SE3(data.xmat[palm].reshape(3, 3), data.xpos[palm])
+        T_world_flange = SE3(data.site_xmat[site].reshape(3, 3), data.site_xpos[site])
+        self._T_base_flange = T_world_palm.inverse() * T_world_flange
+        self._closed = False
+        self._face, self._nail = model.geom("face").id, model.body("nail").id
+        self.scene = ForeignScene(
+            model,
+            data,
+            hand,
+            "hammer_body",
+            table="table_collision",
+            obstacles=("wood_collision",),
+            touch=("handle",),
+        )
+        still = np.zeros(self.scene.hand.nq)
+        home = self.scene.hand.actuation.commands(self.scene.q, still, still)
+        for _ in range(REST):
+            self._send(T_world_flange, home)
+
+    def row(self, seed: int) -> Row:
+        """What came of it."""
+        try:
+            plan = plan_use(
+                self.scene.task(), self._way, seed=seed, max_attempts=ATTEMPTS, best_of=BEST_OF
+            )
+        except NoGraspFoundError as error:
+            return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
+        run = ForeignRun(plan, self.scene, self._step, period=self._served.period)
+        run.on_step = self._end
+        ended = self._episode(run)
+        far, turned = run.slip
+        told = self._served.told
+        return {
+            "done": bool(told["succeed"]),
+            "ended": "done" if told["succeed"] else ended,
+            "depth_mm": 1e3 * told.get("nail_depth", 0.0),
+            "fingers_left": run.touching(),
+            "slip_mm": far,
+            "slip_deg": turned,
+            "steps": self._served.steps,
+            "attempts": plan.record.attempts,
+            "plan_s": plan.record.cpu_s,
+            "fingers": len(plan.task.finger_names),
+            "closed": self._closed,
+        }
+
+    def _episode(self, run: ForeignRun) -> str:
+        """Grasp, lift, strike; where it ended."""
+        plan = run.plan
+        above = shifted(plan.T_world_base_start, [0.0, 0.0, CLEAR])
+        run.move(above, 1.5, wait=1.0, phase="approach")
+        run.move(plan.T_world_base_start, 1.0, wait=0.5, phase="approach")
+        if not run.grasp():
+            return "not grasped"
+        run.move(shifted(plan.T_world_base, [0.0, 0.0, CLEAR]), 1.5, wait=0.5)
+        self._closed = run.touching() > 1 and force_closure(run.contacts).closed
+        for _ in range(BLOWS):
+            run.move(shifted(run.wanted, self._over()), 1.2, wait=0.6)
+            if run.touching() < plan.task.fingers_needed:
+                return "lost"
+            below = shifted(run.wanted, [0.0, 0.0, -BELOW - HOVER])
+            run.move(below, 0.2, wait=BLOW, until=self._met)
+            run.wanted = run.T_world_base  # no longer pressed down
+            if run.ended:
+                break
+        return "nail not in"
+
+    def _end(self, run: Simulation) -> None:
+        """Make no further step after its last one."""
+        if self._served.told["ended"]:
+            run.stop("its test or its steps ended it")
+
+    def _met(self, _: Any) -> bool:
+        return bool(self._served.told["hammer_hit"])
+
+    def _over(self) -> FloatArray:
+        """Way (3,), m, of the face to its place over the nail."""
+        data = self._served.data
+        return np.array(data.xpos[self._nail] + [0.0, 0.0, HOVER] - data.geom_xpos[self._face])
+
+    def _way(self, plan: GraspPlan) -> list[SE3]:
+        """Over and into the nail; the arm must reach all of it.
+
+        Raises:
+            TaskError: It does not.
+        """
+        low = self._over() - [0.0, 0.0, HOVER + DEPTH]
+        up = [0.0, 0.0, CLEAR]
+        way = [shifted(plan.T_world_base, by) for by in (np.zeros(3), up, low + up, low)]
+        for pose in (plan.T_world_base_start, *way):
+            if not self.scene.reaches(pose):
+                raise TaskError(f"its arm does not reach {pose.translation.round(3)} m")
+        return way
+
+    def _step(self, T_world_base: SE3, targets: FloatArray) -> None:
+        self._send(T_world_base * self._T_base_flange, targets)
+
+    def _send(self, T_world_flange: SE3, targets: FloatArray) -> None:
+        """One of its steps: where the flange is wanted, and targets of the fingers' servos."""
+        self._served.step(np.concatenate([*pose_to_wxyz(T_world_flange), targets]).tolist())
+
+
+HAMMER = Task(
+    name="hammer_nail",
+    project="github brave-eai/dexjoco",
+    model="dexjoco/dexjoco/sim/envs/xmls/arena_arm_hand_hammer_nail.xml",
+    play=lambda served, hand, seed: _Hammering(served, hand).row(seed),
+)
