@@ -431,10 +431,27 @@ def test_the_grip_is_shared_by_what_presses(hand: Hand) -> None:
     """Of two kilogrammes: of seven contacts four press, each as hard as one of four fingertips."""
     item = parse_object("sphere:0.04", mass=2.0)
     power = GraspTask.create(hand, item, grasp_type="power")
-    assert [len(task.outermost) for task in power.choices] == [4, 4, 3]
+    assert [len(task.outermost) for task in power.choices] == [4, 4, 4, 3]
     assert power.grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 4))
     assert power.grip_force == GraspTask.create(hand, item).grip_force
-    assert power.choices[2].grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 3))
+    assert power.choices[3].grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 3))
+
+
+def test_a_weak_hand_shares_the_load_with_its_palm(hand: Hand) -> None:
+    """Half the default grip of 2 kg, after eight attempts; a grip that is given stays."""
+    item = parse_object(f"sphere:{RADIUS}", mass=2.0)
+    task = GraspTask.create(hand, item, grasp_type="power")
+    assert task.sharing_palm is not None and task.sharing_palm.sharing_palm is None
+    assert GraspTask.create(hand, item).sharing_palm is None  # no palm
+    strict = replace(task, grip_force=task.grip_force + 1e-6)
+    assert strict.sharing_palm is None
+    plan = plan_grasp(task, seed=0)
+    assert plan.record.attempts > 8
+    assert plan.task.grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 2 * 4))
+    report = simulate(plan)
+    assert report.success, report.reason
+    with pytest.raises(NoGraspFoundError):
+        plan_grasp(strict, seed=0, max_attempts=plan.record.attempts)
 
 
 def test_a_set_that_a_region_forbids_is_left_out(hand: Hand) -> None:
