@@ -52,7 +52,7 @@ STEPS = 8
 """Most steps."""
 
 NO_FORCES, NO_NEEDED = "no_forces", "no_needed_wrench"
-"""Kind of the failure of a grasp that cannot produce a needed wrench."""
+"""Kinds of the failures of a grasp that cannot bear the weight, and a needed wrench."""
 
 FARTHEST = 0.006
 """Largest gap (m) that is still a matter of models; more than that is no solution."""
