@@ -230,7 +230,9 @@ def test_what_breaks_a_grasp_with_inner_links_is_known_from_both_sides(inner: Gr
     """Nothing was proven of it where the forces inside the cones left one contact without room."""
     found = smallest_breaking(inner.forces.problem, "force", length=0.04, rel_tol=0.05).bounds
     assert found.lower > 0.9 * found.upper > 1.0
-    given = dict(force_arguments(inner.task, inner.contacts, inner.T_world_base, inner.q))
+    given: dict[str, Any] = dict(
+        force_arguments(inner.task, inner.contacts, inner.T_world_base, inner.q)
+    )
     given |= {"min_normal": np.zeros(len(inner.contacts)), "friction_scale": 1.0}
     for way in np.random.default_rng(1).normal(size=(8, 3)):
         push = np.append(0.9 * found.lower * way / np.linalg.norm(way), np.zeros(3))
