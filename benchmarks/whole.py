@@ -4,6 +4,7 @@
 that breaks either, as certified; and of the power grasp a push that grows along that force, under
 a controller that is told the push and commands the forces of the programme (what a certificate is
 about), beside one with its references held, whose contact forces ``GraspCompliance`` predicts.
+``--parts bound``: the certified forces alone.
 
 ``--parts push``: of power grasps of 1 kg, measured beside predicted contact forces under a push
 that grows in a random direction, references held, up to what the prediction says is borne.
@@ -37,12 +38,13 @@ from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from planner.verification import force_arguments
+from sim.cli.options import flag
 from sim.creep import compliance_of
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.tables import Row
 from sim.trial import simulate
 
-PARTS = ("load", "push", "sizes")
+PARTS = ("load", "bound", "push", "sizes")
 TYPES = ("fingertip", "power", "any")
 
 SIZES = (0.02, 0.03, 0.045, 0.065, 0.1, 0.15, 0.2, 0.3)
@@ -75,9 +77,10 @@ class Options(HandOptions):
     """Seeds count from ``--seed``."""
 
     objects: ObjectsOption = "sphere:0.04,cylinder:0.03x0.12,ellipsoid:0.07x0.06x0.09,capsule"
-    parts: Annotated[str, typer.Option(help="Some of load, push and sizes.")] = "load,push,sizes"
+    parts: Annotated[str, typer.Option(help=f"Some of {', '.join(PARTS)}.")] = "load,push,sizes"
     mass: Annotated[float, typer.Option(help="Of the objects of load, kg.")] = 0.1
     attempts: Annotated[int, typer.Option(min=1, help="Of each search.")] = 30
+    floating: Annotated[bool, flag("--floating", "Of load, bound and push: no table.")] = False
 
 
 def cases(options: Options) -> Iterator[Row]:
@@ -85,8 +88,8 @@ def cases(options: Options) -> Iterator[Row]:
     parts = known("part", options.parts, PARTS)
     for hand in options.hand_names:
         checked_hand(hand)
-        more = {"hand": hand, "attempts": options.attempts}
-        for part, mass in (("load", options.mass), ("push", PUSHED)):
+        more = {"hand": hand, "attempts": options.attempts, "floating": options.floating}
+        for part, mass in (("load", options.mass), ("bound", options.mass), ("push", PUSHED)):
             for spec in options.objects.split(",") if part in parts else ():
                 for seed in range(options.seed, options.seed + options.n):
                     yield {**more, "part": part, "object": spec, "mass": mass, "seed": seed}
@@ -96,6 +99,7 @@ def cases(options: Options) -> Iterator[Row]:
                     drawn = drawn_object(np.random.default_rng([options.seed, number, k]), size)
                     for kind in TYPES:
                         case = {"part": "sizes", "size": size, "object": drawn, "type": kind}
+                        case["floating"] = False
                         mass = round(min(HEAVIEST, MASS * size / MIDDLE), 3)
                         yield {**more, **case, "mass": mass, "seed": options.seed + k}
 
@@ -115,16 +119,17 @@ def drawn_object(rng: np.random.Generator, half_diagonal: float) -> str:
 
 def measure(case: Row) -> Row:
     """One case of a part."""
-    return {"load": _load, "push": _push, "sizes": _size}[case["part"]](case)
+    return {"load": _load, "bound": _load, "push": _push, "sizes": _size}[case["part"]](case)
 
 
 @lru_cache(maxsize=8)
-def _task(hand: str, spec: str, mass: float, kind: str) -> GraspTask:
-    return GraspTask.create(checked_hand(hand), parse_object(spec, mass=mass), grasp_type=kind)
+def _task(hand: str, spec: str, mass: float, kind: str, floating: bool) -> GraspTask:
+    item, table = parse_object(spec, mass=mass), None if floating else 0.0
+    return GraspTask.create(checked_hand(hand), item, grasp_type=kind, table_height=table)
 
 
 def _plan(case: Row, kind: str) -> GraspPlan:
-    task = _task(case["hand"], case["object"], case["mass"], kind)
+    task = _task(case["hand"], case["object"], case["mass"], kind, case["floating"])
     return plan_grasp(task, seed=case["seed"], max_attempts=case["attempts"])
 
 
@@ -164,15 +169,16 @@ def _load(case: Row) -> Row:
         found = smallest_breaking(plan.forces.problem, "force", length=radius, rel_tol=0.03)
         certified[kind] = found
         row[kind] = found.bounds.lower
+    row |= {"found": True, "ratio": row["power"] / max(row["fingertip"], 1e-9)}
+    if case["part"] == "bound":
+        return row
     assert plan is not None
     weakest = certified["power"].wrench
     along = weakest / np.linalg.norm(weakest[:3])
     told = _growing(plan, along, told=True, first=max(FIRST, TOLD_FROM * row["power"]))
     broke = _growing(plan, along, told=False, first=FIRST)
     return row | {
-        "found": True,
         "contacts": len(plan.contacts),
-        "ratio": row["power"] / max(row["fingertip"], 1e-9),
         "broke": told["broke"],
         "over": told["broke"] / max(row["power"], 1e-9),
         "held_broke": broke["broke"],
@@ -231,7 +237,7 @@ def _growing(plan: GraspPlan, along: FloatArray, *, told: bool, first: float) ->
 def tables(result: Row) -> Iterator[Row]:
     """Loads per hand and object; held per size and type."""
     rows = [{"found": False, "held": False, **row} for row in result["rows"]]  # too large for it
-    loads = [row for row in rows if row["part"] == "load"]
+    loads = [row for row in rows if row["part"] in ("load", "bound")]
     if loads:
         columns: Columns = {
             "both found": share("found"),

@@ -298,6 +298,22 @@ class GraspTask:
             grip_force=max(self.grip_force, least),
         )
 
+    @cached_property
+    def sharing_palm(self) -> GraspTask | None:
+        """The same with half the default grip, where a palm of one hand touches; None elsewhere.
+
+        A palm is pressed as hard as the fingers press onto it, and its friction carries as much: so
+        the weight is carried with the same reserve.
+        """
+        if self.hand.pair or self.expected_load or all(f.joints for f in self.fingers):
+            return None
+        n = _pressing(self.hand, self.fingers)
+        usual, least = (
+            _default_grip(self.object, self.gravity, self.mu, m, self.expected_load)
+            for m in (n, 2 * n)
+        )
+        return replace(self, grip_force=least) if self.grip_force == usual > least else None
+
     def __repr__(self) -> str:
         """One line; the attributes hold the rest."""
         return (

@@ -228,8 +228,8 @@ COUPLING_TOL = 1e-7
 STEPS = 8
 """Most steps."""
 
-NO_NEEDED = "no_needed_wrench"
-"""Kind of the failure of a grasp that cannot produce a needed wrench."""
+NO_FORCES, NO_NEEDED = "no_forces", "no_needed_wrench"
+"""Kinds of the failures of a grasp that cannot bear the weight, and a needed wrench."""
 
 FARTHEST = 0.006
 """Largest gap (m) that is still a matter of models; more than that is no solution."""
@@ -372,7 +372,7 @@ def no_closure(closure: ClosureResult) -> Failure:
 def no_forces(task: GraspTask, forces: ForceSolution) -> Failure:
     """The failure of a grasp whose contacts or actuators cannot bear the object's weight."""
     return Failure(
-        kind="no_forces",
+        kind=NO_FORCES,
         text=f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}",
         numbers={"fraction": forces.fraction},
     )

@@ -10,7 +10,7 @@ import trimesh
 from conftest import of_trimesh
 from scipy.spatial import cKDTree
 
-from planner.shapes import LBracket, Mesh, Mug, Torus
+from planner.shapes import Cup, LBracket, Mesh, Mug, Torus
 from planner.shapes.field_fit import grid_nodes
 from planner.shapes.mesh_field import NEAR, Pyramid, SurfaceWalk, within_cells
 from planner.spatial import FloatArray
@@ -105,3 +105,14 @@ def test_a_pyramid_measures_near_the_surface_and_interpolates_the_rest() -> None
         outside = true > 0
         assert off[outside].max() < 0.2 * times * h and np.median(off) < 0.02 * times * h
     assert asked[-1] == pyramid.measured.sum() < 0.2 * pyramid.measured.size
+
+
+def test_far_in_front_of_a_thin_wall_is_outside() -> None:
+    """Walks end on the back of a wall, in front of which points were inside by up to 28 mm."""
+    cup = Cup()
+    around = np.random.default_rng(0).uniform(-1.5, 1.5, (3000, 3)) * cup.half_extents
+    exact = cup.signed_distance(around)
+    walked, _ = SurfaceWalk(cup._surface, STEP).signed(around, near=False)
+    np.testing.assert_allclose(walked, exact, atol=2.1e-3)
+    told = np.abs(exact) > 1e-7
+    np.testing.assert_array_equal(walked[told] < 0, exact[told] < 0)

@@ -31,8 +31,11 @@ from planner.motion.search import check_task
 from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
 from planner.search.beyond import search_directions
+from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from planner.synthesis.link_spheres import link_spheres
+from planner.synthesis.problem import Start
+from planner.synthesis.seeds.enveloping import EnvelopingSeeder
 from planner.task import Obstacle
 from planner.tolerances import TOUCH_TOL
 from sim import simulate
@@ -152,6 +155,46 @@ def test_a_round_hull_touches_along_a_line_with_its_radius() -> None:
     assert pad.radius == pytest.approx(0.008, rel=0.15)
     np.testing.assert_allclose(np.abs(pad.reach), [[0.016, 0.0, 0.0]], atol=1e-5)
     np.testing.assert_allclose(pad.axis, [0.0, 0.0, 1.0], atol=0.07)
+
+
+def test_a_start_assigns_opposed_sides_of_a_box_and_none_on_the_table() -> None:
+    """The thumb on one side, all else on those beside it: nothing that presses is balanced."""
+    task = GraspTask.create("shadow_hand", "box:0.072x0.061x0.068", grasp_type="power")
+    seeder = EnvelopingSeeder(task.choices[1])
+    for seed in range(12):
+        start = seeder.draw(np.random.default_rng(seed))
+        assert isinstance(start, Start)
+        normals = np.array([patch.code for patch in start.patches])
+        assert (normals @ normals.T).min() == -1.0 and normals[:, 2].min() > -1.0
+
+
+def test_fingers_of_a_start_flex_above_the_table_and_not_within_it() -> None:
+    """Palm down, far from the object; fingers whose links are in the table stay, and that costs."""
+    task = GraspTask.create("allegro_hand", "sphere:0.02", grasp_type="power").choices[1]
+    seeder, palm = EnvelopingSeeder(task), task.hand.description.palm_body
+    part, index = task.hand.contact_parts[palm].pad, task.hand.fingers["index"].q_index
+    T_base_palm = HandState(task.hand, seeder.open).joint_pose(part.joint_id)
+    turn = pin.Quaternion.FromTwoVectors(part.axis, np.array([0.0, 0.0, -1.0])).matrix()
+    flexed, above, cost = [], [], []
+    for height in (0.10, 0.06):
+        pose = SE3(turn, np.array([0.5, 0.0, height])) * T_base_palm.inverse()
+        q = seeder._closed(pose, seeder.open, np.random.default_rng(0))
+        flexed.append(np.abs(q - seeder.open)[index].max())
+        above.append(seeder._above_table(seeder._links_at(pose, q)).min())
+        cost.append(seeder._miss(pose, q))
+    assert flexed[0] > 0.5 and flexed[1] == 0.0
+    assert above[0] > 0.0 > above[1] and cost[1] > cost[0]
+
+
+def test_the_distance_from_a_mesh_in_a_start_is_nearly_the_true_one() -> None:
+    task = GraspTask.create("allegro_hand", "superquadric", grasp_type="power")
+    shape, rng = task.object.shape, np.random.default_rng(0)
+    assert isinstance(shape, Mesh)
+    points, normals = shape.surface_samples(200, rng)
+    away = rng.uniform(0.0, 0.03, 200)
+    gaps, outward = EnvelopingSeeder(task)._from_surface(points + away[:, None] * normals)
+    assert np.quantile(np.abs(gaps - away), 0.9) < 1e-3
+    assert np.median((outward * normals).sum(axis=1)) > 0.99
 
 
 def test_joints_of_a_link_are_those_that_move_it(hand: Hand) -> None:
@@ -389,10 +432,27 @@ def test_the_grip_is_shared_by_what_presses(hand: Hand) -> None:
     """Of two kilogrammes: of seven contacts four press, each as hard as one of four fingertips."""
     item = parse_object("sphere:0.04", mass=2.0)
     power = GraspTask.create(hand, item, grasp_type="power")
-    assert [len(task.outermost) for task in power.choices] == [4, 4, 3]
+    assert [len(task.outermost) for task in power.choices] == [4, 4, 4, 3]
     assert power.grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 4))
     assert power.grip_force == GraspTask.create(hand, item).grip_force
-    assert power.choices[2].grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 3))
+    assert power.choices[3].grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 3))
+
+
+def test_a_weak_hand_shares_the_load_with_its_palm(hand: Hand) -> None:
+    """Half the default grip of 2 kg, after eight attempts; a grip that is given stays."""
+    item = parse_object(f"sphere:{RADIUS}", mass=2.0)
+    task = GraspTask.create(hand, item, grasp_type="power")
+    assert task.sharing_palm is not None and task.sharing_palm.sharing_palm is None
+    assert GraspTask.create(hand, item).sharing_palm is None  # no palm
+    strict = replace(task, grip_force=task.grip_force + 1e-6)
+    assert strict.sharing_palm is None
+    plan = plan_grasp(task, seed=0)
+    assert plan.record.attempts > 8
+    assert plan.task.grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 2 * 4))
+    report = simulate(plan)
+    assert report.success, report.reason
+    with pytest.raises(NoGraspFoundError):
+        plan_grasp(strict, seed=0, max_attempts=plan.record.attempts)
 
 
 def test_a_set_that_a_region_forbids_is_left_out(hand: Hand) -> None:

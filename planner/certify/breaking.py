@@ -71,6 +71,9 @@ SIDES = 16
 INNER_SIDES = 32
 """Sides of the inscribed pyramids in which the interior point is sought (-): 0.5 % inside."""
 
+TIGHT = 1e-6
+"""Distance (-), in force scales, up to which a cone has no room."""
+
 ROUNDS = 20
 """Most times that tangents are added for one direction (-)."""
 
@@ -178,7 +181,8 @@ class Resistance:
     def _find_interior(self, problem: ForceProblem, k: int) -> bool | None:
         """Forces for s = 0 well inside the cones; sets the slack (n,) in each.
 
-        Maximises the sum over contacts of the least distance to a side, each up to the force scale.
+        Maximises the sum over contacts of the least distance to a side, each up to the force scale;
+        where that leaves a cone without room, the least of all distances too.
         """
         inner = self._pyramids(problem, INNER_SIDES, "inscribed", len(self._unit))
         n = len(self._cones)
@@ -192,15 +196,23 @@ class Resistance:
         cost = np.concatenate([np.zeros(total), -np.ones(n)])
         x = self._solve(cost, np.hstack([inner, owner]), bounds)
         if isinstance(x, np.ndarray):
-            inside = [
-                normal @ x[:total] - np.linalg.norm(s @ x[:total]) for normal, s in self._cones
-            ]
-            self._slack = np.maximum(np.array(inside), 0.0)
+            self._slack = self._depths(x[:total])
+            if n and self._slack.min() < TIGHT * problem.force_scale:
+                # the sum leaves a cone without room: half way to where the least is largest
+                alike = np.hstack([inner, owner.sum(axis=1, keepdims=True)])
+                even = self._solve(np.append(cost[:total], -1.0), alike, bounds[: total + 1])
+                if isinstance(even, np.ndarray):
+                    self._slack = self._depths((x[:total] + even[:total]) / 2.0)
             return True
         still = self._bounds.copy()
         still[total - k :] = 0.0
         outer = self._solve(np.zeros(total), self._faces, still)
         return False if outer is None else None
+
+    def _depths(self, x: FloatArray) -> FloatArray:
+        """How far x (nx + k,) is inside each cone (n,), N; 0 outside."""
+        inside = [normal @ x - np.linalg.norm(side @ x) for normal, side in self._cones]
+        return np.asarray(np.maximum(inside, 0.0), dtype=np.float64)
 
     def _pyramids(self, problem: ForceProblem, sides: int, cone: Pyramid, width: int) -> FloatArray:
         """Half-spaces D (m, width) of all friction pyramids, D x <= 0 in N."""

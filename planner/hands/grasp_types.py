@@ -87,7 +87,11 @@ def _few(hand: Hand, count: int, name: str) -> ContactSets:
 
 
 def _power(hand: Hand) -> ContactSets:
-    """Palm and last links of all fingers; with inner links of two; with the opposer and two."""
+    """Palm and last links of all fingers, in every other turn with inner links of two; or few.
+
+    Inner links close behind the object: with them the worst push is borne by more than tips, and a
+    grasp breaks at twice the load. They come first, and twice as often as each of the other sets.
+    """
     return _both([_power_of(hand, side) for side in hand.sides])
 
 
@@ -106,11 +110,10 @@ def _power_of(hand: Hand, side: Side) -> ContactSets:
     last = [_last(hand, f) for f in (opposer, *others)]
     inner = [part[-3].name for f in others if len(part := _links(hand, f)) > 2]
     sets = [(*last, palm)]
-    if inner:
-        sets.append((*last, *inner[:INNER_LINKS], palm))
     if len(others) > FEW:
         sets.append((*last[: 1 + FEW], palm))
-    return tuple(sets)
+    around = (*last, *inner[:INNER_LINKS], palm)
+    return tuple(chain.from_iterable((around, one) for one in sets)) if inner else tuple(sets)
 
 
 def _last(hand: Hand, finger: Finger) -> str:

@@ -47,6 +47,7 @@ from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.system.threads import made_once, stage
 from planner.task import GraspTask
+from planner.verification import NO_FORCES
 
 if TYPE_CHECKING:
     from planner.search.metrics import Measure
@@ -74,6 +75,10 @@ ten milliseconds."""
 
 ONE_CAUSE = 0.8
 """Share of the attempts (-) that fail for one cause from which its meaning is told."""
+
+SHARE_AFTER = 8
+"""Attempts after which a weak hand's palm counts in the default grip: strong ones have found theirs
+by then, and half the grip bears less of a push."""
 
 SPARE_AFTER = 5
 """Attempts after which every other one is made with three fingers alone, if the choice of fingers
@@ -114,7 +119,7 @@ def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool
         spares = task.may_spare_fingers and past >= 0 and past % 2 == 0 and not is_found
         problem = (_spared_problem if spares else _problem)(task, options.form)
         true_geometry(problem.task)  # this thread's own is made before the attempt's time begins
-        return _GraspContext(problem, options)
+        return _GraspContext(problem, options, shares=index >= SHARE_AFTER)
 
     return context
 
@@ -408,10 +413,17 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _GraspContext:
-    """What all attempts at a task with the same fingers share."""
+    """What all attempts at a task with the same fingers share.
+
+    Attributes:
+        problem: Task, problems and seeder.
+        options: With which it is solved.
+        shares: Whether a hand too weak for its default grip may count the palm's share of it.
+    """
 
     problem: _Problem
     options: SynthesisOptions
+    shares: bool = False
 
     @property
     def build_s(self) -> float:
@@ -461,7 +473,12 @@ class _GraspContext:
 
     def verified(self, candidate: Candidate) -> GraspPlan | Failure:
         """Project a candidate onto the true surface and verify it."""
-        return finished(self.grasp_problem, self.task, candidate, self.options)
+        problem, options, shared = self.grasp_problem, self.options, self.task.sharing_palm
+        found = finished(problem, self.task, candidate, options)
+        if not (self.shares and shared and isinstance(found, Failure) and found.kind == NO_FORCES):
+            return found
+        again = finished(problem, shared, candidate, options)
+        return found if isinstance(again, Failure) else again
 
 
 @made_once(16)

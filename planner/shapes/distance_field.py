@@ -25,7 +25,7 @@ from planner.spatial import FloatArray, IntArray
 ORDERS = (0, 1, 2)
 """Orders of the derivatives that are continuous."""
 
-FIELD_VERSION = "v6"
+FIELD_VERSION = "v7"
 """Part of the key of fields on disk: to be changed whenever a fitted field would change."""
 
 FIT = 1e-6

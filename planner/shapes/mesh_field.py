@@ -177,6 +177,8 @@ NEARER = 1.0 - 1e-12
 class SurfaceWalk:
     """Signed distances from a closed mesh, by a walk from the nearest of some points on it.
 
+    Within some steps of walls and cracks thinner than a tenth of a step the sign may be wrong.
+
     Attributes:
         points: Points (k, 3) spread over the surface, m.
         gap: No point of the surface is farther than this (m) from all of them.
@@ -220,7 +222,24 @@ class SurfaceWalk:
             close = least < self._few_gap
             to_point, which = self._tree.query(points[close])
             triangle[close], least[close] = self._owner[which], to_point - self.gap
-        return self._walked(points, triangle), np.maximum(least, 0.0)
+        distance = self._walked(points, triangle)
+        if not near:
+            self._put_outside(points, distance)
+        return distance, np.maximum(least, 0.0)
+
+    def _put_outside(self, points: FloatArray, distance: FloatArray) -> None:
+        """Mend distances (n,) of points (n, 3) that are far in front of a thin wall, in place.
+
+        A walk that begins on the back of the wall ends there, and sees a point inside. Few points
+        of a coarse grid are inside, so each of them is looked at exactly.
+        """
+        inside = np.flatnonzero(distance < 0.0)
+        if not len(inside):
+            return
+        at, _, outward = self._surface.nearest(points[inside])
+        gaps = points[inside] - at
+        wrong = (gaps * outward).sum(axis=1) > 0.0
+        distance[inside[wrong]] = np.linalg.norm(gaps[wrong], axis=1)
 
     def _walked(self, points: FloatArray, triangle: IntArray) -> FloatArray:
         """Signed distances (n,), m, by walks from triangles (n,), which are overwritten."""

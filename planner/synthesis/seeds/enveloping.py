@@ -16,6 +16,7 @@ import pinocchio as pin
 from planner.errors import TaskError
 from planner.hands.fingers import Pad, Side
 from planner.kinematics import moving_hand
+from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.seeds.draw import Seeder
@@ -52,6 +53,16 @@ FARTHEST = 0.03
 
 FACING_AWAY, LEAST_FACING = 0.03, 0.5
 """What facing away costs (m), per cosine below the one at which a pad faces the surface enough."""
+
+TABLE_COST = 5.0
+"""What a link below the table costs (m), per depth of the deepest (m)."""
+
+LYING, OPPOSED = -0.5, -0.7
+"""Cosine (-) between a side's normal and the vertical below which a side lies on the table; and
+that between two normals from which on friction balances what presses on both sides."""
+
+FLAT = 1e-9
+"""A slope of a mesh's distance (-) below which it has no direction."""
 
 PLACES = 4
 """Places of the palm of which the best is taken."""
@@ -171,12 +182,43 @@ class EnvelopingSeeder(Seeder):
         placed = zip(frames, self._spots, strict=True)
         at = np.vstack([spots @ T.rotation.T + T.translation for T, spots in placed])
         axes = np.array([T.rotation @ f.pad.axis for T, f in zip(frames, fingers, strict=True)])
-        points, outward = self.task.object.shape.closest_point(at)
-        gaps = ((at - points) * outward).sum(axis=1) - self._spot_radii
+        lowest = float(self._above_table(self._links_at(T_object_base, q)).min())
+        below = max(-TABLE_COST * lowest, 0.0)
+        gaps, outward = self._from_surface(at)
+        if self.task.object.shape.flat_sides is not None:
+            return self._sides_for(T_object_base, q, outward[self._spot_begins])[1] + below
+        gaps -= self._spot_radii
         facing = -(outward * axes[self._spot_of]).sum(axis=1)
         away = FACING_AWAY * np.maximum(LEAST_FACING - facing, 0.0)
         misses = np.minimum(np.abs(gaps), FARTHEST) + away
-        return float(np.minimum.reduceat(misses, self._spot_begins).sum())
+        return float(np.minimum.reduceat(misses, self._spot_begins).sum()) + below
+
+    def _from_surface(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Distances (n,), m, of points (n, 3) from the object, and normals (n, 3) out of it.
+
+        Of a mesh by its smooth distance, which takes a tenth of the time.
+        """
+        shape = self.task.object.shape
+        if isinstance(shape, Mesh):
+            found = shape.field().taylor(at, 1)
+            slopes = np.linalg.norm(found[:, 1:4], axis=1, keepdims=True)
+            return found[:, 0].copy(), found[:, 1:4] / np.maximum(slopes, FLAT)
+        points, outward = shape.closest_point(at)
+        return ((at - points) * outward).sum(axis=1), outward
+
+    def _links_at(self, T_object_base: SE3, q: FloatArray) -> FloatArray:
+        """Centres (n, 3) of the spheres in all links, object frame, m."""
+        poses = moving_hand(self.task.hand).move(q).pin_data.oMi
+        frames = np.array([poses[j].homogeneous for j in self._moving.tolist()])[self._frame]
+        at = (frames[:, :3, :3] @ self._centers[:, :, None])[:, :, 0] + frames[:, :3, 3]
+        return np.asarray(at @ T_object_base.rotation.T + T_object_base.translation)
+
+    def _above_table(self, at: FloatArray) -> FloatArray:
+        """Heights (n,), m, of the spheres at (n, 3) over the table; infinite without one."""
+        T, table = self.task.T_world_object, self.task.table_height
+        if table is None:
+            return np.full(len(at), np.inf)
+        return np.asarray(at @ T.rotation[2] + T.translation[2] - table - self._radii)
 
     def _palm_pose(self, rng: np.random.Generator) -> SE3:
         """Pose of the palm's joint in the object's frame, its face on the object or near it.
@@ -225,19 +267,15 @@ class EnvelopingSeeder(Seeder):
 
     def _closed(self, T_object_base: SE3, q: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Joints (nq,) with all fingers flexed from q until links touch, or to their limits."""
-        hand, surface = self.task.hand, self.task.object.shape
+        hand = self.task.hand
         way = (self._flexed - q) * rng.uniform(SLOWEST, 1.0, hand.nq)
         way[hand.carriage_index] = 0.0
         free = np.ones(hand.nq, dtype=bool)
-        state, q = moving_hand(hand), q.copy()
+        q = q.copy()
         for _ in range(FLEXION_STEPS):
             ahead = q + np.where(free, way, 0.0) / FLEXION_STEPS
-            poses = state.move(ahead).pin_data.oMi
-            frames = np.array([poses[j].homogeneous for j in self._moving.tolist()])[self._frame]
-            at = (frames[:, :3, :3] @ self._centers[:, :, None])[:, :, 0] + frames[:, :3, 3]
-            at = at @ T_object_base.rotation.T + T_object_base.translation
-            points, outward = surface.closest_point(at)
-            gaps = ((at - points) * outward).sum(axis=1) - self._radii
+            at = self._links_at(T_object_base, ahead)
+            gaps = np.minimum(self._from_surface(at)[0] - self._radii, self._above_table(at))
             free &= ~hand.moved_by[self._joints[gaps < 0.0]].any(axis=0)
             q = np.where(free, ahead, q)
             if not free.any():
@@ -246,19 +284,45 @@ class EnvelopingSeeder(Seeder):
 
     def _face_normals(self, q: FloatArray, T_object_base: SE3, nearest: FloatArray) -> FloatArray:
         """Of the faces that are near to the pads as they lie, and that the pads face."""
-        task, out = self.task, nearest.copy()
-        state = moving_hand(task.hand).move(q)
+        sides, _ = self._sides_for(T_object_base, q, nearest)
+        return np.array(self.task.object.shape.flat_sides)[sides]
+
+    def _sides_for(
+        self, T_object_base: SE3, q: FloatArray, nearest: FloatArray
+    ) -> tuple[list[int], float]:
+        """Numbers of the flat sides for the pads, two of which oppose each other; what it costs.
+
+        The cost is the pads' distance from their sides, m, and what facing away counts as. A side
+        that lies on the table is for none.
+
+        Args:
+            T_object_base: Pose of the base in the object's frame.
+            q: Joints (nq,).
+            nearest: Normals (n, 3) of the points nearest to the pads.
+        """
+        task, state = self.task, moving_hand(self.task.hand).move(q)
         sides = np.array(task.object.shape.flat_sides)
+        cost = np.empty((len(task.fingers), len(sides)))
         for i, finger in enumerate(task.fingers):
             pad, pose = finger.pad, T_object_base * state.joint_pose(finger.pad.joint_id)
-            cost = FACE_AWAY * (1.0 + sides @ (pose.rotation @ pad.axis))
+            at = pose.act(pad.center)
+            cost[i] = FACE_AWAY * (1.0 + sides @ (pose.rotation @ pad.axis))
             for k, side in enumerate(sides):
                 patch = self.surface.patch_at(task.object.shape, nearest[i], side)
-                at = pose.act(pad.center)
                 off = at - np.clip(at, patch.lower, patch.upper) - pad.radius * side
-                cost[k] += np.linalg.norm(pad.beyond_reach(off, pose.rotation))
-            out[i] = sides[int(np.argmin(cost))]
-        return out
+                cost[i, k] += np.linalg.norm(pad.beyond_reach(off, pose.rotation))
+        if task.table_height is not None and not task.carrying:
+            cost[:, sides @ task.T_world_object.rotation[2] < LYING] = FAR
+        chosen = cost.argmin(axis=1)
+        more = cost - cost.min(axis=1, keepdims=True)
+        # of all pairs of contacts on opposed sides the one that costs least beyond the nearest
+        pairs = more[:, None, :, None] + more[None, :, None, :]
+        pairs[np.eye(len(more), dtype=bool)] = np.inf
+        pairs[:, :, sides @ sides.T > OPPOSED] = np.inf
+        one, other, here, there = np.unravel_index(int(pairs.argmin()), pairs.shape)
+        if np.isfinite(pairs[one, other, here, there]):
+            chosen[[one, other]] = here, there
+        return chosen.tolist(), float(np.take_along_axis(cost, chosen[:, None], axis=1).sum())
 
     def _forces(self, normals: FloatArray) -> FloatArray:
         return np.asarray(-normals)
