@@ -23,7 +23,7 @@ from planner.hand_loading import hand_from_spec
 from planner.spatial import FloatArray
 from sim.controllers import ObjectImpedance, Observation
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.verdict import DropCriteria
+from sim.verdict import LossCriteria
 
 HAND = "allegro_hand"
 OBJECT = "sphere"
@@ -31,7 +31,7 @@ SEED = 0
 PUSH = np.array([0.0, 3.0, 0.0])  # world axes, N: three times the object's weight
 BEGIN, HOLD = 0.2, 0.8  # of the push and the end, s since the hold began
 EVERY = (1, 2, 4, 10)  # a new command every so many time steps
-DROPPED = DropCriteria(mm=8.0, deg=15.0)  # movement in the hand that counts as lost
+DROPPED = LossCriteria(mm=8.0, deg=15.0)  # movement in the hand that counts as lost
 PICTURE = "servo_and_torque.png"
 
 matplotlib.use("Agg")  # draws into files, without a display

@@ -25,7 +25,7 @@ __all__ = [
     "COLLISION_N",
     "OUTCOMES",
     "REASONS",
-    "DropCriteria",
+    "LossCriteria",
     "Fault",
     "GraspOutcome",
     "Reason",
@@ -169,7 +169,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DropCriteria:
+class LossCriteria:
     """When an object counts as lost in trials, manipulations and the protocols of MuJoCo.
 
     Reset states have tests of their own: ``sim.datasets.reset_states.hold``.
@@ -191,7 +191,7 @@ class DropCriteria:
 
 
 def lost(
-    criteria: DropCriteria, *, touching: int, moved: tuple[float, float] = (0.0, 0.0)
+    criteria: LossCriteria, *, touching: int, moved: tuple[float, float] = (0.0, 0.0)
 ) -> Literal["", "dropped", "slipped"]:
     """Whether an object is lost, and how; "" if it is held.
 
@@ -262,7 +262,7 @@ def judge(
             ),
             tipped(samples, thresholds),
             no_contact(samples, fingers, needed),
-            _lost(samples, fingers, needed, lift_mm, thresholds),
+            _dropped_or_slipped(samples, fingers, needed, lift_mm, thresholds),
         )
         if fault is not None
     ]
@@ -380,7 +380,7 @@ def no_contact(
     return fault_at(samples, i, "no contact", detail)
 
 
-def _lost(
+def _dropped_or_slipped(
     samples: Samples,
     fingers: tuple[str, ...],
     needed: int,
@@ -391,8 +391,8 @@ def _lost(
     index = samples.during("lift", "hold")
     if len(index) == 0:
         return None
-    holding = DropCriteria(fewest=needed)
-    staying = DropCriteria(fewest=0, mm=thresholds.slip_mm, deg=thresholds.slip_deg)
+    holding = LossCriteria(fewest=needed)
+    staying = LossCriteria(fewest=0, mm=thresholds.slip_mm, deg=thresholds.slip_deg)
     touching = (samples.contacts > 0).sum(axis=1)
     loose = [int(i) for i in index if lost(holding, touching=touching[i])]
     last = int(index[-1])

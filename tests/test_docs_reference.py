@@ -28,7 +28,7 @@ from planner import GraspTask, load_hand, parse_object, plan_grasp, read_plan
 from planner.errors import PlannerError
 from planner.files import read_contacts
 from planner.motion.terms import MOTION_TERMS
-from planner.synthesis.options import TERMS
+from planner.synthesis.terms.registry import TERMS
 from sim.cli import main
 from sim.scene.physics import PRESETS
 from sim.verdict import REASONS

@@ -20,9 +20,10 @@ from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import optimize_grasp
-from planner.synthesis.options import TERMS, SynthesisOptions
+from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start, problems_for
 from planner.synthesis.seeds import seeder_for
+from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask, Obstacle
 
 

@@ -13,7 +13,8 @@ from planner.failure import Failure
 from planner.plan import GraspPlan
 from planner.search.attempt import Attempt
 from planner.search.grasp import _one_cause
-from planner.synthesis.options import TERMS, SynthesisOptions
+from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask
 from sim.cli import app
 from sim.cli.advice import ATTEMPTS, LOW, advice_for_low

@@ -34,13 +34,14 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import fill, link_spheres, span
 from planner.synthesis.mesh_surface import STEEP, mesh_surface
 from planner.synthesis.optimize import NEARLY, optimize_grasp
-from planner.synthesis.options import TERMS, SynthesisOptions
+from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start, build_problem
 from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import FACING, MeshSeeder, opposed_pairs
 from planner.synthesis.seeds.opposition import measure_postures, opposition
 from planner.synthesis.terms.clearance import PRESSED
+from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.resistance import least_resisted
 from planner.synthesis.terms.standard import EDGE
 from planner.task import GraspTask

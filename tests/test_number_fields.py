@@ -54,7 +54,7 @@ from sim.sensing.estimation.filter import ContactNoise
 from sim.sensing.estimation.state import SensorErrors
 from sim.tools.trial import UseTimeline
 from sim.trial import TrialOptions
-from sim.verdict import DropCriteria, Thresholds
+from sim.verdict import LossCriteria, Thresholds
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -176,7 +176,7 @@ ALLOWED: tuple[tuple[Any, dict[str, str]], ...] = (
     (UseTimeline(), {"close_wait": NOT_NEGATIVE, "turn": SIGNED, "tilt": SIGNED, "": POSITIVE}),
     (Timeline(), {"close_wait": NOT_NEGATIVE, "turn": SIGNED, "tilt": SIGNED, "": POSITIVE}),
     (Thresholds(), {"": POSITIVE_OR_INFINITE}),
-    (DropCriteria(), {"fewest": NOT_NEGATIVE, "": POSITIVE_OR_INFINITE}),
+    (LossCriteria(), {"fewest": NOT_NEGATIVE, "": POSITIVE_OR_INFINITE}),
     *((k.from_sizes(k.default_sizes), {"": POSITIVE}) for k in SIZED_SHAPES.values()),
 )
 """Valid dataclasses; field -> what it may be, "" for all fields of numbers that are not named."""

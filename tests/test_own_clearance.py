@@ -28,10 +28,10 @@ from planner.synthesis import (
 from planner.synthesis.link_spheres import LinkSphere
 from planner.synthesis.loops import solver
 from planner.synthesis.loops.solver import LoopResiduals, loop_problem
-from planner.synthesis.options import TERMS
 from planner.synthesis.problem import GraspProblem, Start, problems_for
 from planner.synthesis.residuals import Residuals
 from planner.synthesis.seeds import seeder_for
+from planner.synthesis.terms.registry import TERMS
 
 WALL = np.array([1.0, 0.0, 0.0, 0.1])
 """A second plane, object frame: its normal, and where along it the plane is, m."""

@@ -24,10 +24,10 @@ from planner.synthesis import (
     Term,
     register_term,
 )
-from planner.synthesis.options import STANDARD, TERMS
 from planner.synthesis.problem import GraspProblem, Start, build_problem, problems_for
 from planner.synthesis.seeds import seeder_for
 from planner.synthesis.terms import clearance
+from planner.synthesis.terms.registry import STANDARD, TERMS
 
 
 def options(*terms: str) -> SynthesisOptions:

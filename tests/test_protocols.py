@@ -49,7 +49,7 @@ from sim.protocols.shake_pushes import ShakeCase, Shaker, shake_cases
 from sim.protocols.variations import RobustCase, displaced, robust_cases
 from sim.scene.physics import PhysicsOptions
 from sim.trial import TrialOptions
-from sim.verdict import REASONS, DropCriteria
+from sim.verdict import REASONS, LossCriteria
 
 pytestmark = pytest.mark.usefixtures("coarse_steps")
 
@@ -588,7 +588,7 @@ def test_every_protocol_has_cases_in_order(pinched: GraspPlan) -> None:
 def test_settings_are_checked(bad: dict[str, object], message: str) -> None:
     with pytest.raises(TaskError, match=message):
         Settings(**bad)  # type: ignore[arg-type]
-    assert Settings().dropped == DropCriteria(fewest=1, mm=10.0, deg=15.0)
+    assert Settings().dropped == LossCriteria(fewest=1, mm=10.0, deg=15.0)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from machinery.commands import shown
 from planner.motion.terms import MOTION_TERMS
-from planner.synthesis.options import TERMS
+from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.term import Term
 
 OF_MOTIONS = {

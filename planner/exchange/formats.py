@@ -1,14 +1,11 @@
-"""The formats of other tools by name, and grasps as such a file tells them.
+"""File formats of other tools by name, and grasps as such a file tells them.
 
-All file formats of other tools by name; a format is one module or folder, and one registration.
+A format is one module or folder, and one registration; it reads grasps, writes plans, or both.
+``opposable refine`` reads whatever is registered here, ``opposable export`` writes it.
 
-A format reads grasps, writes plans, or both. ``opposable refine`` reads whatever is
-registered here, ``opposable export`` writes it.
-
-Grasps as a file of another tool tells them: poses and joints, of which nothing is verified.
-
-Every reader makes ``ImportedGrasps``, in the conventions of this package and in the order of our
-hand's joints; ``planner.exchange.audit`` and ``planner.search.refine`` take them from there.
+Every reader makes ``ImportedGrasps``: poses and joints, of which nothing is verified, in the
+conventions of this package and in the order of our hand's joints; ``planner.exchange.audit`` and
+``planner.search.refine`` take them from there.
 """
 
 from __future__ import annotations

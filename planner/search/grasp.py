@@ -36,7 +36,6 @@ from planner.synthesis.objectives import EPSILON
 from planner.synthesis.optimize import nearly, optimize_grasp
 from planner.synthesis.options import (
     NO_OBJECTIVE,
-    TERMS,
     ProblemForm,
     SynthesisOptions,
     needed_options,
@@ -45,6 +44,7 @@ from planner.synthesis.options import (
 from planner.synthesis.problem import Candidate, GraspProblem, Problems, Start, problems_for
 from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.draw import Seeder
+from planner.synthesis.terms.registry import TERMS
 from planner.system.threads import made_once, stage
 from planner.task import GraspTask
 from planner.verification import NO_FORCES

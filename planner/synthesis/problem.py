@@ -37,9 +37,10 @@ from planner.shapes import Shape
 from planner.shapes.base import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import Field, surface_of
-from planner.synthesis.options import TERMS, ProblemForm, SynthesisOptions, table_room
+from planner.synthesis.options import ProblemForm, SynthesisOptions, table_room
 from planner.synthesis.residuals import Formulation, Residuals, formulate
 from planner.synthesis.symbols import obstacles_in_object, table_in_object
+from planner.synthesis.terms.registry import TERMS
 from planner.synthesis.terms.term import Term, WrittenTerm, table_of
 from planner.system.threads import BUILDING, built, made_once
 from planner.task import GraspTask

@@ -28,11 +28,12 @@ from planner.shapes.base import Surface
 from planner.spatial import FloatArray
 from planner.synthesis.mesh_surface import COEFFICIENTS, Field
 from planner.synthesis.objectives import objective_rows
-from planner.synthesis.options import OPTION_NAMES, STANDARD, TERMS
+from planner.synthesis.options import OPTION_NAMES
 from planner.synthesis.symbols import GraspSymbols, Unknowns
 from planner.synthesis.terms.clearance import Clearances, SurfaceRows, surface_rows
 from planner.synthesis.terms.fingers import FingerCapsules
 from planner.synthesis.terms.link_distance import LinkDistances, TrueLinks
+from planner.synthesis.terms.registry import STANDARD, TERMS
 from planner.synthesis.terms.resistance import RESISTANCE_WEIGHT, Resistance
 from planner.synthesis.terms.term import (
     ActiveRows,

@@ -39,12 +39,12 @@ from sim.scene.physics import AnyPhysics
 from sim.sensing.errors import AnyErrorModel
 from sim.sensing.estimation import AnyEstimator
 from sim.simulation import Simulation
-from sim.verdict import DropCriteria, lost
+from sim.verdict import LossCriteria, lost
 
 SAMPLE_EVERY = 0.02
 """Time between samples, s: that at which closure and forces are judged."""
 
-DROPPED = DropCriteria(fewest=1)
+DROPPED = LossCriteria(fewest=1)
 """In the air an object is dropped when no finger touches it, be it on the palm."""
 
 

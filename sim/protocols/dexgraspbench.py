@@ -72,7 +72,7 @@ from sim.scene.carrier import Timeline
 from sim.scene.gantry import Gantry
 from sim.scene.physics import PhysicsOptions
 from sim.show.dress import dress_hand
-from sim.verdict import DropCriteria, Fault, lost
+from sim.verdict import LossCriteria, Fault, lost
 
 HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 0.0001)
 """Contact parameters that the benchmark gives to all geoms of a hand."""
@@ -202,7 +202,7 @@ MOTION = Timeline(
 )
 """10 stages of 10 steps of 4 ms to the grasp, and as many to the squeeze."""
 
-FAR = DropCriteria(fewest=0, mm=50.0, deg=15.0)
+FAR = LossCriteria(fewest=0, mm=50.0, deg=15.0)
 """Where the test is failed: movement in the world, whatever touches."""
 
 DEEP_MM = 10.0

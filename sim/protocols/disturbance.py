@@ -36,7 +36,7 @@ from sim.sensing.errors import AnyErrorModel, ErrorModel
 from sim.sensing.estimation import AnyEstimator
 from sim.simulation import Simulation
 from sim.trial import felt_by, run_grasp_phase
-from sim.verdict import DropCriteria, Fault, Reason, lost, put_down_to_actuators
+from sim.verdict import LossCriteria, Fault, Reason, lost, put_down_to_actuators
 
 GRIP = Timeline.quick(approach=0.1, close_wait=0.5, lift=0.4)
 """Durations; there is no approach, and "lift" is the time to come to rest when the object is let
@@ -56,7 +56,7 @@ REST_SPEED = SLIP_SPEED
 """Speed (m/s), of the centre of mass or by the turn on the bounding sphere, below which an object
 is at rest: the speed from which on a contact is said to slip."""
 
-DROPPED = DropCriteria(fewest=1, mm=10.0, deg=15.0)
+DROPPED = LossCriteria(fewest=1, mm=10.0, deg=15.0)
 """The turn is that of DexGraspBench, the distance a fifth of its 50 mm: a servo yields by some
 millimetres before anything slips. The palm counts as a finger."""
 
@@ -76,7 +76,7 @@ class DisturbanceTrial:
         *,
         controller: AnyController | None = None,
         physics: PhysicsOptions | None = None,
-        dropped: DropCriteria | None = DROPPED,
+        dropped: LossCriteria | None = DROPPED,
         timeline: Timeline = GRIP,
         scene: Scene | None = None,
         carrier: Carrier | None = None,
@@ -341,7 +341,7 @@ class Settings:
     pushes: int = 3
     pushes_s: float = 60.0
     push_load: float = 1.5
-    dropped: DropCriteria = DROPPED
+    dropped: LossCriteria = DROPPED
 
     def __post_init__(self) -> None:
         """Check every number."""

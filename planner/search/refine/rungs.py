@@ -36,10 +36,11 @@ from planner.search.refine.pose import JOINT_UNIT, LENGTH_UNIT, TURN_UNIT, Given
 from planner.shapes.base import Patch, Surface
 from planner.spatial import FloatArray
 from planner.synthesis.optimize import MEND_ITERATIONS, NEARLY, GraspRun
-from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions, register_term
+from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.seeds.draw import frozen_joints, opposed_forces
 from planner.synthesis.symbols import GraspSymbols
+from planner.synthesis.terms.registry import register_term
 from planner.synthesis.terms.term import Role, Rows, Term
 from planner.system.threads import stage
 from planner.task import GraspTask
