@@ -17,13 +17,14 @@ import pytest
 
 from planner import GraspObject, PointCloud, plan_from_cloud
 from planner.clouds.belief import CERTAIN, CORRELATED, DIFFER, LEAST_SLOPE, TOUCH, Belief
-from planner.clouds.cloud import FEWEST, KEPT, find_table, prepared
+from planner.clouds.cloud import FEWEST, KEPT, _one_object, find_table, prepared
 from planner.clouds.hollow import lidded
 from planner.clouds.sight import _distance, _reflection, hypotheses
 from planner.collision.pair_table import OBJECT
 from planner.collision.world import CollisionWorld
 from planner.errors import ObjectError, TaskError, UncertainError
 from planner.objects import parse_object
+from planner.search import from_cloud
 from planner.search.from_cloud import CONE_SHARE, UNSEEN_FOOT, CloudPlan, _abstained
 from planner.search.in_the_way import CLEAR, _spheres, _way_in, hidden_share, hits, things_about
 from planner.search.survival import FELT, SAMPLES, TABLE_MU, _meets, _tips, survival_of
@@ -728,3 +729,45 @@ def test_a_cloud_that_shows_a_table_is_not_planned_on_without_one(
     assert ended.value.code == 3
     told = " ".join(capsys.readouterr().err.split())
     assert "shows a table at z =" in told and "leave --table out" in told
+
+
+def test_plans_that_are_clear_of_what_was_seen_are_kept_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One that survives 0.3 and may tip, beside three in the way, which survive nothing."""
+    judged = iter([(0.3, 0.9, 0.004), *[(0.0, 0.0, 0.001)] * 3])
+    beaten = []
+
+    def tried(plan: Any, pose_error: Any, seed: int, least: float) -> CloudPlan:
+        survival, tipping, clearance = next(judged)
+        beaten.append(least)
+        known: dict[str, Any] = {"plan": plan, "samples": 60, "position_std": np.zeros(1)}
+        known |= {"normal_std": np.zeros(1), "hidden": 0.0}
+        return CloudPlan(**known, survival=survival, tipping=tipping, clearance=clearance)
+
+    monkeypatch.setattr(from_cloud, "_tried", tried)
+    monkeypatch.setattr(from_cloud, "replace", lambda one, **_: one)
+    attempt = SimpleNamespace(plan=SimpleNamespace(task=None), failure=None)
+    kept: list[CloudPlan] = []
+    task: Any = SimpleNamespace(obstacles=())
+    from_cloud._add_best([attempt] * 4, task, kept, (0.0, 0.0), 0, [])  # type: ignore[list-item]
+    assert kept[0].survival == 0.3
+    assert kept[0].merit < kept[1].merit
+    assert beaten == [0.0] * 4  # what is in the way is no bound for others
+
+
+def test_what_a_mask_names_is_said_in_its_parts() -> None:
+    """Two groups of 800 and 500 points, and 40 of something else."""
+    draw = np.random.default_rng(0)
+    large = draw.uniform(-0.02, 0.02, (800, 3))
+    small = draw.uniform(-0.005, 0.005, (40, 3)) + np.array([0.0, 0.3, 0.0])
+    points = np.concatenate([large, large[:500] + np.array([0.2, 0.0, 0.0]), small])
+    view_of = np.zeros(len(points), dtype=np.int64)
+    about: dict[str, Any] = {"views": [[0, 0, 1.0]], "noise": 0.001, "table": None, "one": True}
+    cloud = PointCloud.create(points, view_of=view_of, **about)
+    note = _one_object(cloud).notes[-1]
+    assert "took 800 points" in note and "and 500 points" in note and "left out 40" in note
+    rest = PointCloud.create(points[:1300], view_of=view_of[:1300], **about)
+    both = _one_object(rest)
+    assert len(both) == 1300
+    assert "as one object, as its mask tells" in both.notes[-1]

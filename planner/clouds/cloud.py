@@ -357,11 +357,11 @@ def _one_object(cloud: PointCloud) -> PointCloud:
     group = connected_components(graph, directed=False)[1][cell.ravel()]
     sizes = np.bincount(group)
     first, *others = np.argsort(-sizes)
+    mine = sizes > SECOND * sizes[first]
     places = [
         f"{sizes[g]} points at {np.round(1e3 * cloud.points[group == g].mean(axis=0)).tolist()} mm"
-        for g in (first, *others[:1])
+        for g in (first, *others[: max(1, mine.sum() - 1)])
     ]
-    mine = sizes > SECOND * sizes[first]
     if mine.sum() > 1 and not cloud.one:
         raise ObjectError(
             f"the cloud has two objects, {places[0]} and {places[1]}; cut out the points of the "
@@ -372,10 +372,12 @@ def _one_object(cloud: PointCloud) -> PointCloud:
             f"the largest group of points has {sizes[first]}, {len(sizes)} groups in all, none "
             f"nearer than {1e3 * gap:.0f} mm; give at least {FEWEST} of an object"
         )
+    taken = f"took {' and '.join(places[: mine.sum()])}"
     if mine.all():
-        return cloud
+        apart = f"{taken}, which lie apart, as one object, as its mask tells"
+        return cloud.only(np.ones(len(cloud), dtype=bool), apart) if mine.sum() > 1 else cloud
     things = np.flatnonzero(~mine[group] & (sizes[group] >= THING))
-    note = f"took {places[0]}, left out {sizes[~mine].sum()} points of other things"
+    note = f"{taken}, left out {sizes[~mine].sum()} points of other things"
     return replace(
         cloud,
         past=np.concatenate([cloud.past, cloud.points[things]]),

@@ -90,7 +90,7 @@ def _power(hand: Hand) -> ContactSets:
     """Palm and last links of all fingers, in every other turn with inner links of two; or few.
 
     Inner links close behind the object: with them the worst push is borne by more than tips, and a
-    grasp breaks at twice the load. They come first, and twice as often as each of the other sets.
+    grasp breaks at twice the load. They come first, and in every other attempt.
     """
     return _both([_power_of(hand, side) for side in hand.sides])
 

@@ -38,7 +38,7 @@ from planner.search.survival import survival_of
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, signed_twist
 from planner.synthesis.options import SynthesisOptions
-from planner.task import GraspTask
+from planner.task import GraspTask, Obstacle
 from planner.verification import verify_grasp
 
 __all__ = ["CloudPlan", "plan_from_cloud"]
@@ -235,7 +235,7 @@ def plan_from_cloud(
         )
     task_of = partial(_task, hand, belief, mass, name, task)
     found = _searched(task_of, belief, pose_error, seed, max_attempts, options)
-    kept = sorted(found.kept, key=lambda plan: (plan.survival < survives, -plan.merit))
+    kept = sorted(found.kept, key=lambda plan: (plan.survival < survives, *_place(plan)))
     best = replace(kept[0], others=tuple(kept[1:])) if kept else None
     if best is None or best.survival < survives:
         raise _abstained(best, survives, belief, found.refused, found.made)
@@ -264,7 +264,7 @@ def _searched(
     out = _Searched()
     order = np.argsort([-h.weight for h in belief.hypotheses], kind="stable")[:TRIED].tolist()
     likely = [k for k in order if k == order[0] or belief.hypotheses[k].weight >= PLAUSIBLE]
-    few = -(-max_attempts // AGAIN)
+    few, beside = -(-max_attempts // AGAIN), dict[int, list[Obstacle]]()
     # ordinary margins where none is found with those for what is uncertain: the samples judge
     both = (_widened(belief, pose_error[0]), max_attempts), (SynthesisOptions(), few)
     for margins, most in ((options, max_attempts),) if options else both:
@@ -273,7 +273,9 @@ def _searched(
             what = f"{hypothesis.name} (plausibility {hypothesis.weight:.2f})"
             try:
                 task = task_of(number)
-                among = replace(task, obstacles=(*task.obstacles, *things_about(task)))
+                if number not in beside:
+                    beside[number] = things_about(task)
+                among = replace(task, obstacles=(*task.obstacles, *beside[number]))
                 search = islice(attempts(among, seed=seed, options=margins), most)
             except PlannerError as error:
                 out.refused.append(f"{what}: {error}")
@@ -305,16 +307,22 @@ def _add_best(
         made.append(attempt)
         if attempt.plan is None:
             continue
-        beaten = kept[-1].merit if len(kept) == KEPT else 0.0
+        is_full = len(kept) == KEPT and kept[-1].clearance >= CLEAR
+        beaten = kept[-1].merit if is_full else 0.0
         # without what the search alone keeps away from
         its = replace(attempt.plan.task, obstacles=task.obstacles)
         plan = replace(attempt.plan, task=its)
         kept.append(_tried(plan, pose_error, seed, beaten))
         plans += kept[-1].clearance >= CLEAR  # other things in the way are often elsewhere
-        kept.sort(key=lambda plan: -plan.merit)
+        kept.sort(key=_place)
         del kept[KEPT:]
         if plans == PLANS or kept[0].merit >= ENOUGH:
             break
+
+
+def _place(plan: CloudPlan) -> tuple[bool, float]:
+    """What plans are ordered by: those that are clear of what was seen come first."""
+    return plan.clearance < CLEAR, -plan.merit
 
 
 def _tried(plan: GraspPlan, pose_error: tuple[float, float], seed: int, beaten: float) -> CloudPlan:

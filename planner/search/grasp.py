@@ -119,7 +119,7 @@ def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool
         spares = task.may_spare_fingers and past >= 0 and past % 2 == 0 and not is_found
         problem = (_spared_problem if spares else _problem)(task, options.form)
         true_geometry(problem.task)  # this thread's own is made before the attempt's time begins
-        return _GraspContext(problem, options, shares=index >= SHARE_AFTER)
+        return _GraspContext(problem, options, shares=index >= SHARE_AFTER and not is_found)
 
     return context
 

@@ -104,7 +104,7 @@ def things_about(task: GraspTask) -> list[Obstacle]:
             boxes.append((float(far[mine].min()), size, place))
     boxes.sort(key=lambda box: box[0])
     return [
-        Obstacle(name=f"seen_{k}", size=size, T_world_obstacle=place)
+        Obstacle(name=f"_seen_beside_{k}", size=size, T_world_obstacle=place)
         for k, (_, size, place) in enumerate(boxes[:BOXES])
     ]
 

@@ -1,4 +1,4 @@
-"""``survival``: how much of what may be true of an object of a cloud a grasp of it survives.
+"""``survival_of``: how much of what may be true of an object of a cloud a grasp of it survives.
 
 Called by ``planner.search.from_cloud`` of every plan that it finds, which takes the best.
 """

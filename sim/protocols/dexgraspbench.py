@@ -72,7 +72,7 @@ from sim.scene.carrier import Timeline
 from sim.scene.gantry import Gantry
 from sim.scene.physics import PhysicsOptions
 from sim.show.dress import dress_hand
-from sim.verdict import LossCriteria, Fault, lost
+from sim.verdict import Fault, LossCriteria, lost
 
 HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 0.0001)
 """Contact parameters that the benchmark gives to all geoms of a hand."""

@@ -36,7 +36,7 @@ from sim.sensing.errors import AnyErrorModel, ErrorModel
 from sim.sensing.estimation import AnyEstimator
 from sim.simulation import Simulation
 from sim.trial import felt_by, run_grasp_phase
-from sim.verdict import LossCriteria, Fault, Reason, lost, put_down_to_actuators
+from sim.verdict import Fault, LossCriteria, Reason, lost, put_down_to_actuators
 
 GRIP = Timeline.quick(approach=0.1, close_wait=0.5, lift=0.4)
 """Durations; there is no approach, and "lift" is the time to come to rest when the object is let
