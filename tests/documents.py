@@ -16,7 +16,7 @@ import sys
 from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import zip_longest
+from itertools import groupby, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,9 @@ NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 QUOTED = re.compile(r"'[^']*'|\"[^\"$`]*\"")
 SHELL = re.compile(r"[|&;<>$`#~\"'\\]")
 """What the shell does something with. No file of a page matches a star, so words keep theirs."""
+
+BETWEEN = ("&&", "||", ";", "|")
+"""What stands between the programs of a line, where no quotes are about it."""
 
 RUN = ("opposable", "python", "cd", "ls", "cat", "head", "mkdir", "cp")
 """Programs of a console block that are run."""
@@ -126,9 +129,11 @@ def blocks(page: Path) -> list[Block]:
 
 def programs(command: str) -> list[list[str]]:
     """The words of each program that a line of the shell starts, by its bare name."""
+    lexer = shlex.shlex(command, posix=True, punctuation_chars=";|&")
+    lexer.whitespace_split = True
     found = []
-    for part in re.split(r"&&|\|\||;|\|", command):
-        words = shlex.split(part, comments=True)
+    for between, part in groupby(lexer, key=BETWEEN.__contains__):
+        words = [] if between else list(part)
         while words and re.fullmatch(r"\w+=.*", words[0]):  # a variable for this command
             words = words[1:]
         if words:

@@ -193,6 +193,10 @@ def test_commands_are_read_over_several_lines(tmp_path: Path) -> None:
 def test_programs_are_found_behind_variables_folders_and_joints_of_the_shell() -> None:
     line = "A=1 .venv/bin/pip install -q . && .venv/bin/opposable run x box | head -n 2"
     assert [words[0] for words in programs(line)] == ["pip", "opposable", "head"]
+    assert programs('opposable use x --via "1,2;3|4"; ls') == [
+        ["opposable", "use", "x", "--via", "1,2;3|4"],
+        ["ls"],
+    ]
 
 
 def test_outputs_are_compared_word_by_word_and_digit_by_digit() -> None:

@@ -516,6 +516,13 @@ def test_what_is_printed_of_a_motion_is_what_is_solved(allegro: Hand) -> None:
         assert len(set(names)) == len(names)
         assert always <= set(names) <= printed
         seen |= set(names)
+    over = replace(path, attitude=ATTITUDES["up"])  # where forces have a largest
+    numbers = problem.numbers(task, over, start, seeder.posture, MOTION_OPTIONS, 0.002)
+    residuals = MotionResiduals(problem, replace(numbers, pivoting_costs=True), None)
+    residuals(problem.first(start) + 0.3 * rng.normal(size=problem.unknowns.size))
+    names = [(row.term.name, row.number, row.knot) for row in residuals.row_names()]
+    assert set(names) <= printed
+    seen |= set(names)
     assert {term.name for term in MOTION_TERMS} <= {name for name, _, _ in seen}
     text = str(problem)
     for w in problem.terms:
