@@ -63,9 +63,9 @@ face is led (m): the carrier yields to the nail, and the hammer in the hand."""
 GOING = {"above": 16, "down": 26, "close": 18, "squeeze": 10, "lift": 30, "push": 64, "more": 10}
 """Steps of each part."""
 
-LEARNS, LEARNED, STIFFER = 0.16, 0.15, 1.5
+LEARNS, LEARNED, STIFFER = 0.08, 0.15, 1.5
 """Share (-) of a lag that is added to the command in a step of control, at most how much (rad), and
-how many times stiffer (-) the carrier is made by its commands."""
+the stiffness (-) that the commands add, over the carrier's own."""
 
 TWICE = 2
 """Of its steps one step of control."""
@@ -170,7 +170,7 @@ class _Hammering:
         """Steps with a command for fingers, and one of the carrier's made here."""
         data, model = self._served.data, self._served.model
         late = self._goal - self._now()
-        self._lag = np.clip(self._lag + LEARNS / 2 * late, -LEARNED, LEARNED)
+        self._lag = np.clip(self._lag + LEARNS * late, -LEARNED, LEARNED)
         torque = data.qfrc_bias[self._dof] + model.dof_damping[self._dof] * self._rate
         torque += self._stiff * (self._goal + self._lag + STIFFER * late)
         ctrl = ctrl.copy()

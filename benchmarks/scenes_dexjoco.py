@@ -90,7 +90,7 @@ class _Hammering:
         return {
             "done": bool(told["succeed"]),
             "ended": "done" if told["succeed"] else ended,
-            "depth_mm": 1e3 * told.get("nail_depth", 0.0),
+            "depth_mm": 1e3 * told["nail_depth"],
             "fingers_left": run.touching(),
             "slip_mm": far,
             "slip_deg": turned,

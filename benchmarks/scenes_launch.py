@@ -55,7 +55,7 @@ class DexJoCo:
         """Its step; what it says of it."""
         _, _, ended, _, info = self._env.step(action)
         keys = ("succeed", "nail_depth", "hammer_hit")
-        return {"ended": bool(ended)} | {key: float(info.get(key, 0.0)) for key in keys}
+        return {"ended": bool(ended)} | {key: float(info[key]) for key in keys}
 
 
 class Adroit:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 from benching import run_bench
 
-from benchmarks import scenes, scenes_launch, scenes_task
+from benchmarks import scenes, scenes_dexjoco, scenes_launch, scenes_task
 from benchmarks.scenes_dexjoco import HAMMER
 from benchmarks.scenes_task import Served
 from planner.errors import NotFoundError, TaskError
@@ -83,6 +85,23 @@ def test_every_task_is_served_and_another_is_none() -> None:
     options = scenes.Options(scene=Path("a"), python=Path("b"), hand=Path("c"), task="hamer_nail")
     with pytest.raises(NotFoundError, match="Did you mean 'hammer_nail'"):
         list(scenes.cases(options))
+
+
+def test_a_depth_that_is_not_told_is_not_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = {"succeed": False, "hammer_hit": False}
+    task = object.__new__(scenes_launch.DexJoCo)
+    task._env = SimpleNamespace(step=lambda action: (None, 0.0, False, False, told))
+    with pytest.raises(KeyError, match="nail_depth"):
+        task.step([])
+    run = MagicMock(slip=(0.0, 0.0))
+    monkeypatch.setattr(scenes_dexjoco, "plan_use", MagicMock())
+    monkeypatch.setattr(scenes_dexjoco, "ForeignRun", lambda *_, **__: run)
+    hammering = object.__new__(scenes_dexjoco._Hammering)
+    hammering.scene, hammering._served = MagicMock(), MagicMock(told=told)
+    hammering._closed = True
+    monkeypatch.setattr(hammering, "_episode", lambda _: "nail not in")
+    with pytest.raises(KeyError, match="nail_depth"):
+        hammering.row(0)
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -271,8 +272,19 @@ def test_an_object_may_be_free_by_slides_and_hinges(owner: Owner) -> None:
         six_joints(spec, hand)
         spec.delete(spec.body("tool").find_all("joint")[0])
 
-    with pytest.raises(TaskError, match="'tool' of the scene has no free joint, nor three slides"):
+    def along_one(kind: int, spec: Any, hand: Any) -> None:
+        six_joints(spec, hand)
+        for joint in spec.body("tool").find_all("joint"):
+            joint.armature = 0.001  # of joints along one axis alone MuJoCo would warn
+            if joint.type == kind:
+                joint.axis = [1, 0, 0]
+
+    refused = "'tool' of the scene has no free joint, nor three slides"
+    with pytest.raises(TaskError, match=refused):
         Owner(change=without_one).scene()
+    for kind in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE):
+        with pytest.raises(TaskError, match=refused):
+            Owner(change=partial(along_one, kind)).scene()
 
 
 def test_a_table_without_a_name_is_that_of_its_body() -> None:
@@ -312,9 +324,47 @@ def test_a_base_whose_joints_are_the_hands_is_where_they_are_zero(tmp_path: Path
     assert scene.hand.description.wrist_joints == ("a", "b")
     np.testing.assert_allclose(scene.T_world_base.rotation, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(scene.T_world_base.translation, [0, 0, 0.75], atol=1e-9)
-    seen = scene.for_task(scene.task(T_world_base=scene.T_world_base), 0.02)
-    base = seen.body_pose(data, seen.base_body)
-    np.testing.assert_allclose(base.homogeneous, scene.T_world_base.homogeneous)
+    # nothing carries it
+    turned = SE3(Rotation.from_euler("x", 0.2).as_matrix(), np.zeros(3))
+    with pytest.raises(TaskError, match="is not carried by hinges and slides alone"):
+        scene.reaches(scene.T_world_base * turned)
+
+
+def test_a_palm_that_is_the_base_moves_with_its_joints(tmp_path: Path) -> None:
+    """A hand whose wrist is in its palm, on three slides."""
+
+    def wrist(spec: Any, hand: Any) -> None:
+        for joint in spec.body("carriage").find_all("joint")[3:]:
+            spec.delete(joint)
+        for actuator in list(spec.actuators)[3:]:
+            spec.delete(actuator)
+        for name, axis in (("a", [0, 1, 0]), ("b", [1, 0, 0])):
+            hand.body("palm").add_joint(name=name, axis=axis, range=[-1, 1], limited=True)
+            drive = hand.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            drive.set_to_position(kp=100)
+        hand.compile()
+        (tmp_path / "allegro_hand.xml").write_text(hand.to_xml())
+
+    owner = Owner(change=wrist)
+    model, data = owner.parts
+    described = (models_dir() / MODEL).with_name("hand.toml").read_text()
+    file = tmp_path / "hand.toml"
+    file.write_text(described.replace("wrist_joints = []", 'wrist_joints = ["a", "b"]'))
+    palm = data.body("robot/palm")
+    zero = SE3(palm.xmat.reshape(3, 3).copy(), palm.xpos.copy())
+    data.qpos[model.joint("robot/a").qposadr] = 0.4
+    data.qpos[model.joint("robot/b").qposadr] = 0.2
+    mujoco.mj_forward(model, data)
+    scene = ForeignScene(model, data, file, "tool", prefix="robot/", table="bench", touch=["grip"])
+    assert scene.hand.description.base_body == scene.hand.description.palm_body
+    run = ForeignRun(plan_grasp(scene.task(), seed=0), scene, owner.step, period=0.02)
+    np.testing.assert_allclose(run.T_world_base.homogeneous, zero.homogeneous, atol=1e-9)
+    now = SE3(palm.xmat.reshape(3, 3), palm.xpos).actInv(scene.T_world_object)
+    np.testing.assert_allclose(run.T_palm_object.homogeneous, now.homogeneous, atol=1e-9)
+    # the slides carry the base, wherever the wrist is; they do not turn it, nor does the wrist
+    assert scene.reaches(shifted(zero, [0.2, 0.1, -0.1]))
+    turned = SE3(Rotation.from_euler("y", 0.2).as_matrix(), np.zeros(3))
+    assert not scene.reaches(zero * turned)
 
 
 @pytest.mark.parametrize("carried", ["free", "fixed"])

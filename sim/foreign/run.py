@@ -56,7 +56,7 @@ class ForeignRun(Simulation):
             controller=controller,
             carrier=_Nothing(),
         )
-        self._make_step = step
+        self._make_step, self._foreign = step, scene
         self.wanted = self._from = self._to = scene.T_world_base
         self.held = self.T_palm_object
 
@@ -138,6 +138,11 @@ class ForeignRun(Simulation):
     def contacts(self) -> ContactSet:
         """Measured contacts of hand and object, merged per finger, world: as those of a plan."""
         return hand_contacts(self.scene, self.data)
+
+    @property
+    def T_world_base(self) -> SE3:
+        """Pose of the hand's base; see ``ForeignScene.T_world_base``."""
+        return self._foreign.T_world_base
 
     def _arrived(self, observation: Observation | None = None) -> bool:
         far, turned = pose_change(self._to, self.T_world_base)

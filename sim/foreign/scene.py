@@ -59,6 +59,9 @@ SAME_HAND, SAME_HAND_RAD = 0.001, 0.01
 ACTUATOR_PARTS = ("gainprm", "biasprm", "ctrllimited", "ctrlrange", "forcelimited", "forcerange")
 """What an actuator of the scene has in common with that of the hand's own model."""
 
+INDEPENDENT = 0.01
+"""Least singular value (-) of three axes of joints from which on they count as three directions."""
+
 LEVEL = 0.9999
 """Least vertical part (-) of the normal of a table's top."""
 
@@ -158,13 +161,13 @@ class ForeignScene:
         return _pose(self.data.body(body))
 
     def reaches(self, T_world_base: SE3) -> bool:
-        """Whether what carries the hand can bring its base to a pose: by all joints above the base.
+        """Whether what carries the hand can bring its base to a pose: by all joints above its own.
 
-        Damped least squares from the posture of now, within the joints' ranges; what is in the way
-        is not looked at.
+        Damped least squares from the posture of now, within the joints' ranges, while the hand's
+        own stay as they are; what is in the way is not looked at.
 
         Raises:
-            TaskError: A joint above the base is no hinge or slide, or there is none.
+            TaskError: A joint above the hand's is no hinge or slide, or there is none.
         """
         model, data, base = self.model, mujoco.MjData(self.model), self._base
         data.qpos[:] = self.data.qpos
@@ -175,6 +178,7 @@ class ForeignScene:
             first = int(model.body_jntadr[body])
             joints += range(first, first + int(model.body_jntnum[body])) if first >= 0 else ()
             body = int(model.body_parentid[body])
+        joints = [joint for joint in joints if joint not in self._joints]
         if not joints or not np.isin(model.jnt_type[joints], ONE_AXIS).all():
             raise TaskError(
                 f"{self.hand.name} is not carried by hinges and slides alone; reaches() knows no "
@@ -184,14 +188,16 @@ class ForeignScene:
         low, high = np.where(
             model.jnt_limited[joints].astype(bool), model.jnt_range[joints].T, FREE
         )
+        # joints of the hand may move the base's body in its base
+        goal = T_world_base * self.T_world_base.actInv(self.pose(base))
         jacobian, error, quat = np.zeros((6, model.nv)), np.zeros(6), np.zeros(4)
         for _ in range(REACH_STEPS):
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             now = _pose(data.body(base))
-            mujoco.mju_mat2Quat(quat, (T_world_base.rotation @ now.rotation.T).ravel())
+            mujoco.mju_mat2Quat(quat, (goal.rotation @ now.rotation.T).ravel())
             mujoco.mju_quat2Vel(error[3:], quat, 1.0)
-            error[:3] = T_world_base.translation - now.translation
+            error[:3] = goal.translation - now.translation
             if np.linalg.norm(error[:3]) < REACHED and np.linalg.norm(error[3:]) < REACHED_RAD:
                 return True
             mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], base)
@@ -290,14 +296,15 @@ class ForeignScene:
     def _check_free(self, what: str) -> None:
         """Refuse an object that is not free: by one joint, or by three slides and three hinges."""
         model, body = self.model, self.object_body
-        first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        kinds = sorted(model.jnt_type[first : first + number].tolist()) if number else []
-        self._one_joint = kinds == [mujoco.mjtJoint.mjJNT_FREE]
-        six = sorted(3 * [int(kind) for kind in ONE_AXIS])
-        if not self._one_joint and (kinds != six or model.body_parentid[body]):
+        own = np.flatnonzero(model.jnt_bodyid == body)
+        kinds, axes = model.jnt_type[own], model.jnt_axis[own]
+        self._one_joint = kinds.tolist() == [mujoco.mjtJoint.mjJNT_FREE]
+        ranks = [np.linalg.matrix_rank(axes[kinds == kind], INDEPENDENT) for kind in ONE_AXIS]
+        six = len(own) == 6 and ranks == [3, 3]
+        if not self._one_joint and (not six or model.body_parentid[body]):
             raise TaskError(
-                f"{what} has no free joint, nor three slides and three hinges; name the body that "
-                "moves freely"
+                f"{what} has no free joint, nor three slides and three hinges, either along three "
+                "independent axes; name the body that moves freely"
             )
 
     def _check_alone(self, what: str) -> None:
@@ -428,9 +435,7 @@ class _Seen(Scene):
         return self.foreign.data
 
     def body_pose(self, data: Any, body: int) -> SE3:
-        """Pose of a body in the world; of the object's body the object's, of the base's its."""
-        if body == self.base_body:
-            return self.foreign.T_world_base
+        """Pose of a body in the world; of the object's body the object's."""
         pose = super().body_pose(data, body)
         return pose * self.foreign.T_body_object if body == self.object_body else pose
 
