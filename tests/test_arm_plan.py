@@ -15,6 +15,7 @@ from conftest import PlanOf
 from manipulations import QUICK, task_of
 
 from planner.collision.arm_path import LIFT_HEIGHT, _Radii, verify_arm_path, verify_lift
+from planner.collision.pair_table import Clearance
 from planner.collision.pregrasp import APPROACH_CLEARANCE, Approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.errors import FileFormatError, TaskError
@@ -491,13 +492,50 @@ def test_the_way_of_a_carry_is_checked_before_anything_moves(turning: Manipulati
     for height, place, why in ((0.1, (0.9, 0.0), "cannot carry"), (-0.3, (0.0, 0.0), "table")):
         blocked = lifted_blocked(motion, height, [place])
         assert blocked is not None and why in blocked.text
+        assert "attitude" not in blocked.text
+    blocked = lifted_blocked(motion, 5.0)
+    assert blocked is not None and blocked.text == "the arm cannot lift the object"
     with pytest.raises(TaskError, match=r"cannot carry the object to .* give other places"):
         manipulate(turning, via=((0.9, 0.0),))
+    target = SE3(turning.ending.T_world_target)
+    target.translation = target.translation + np.array([0.6, 0.0, 0.0])
+    far = dataclasses.replace(
+        turning, ending=dataclasses.replace(turning.ending, T_world_target=target)
+    )
+    with pytest.raises(TaskError, match="to where it is put down; give other places"):
+        manipulate(far, via=((0.03, 0.06),))
     sideways = ObjectPath(
         axis=motion.path.axis, angle=0.5, shift=np.zeros(3), attitude=ATTITUDES["sideways"]
     )
     assert motion.rise == 0.0
     assert motion.with_knots(motion.knots, sideways).rise >= LIFT_HEIGHT
+
+
+def test_the_way_home_is_checked_with_the_object_where_the_hand_has_it(
+    turning: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Turned to the attitude, to the place, turned back there, and to above the target."""
+    motion, seen = turning.motion, []
+    tilted = dataclasses.replace(motion.path, attitude=pin.exp3(np.array([0.4, 0.0, 0.0])))
+    nearest = CollisionWorld.nearest_on_arm
+
+    def looked(*args: Any, T_world_object: SE3) -> Clearance:
+        seen.append(T_world_object)
+        return nearest(*args, T_world_object=T_world_object)
+
+    monkeypatch.setattr(CollisionWorld, "nearest_on_arm", looked)
+    place, height = np.array([-0.05, 0.06]), 0.2
+    tilted_motion = motion.with_knots(motion.knots, tilted)
+    via = [(float(place[0]), float(place[1]))]
+    assert lifted_blocked(tilted_motion, height, via, turning.ending) is None
+    first, target = turning.task.T_world_object, turning.ending.T_world_target
+    up = np.array([0.0, 0.0, height])
+    there = np.append(place, first.translation[2]) + up
+    at_place = [p for p in seen if np.linalg.norm(p.translation - there) < 1e-3]
+    turns = [rotation_angle(p.rotation @ first.rotation.T) for p in at_place]
+    assert max(turns) == pytest.approx(0.4, abs=1e-3) and turns[-1] < 1e-3
+    end = target.translation + up  # the object drifts by up to 5 mm in the planned motion
+    np.testing.assert_allclose(seen[-1].translation, end, atol=0.01)
 
 
 def test_a_way_of_the_palm_ends_where_it_was_asked(turning: ManipulationPlan) -> None:

@@ -23,10 +23,11 @@ from planner.motion.path import ATTITUDES, AnyAttitude, ObjectPath, checked_atti
 from planner.motion.plan import WRIST_RATE
 from planner.motion.regrasp import ROOM, FingerPaths
 from planner.motion.verify import FALLS, PRESSES, MovementVerifier, Waypoint, _falls
-from planner.spatial import SE3, rotation_angle
+from planner.spatial import SE3, rotation_angle, shifted
 from planner.task import Obstacle
 from sim.cli.manipulate import TurnExecution
 from sim.manipulation import ManipulationReport, manipulate
+from sim.manipulation.driver import BaseMover
 from sim.manipulation.phases import Phases
 from sim.manipulation.simulation import ManipulationOptions, _hinges
 from sim.manipulation.timeline import SuccessCriteria
@@ -278,6 +279,31 @@ def test_an_object_is_carried_while_it_is_turned(report: ManipulationReport) -> 
     assert np.linalg.norm(report.recording.T_world_object[back][-1, :2] - CORNERS[-1]) < 0.006
 
 
+@pytest.mark.parametrize(
+    "places", [((0.3, 0.0), (0.3, 0.3)), ((0.02, 0.0), (0.3, 0.0)), ((0.1, 0.0), (0.1, 0.0))]
+)
+def test_a_hand_goes_straight_from_place_to_place(
+    plan: ManipulationPlan, places: tuple[tuple[float, float], ...]
+) -> None:
+    """As an arm does: it does not go beyond a corner, and not backwards."""
+    gantry: Any = SimpleNamespace(coordinates=lambda pose: np.append(pose.translation, [0, 0, 0]))
+    phases = Phases.__new__(Phases)
+    phases._plan, phases._timeline, phases._via = plan, QUICK, places
+    at_first = shifted(plan.turned_base(1.0), [0.0, 0.0, phases.height])
+    mover = BaseMover(gantry, at_first)
+    phases._sim = SimpleNamespace(mover=mover)  # type: ignore[assignment]
+    phases._set_out()
+    assert mover._smooth is not None
+    way = mover._smooth(np.linspace(0.0, 1.0, 1000))[:, :2] - at_first.translation[:2]
+    np.testing.assert_allclose(way[-1], places[-1], atol=1e-9)
+    assert way.min() > -1.5e-3 and (way.max(axis=0) < np.max(places, axis=0) + 1.5e-3).all()
+    assert np.linalg.norm(way - places[0], axis=1).min() < 1e-3
+    phases._via = ((0.0, 0.0),)
+    mover.stay()
+    phases._set_out()  # it is there
+    assert mover._smooth is None
+
+
 @pytest.mark.parametrize(("hard", "several"), [(True, True), (True, False), (False, True)])
 def test_a_stroke_that_presses_hard_is_left_for_regrasps(
     plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch, hard: bool, several: bool
@@ -305,7 +331,14 @@ def test_places_of_a_carry_are_pairs_of_numbers() -> None:
         with pytest.raises(TaskError, match="--via"):
             TurnExecution(via=wrong).places()
     with pytest.raises(TaskError, match="place"):
-        ManipulationOptions(via=((0.1, math.inf),))
+        ManipulationOptions(via=((0.1, 200.0),))
+    nothing: Any
+    for nothing in (3, None, (None,), ((),), (0.1, 0.2), ((0.1, math.inf),), ((0.1, 0.0, 0.2),)):
+        with pytest.raises(TaskError, match="via"):
+            ManipulationOptions(via=nothing)
+    rows: Any = np.array(CORNERS)
+    assert ManipulationOptions(via=rows).via == CORNERS
+    assert ManipulationOptions().via == ()
 
 
 def test_swings_keep_room_in_another_attitude(plan: ManipulationPlan) -> None:

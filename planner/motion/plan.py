@@ -393,7 +393,8 @@ class MovementPlan(Shown):
         """How far (m) above the grasp the hand is before its wrist turns, 0 without an attitude.
 
         Hand and object turn about the object's centre there, ``CLEAR`` of table and obstacles; at
-        the grasp if there is neither. The links of an arm are checked from ``LIFT_HEIGHT`` on.
+        the grasp if there is neither. A hand on an arm is above it by ``LIFT_HEIGHT`` at least,
+        from where on the arm's links are checked.
         """
         if not self.path.turns_wrist:
             return 0.0

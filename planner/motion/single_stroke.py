@@ -504,7 +504,10 @@ class OnArm:
 
 
 def lifted_blocked(
-    motion: MovementPlan, height: float, via: Sequence[tuple[float, float]] = ()
+    motion: MovementPlan,
+    height: float,
+    via: Sequence[tuple[float, float]] = (),
+    ending: Ending | None = None,
 ) -> Failure | None:
     """Why an arm cannot turn a lifted hand to its attitude and carry it on; None if it can.
 
@@ -512,24 +515,32 @@ def lifted_blocked(
         motion: Of a hand on an arm.
         height: How far hand and object are lifted, m.
         via: Places of the object, x and y in m, world, one after the other.
+        ending: What follows at the last of them, up to above where the object is put down; nothing
+            if None.
     """
     task, q, root = motion.task, np.array(motion.grasp.q), motion.grasp.T_world_base
     world, T_root_palm = CollisionWorld(task), palm_pose(task.hand, q)
-    up = np.array([0.0, 0.0, height])
-    way = [
-        (f"turn the hand to the attitude: it ends {100 * share:.0f} % of the way there", share, up)
-        for share in motion.path.wrist_shares
-    ]
+    shares, there = motion.path.wrist_shares, np.array([0.0, 0.0, height])
+    way = [("lift the object", 0.0, there)]
+    for share in shares[1:]:
+        ends = f"it ends {100 * share:.0f} % of the way there"
+        way.append((f"turn the hand to the attitude: {ends}", share, there))
+    held = " in the attitude" if motion.path.turns_wrist else ""
     for place in via:
         there = np.array([*place, height])
         there[:2] -= task.T_world_object.translation[:2]
-        way.append((f"carry the object to {place} in the attitude", 1.0, there))
+        way.append((f"carry the object to {place}{held}", 1.0, there))
+    if ending is not None:
+        way += [("turn the hand back where it was carried", s, there) for s in shares[-2::-1]]
+        end = motion.knots[0 if ending.back else -1].T_world_object.translation
+        there = ending.T_world_target.translation - end + np.array([0.0, 0.0, height])
+        way.append(("carry the object to where it is put down", 0.0, there))
     for what, share, shift in way:
         pose = shifted(motion.turned_base(share), shift)
         path = palm_path(task.hand, q, root.inverse() * pose * T_root_palm)
         if path is None:
             return Failure(kind="arm_unreachable", text=f"the arm cannot {what}")
-        touched = verify_arm_path(world, root, q, path, clearance=0.0, held=True)
+        touched = verify_arm_path(world, root, motion.grasp.q, path, clearance=0.0, held=True)
         if touched:
             return touched.at(what.partition(":")[0])
         q[task.hand.arm_index] = path[-1]

@@ -148,7 +148,7 @@ WITH_GOAL = _by_option(
         "what is executed is drawn into --out": ("picture",),
         "--plan-only executes nothing": (
             *("sim_mu", "physics", "error_model", "error_seed", "estimate", "pads", "controller"),
-            *("view", "video", "arrows", "max_force"),
+            *("view", "video", "arrows", "max_force", "via"),
         ),
     }
 )
@@ -161,7 +161,7 @@ IN_PALM = _by_option(
             *("pose", "at", "table", "stand", "obstacle", "place"),
         ),
         "the hand stands still with the palm up, and leans by --tilt": (
-            *("attitude", "gravity", "base", "wrist", "goal_tilt", "wrist_tilt"),
+            *("attitude", "gravity", "base", "wrist", "goal_tilt", "wrist_tilt", "via"),
         ),
         "palm and all fingers may touch it anywhere": ("touch", "avoid", "fingers", "type"),
         "no contact is planned; --sim-mu is the friction that there is": ("mu", "mu_torsion"),

@@ -9,12 +9,14 @@ but for fingers that do not feel the object after the squeeze and strokes that s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from planner.errors import TaskError
+from planner.kinematics import PATH_STEP, ROUNDING
 from planner.motion.manipulation import Ending, ManipulationPlan
 from planner.motion.single_stroke import MOST_PIVOT
 from planner.quality import QualityReport, analyse
@@ -310,8 +312,14 @@ class Phases:
         if not self._via:
             return
         x, y = self._plan.task.T_world_object.translation[:2].tolist()
-        way = [self._carried(place) for place in ((x, y), *self._via)]
-        length = sum(float(np.linalg.norm(b - a)) for a, b in pairwise(way))
+        way, length = [self._carried((x, y))], 0.0
+        for begin, end in pairwise(self._carried(place) for place in ((x, y), *self._via)):
+            leg = float(np.linalg.norm(end - begin))
+            pieces = math.ceil(leg / PATH_STEP - ROUNDING)  # without them it overshoots corners
+            way.extend(np.linspace(begin, end, pieces + 1)[1:])
+            length += leg
+        if not length:
+            return
         turned = abs(self._plan.path.angle) / self._timeline.turn_rate
         self._carrying = max(length / CARRY_SPEED, turned / self._plan.cycles)
         base = self._plan.turned_base(1.0)

@@ -89,9 +89,11 @@ class ManipulationRun:
         self.sim = ManipulationSim(plan, holding, options)
         parts = (options.timeline, options.criteria, options.via)
         self._phases = Phases(plan, self.sim, *parts)
-        carries = options.via and plan.task.hand.arm is not None
-        if carries and (b := lifted_blocked(plan.motion, self._phases.height, options.via)):
-            raise TaskError(f"{b}; give other places")
+        if options.via and plan.task.hand.arm is not None:
+            height = self._phases.height
+            blocked = lifted_blocked(plan.motion, height, options.via, plan.ending)
+            if blocked is not None:
+                raise TaskError(f"{blocked}; give other places")
 
     def perform(
         self,

@@ -15,7 +15,7 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
-from planner.arrays import check_fields, checked_kind, finite_array
+from planner.arrays import check_fields, checked_kind, finite_array, float_array
 from planner.contacts import ContactSet
 from planner.errors import TaskError
 from planner.kinematics import MovingHand
@@ -124,8 +124,12 @@ class ManipulationOptions:
             checked_kind("true_task", self.true_task, GraspTask)
         checked_kind("timeline", self.timeline, ManipulationTimeline)
         checked_kind("criteria", self.criteria, SuccessCriteria)
-        for place in self.via:
-            check_place(place)
+        count = len(np.atleast_1d(float_array("via", self.via, error=TaskError)))
+        if count:
+            places = finite_array("via", self.via, (count, 2), error=TaskError).tolist()
+            for place in places:
+                check_place(place)
+            object.__setattr__(self, "via", tuple((x, y) for x, y in places))
 
     def with_changes(self, **changes: Unpack[ManipulationKeywords]) -> ManipulationOptions:
         """The same with other fields; None for timeline or criteria gives their defaults."""
