@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from scipy.optimize import least_squares
 
-from benchmarks.scenes_task import Served, Task
+from benchmarks.scenes_task import Served, Task, outcome
 from planner.errors import NoGraspFoundError, TaskError
 from planner.plan import GraspPlan
 from planner.quality import force_closure
@@ -116,20 +116,9 @@ class _Hammering:
         fingers, period = GraspController(plan), TWICE * self._served.period
         run = ForeignRun(plan, self.scene, self._step, period=period, controller=fingers)
         ended = self._episode(run, fingers)
-        far, turned = run.slip
-        return {
-            "done": self._done,
-            "ended": "done" if self._done else ended,
-            "depth_mm": 1e3 * self._depth,
-            "fingers_left": run.touching(),
-            "slip_mm": far,
-            "slip_deg": turned,
-            "steps": self._served.steps,
-            "attempts": plan.record.attempts,
-            "plan_s": plan.record.cpu_s,
-            "fingers": len(plan.task.finger_names),
-            "closed": self._closed,
-        }
+        about: dict[str, Any] = {"done": self._done, "depth": self._depth}
+        row = outcome(run, ended=ended, steps=self._served.steps, **about)
+        return {**row, "closed": self._closed}
 
     def _episode(self, run: ForeignRun, fingers: GraspController) -> str:
         """Grasp, lift, push the nail in; where it ended."""

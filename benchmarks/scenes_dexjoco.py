@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.scenes_task import Served, Task
+from benchmarks.scenes_task import Served, Task, outcome
 from planner.errors import NoGraspFoundError, TaskError
 from planner.plan import GraspPlan
 from planner.quality import force_closure
@@ -85,21 +85,10 @@ class _Hammering:
         run = ForeignRun(plan, self.scene, self._step, period=self._served.period)
         run.on_step = self._end
         ended = self._episode(run)
-        far, turned = run.slip
         told = self._served.told
-        return {
-            "done": bool(told["succeed"]),
-            "ended": "done" if told["succeed"] else ended,
-            "depth_mm": 1e3 * told["nail_depth"],
-            "fingers_left": run.touching(),
-            "slip_mm": far,
-            "slip_deg": turned,
-            "steps": self._served.steps,
-            "attempts": plan.record.attempts,
-            "plan_s": plan.record.cpu_s,
-            "fingers": len(plan.task.finger_names),
-            "closed": self._closed,
-        }
+        about: dict[str, Any] = {"done": bool(told["succeed"]), "depth": told["nail_depth"]}
+        row = outcome(run, ended=ended, steps=self._served.steps, **about)
+        return {**row, "closed": self._closed}
 
     def _episode(self, run: ForeignRun) -> str:
         """Grasp, lift, strike; where it ended."""

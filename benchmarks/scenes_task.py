@@ -17,6 +17,7 @@ from typing import Any
 import mujoco
 
 from planner.errors import TaskError
+from sim.foreign import ForeignRun
 from sim.tables import Row
 
 LAUNCH = Path(__file__).with_name("scenes_launch.py")
@@ -110,3 +111,20 @@ class Served:
         if not self._said.closed:
             self._process.communicate()
             self._said.close()
+
+
+def outcome(run: ForeignRun, *, done: bool, ended: str, depth: float, steps: int) -> Row:
+    """What a case says of a hammer and its nail, driven in by a depth (m), after its episode."""
+    (far, turned), record = run.slip, run.plan.record
+    return {
+        "done": done,
+        "ended": "done" if done else ended,
+        "depth_mm": 1e3 * depth,
+        "fingers_left": run.touching(),
+        "slip_mm": far,
+        "slip_deg": turned,
+        "steps": steps,
+        "attempts": record.attempts,
+        "plan_s": record.cpu_s,
+        "fingers": len(run.plan.task.finger_names),
+    }

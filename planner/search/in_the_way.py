@@ -33,6 +33,10 @@ normal noise one point in 700 lies further out."""
 REACH = 0.3
 """Distance (m) from an object beyond which no part of a hand is that grasps it."""
 
+APART, BOX, BOXES = 0.02, 0.06, 5
+"""Distance (m) from the object from which on things are boxes, the side (m) of cells in which their
+points are put together, and how many boxes there are at most: each costs rows of the problem."""
+
 WAY_STEP = 0.01
 """Distance (m) of the poses at which the way in is looked at: less than a finger is thick."""
 
@@ -107,11 +111,6 @@ def things_about(task: GraspTask) -> list[Obstacle]:
         Obstacle(name=f"_seen_beside_{k}", size=size, T_world_obstacle=place)
         for k, (_, size, place) in enumerate(boxes[:BOXES])
     ]
-
-
-APART, BOX, BOXES = 0.02, 0.06, 5
-"""Distance (m) from the object from which on things are boxes, the side (m) of cells in which their
-points are put together, and how many boxes there are at most: each costs rows of the problem."""
 
 
 def _spheres(plan: GraspPlan, q: FloatArray, inner: bool = False) -> tuple[FloatArray, FloatArray]:
