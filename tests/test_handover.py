@@ -303,6 +303,11 @@ def test_what_cannot_be_handed_over_is_said(plan: HandoverPlan) -> None:
     small = GraspTask.create("two_allegro_hands", "box:0.025x0.025x0.025")
     with pytest.raises(NoGraspFoundError, match="room for both hands"):
         plan_handover(small, rounds=1)
+    tiny = GraspTask.create("two_allegro_hands", "sphere:0.005")
+    with pytest.raises(
+        NoGraspFoundError, match=r"by right .* alone in 60 attempts: 60 x .*surface"
+    ):
+        plan_handover(tiny, to="left")
 
 
 def test_each_hand_sees_the_forces_and_pads_of_its_own_fingers() -> None:

@@ -61,6 +61,10 @@ TAKES = 6
 MOST_ATTEMPTS = 300
 """Attempts of each hand after which no more grasps of it are looked for."""
 
+FIRST_ATTEMPTS = 60
+"""Attempts in which each hand has to find its first grasp: a hand that grasps the object at all
+takes a few, and what is too small or too heavy for it is to be said soon."""
+
 SPINS = 24
 """Turns of the pair about the line between its palms that are looked at: 15 degrees apart."""
 
@@ -154,7 +158,8 @@ def plan_handover(
         rounds: How long to search; each round adds grasps of both hands.
 
     Raises:
-        NoGraspFoundError: No pair of grasps goes together; carries why each does not.
+        NoGraspFoundError: One of the hands finds no grasp, or no pair of grasps goes together;
+            carries why each does not.
         NotFoundError: No hand of the pair has that name.
         TaskError: The task is of one hand, or one of the hands cannot grasp the object.
     """
@@ -163,8 +168,8 @@ def plan_handover(
     giver, taker = _sides(task, to)
     checked_number("lift_height", lift_height, above=0.0, most=HIGHEST, unit="m", error=TaskError)
     meeting = _Meeting(task, giver, taker, lift_height)
-    gives = _grasps(_alone(task, giver), seed)
-    takes = _grasps(replace(_alone(task, taker), **meeting.in_the_air), seed)
+    gives = _grasps(giver, _alone(task, giver), seed)
+    takes = _grasps(taker, replace(_alone(task, taker), **meeting.in_the_air), seed)
     made: list[Attempt[HandoverPlan]] = []
     mine: list[GraspPlan] = []
     others: list[GraspPlan] = []
@@ -226,15 +231,22 @@ def _sides(task: GraspTask, to: str | None) -> tuple[Side, Side]:
     return giver, sides[to]
 
 
-def _grasps(task: GraspTask, seed: int) -> Iterator[GraspPlan]:
+def _grasps(side: Side, task: GraspTask, seed: int) -> Iterator[GraspPlan]:
     """Grasps of one hand alone, as long as attempts find some.
 
     Raises:
+        NoGraspFoundError: Its first ``FIRST_ATTEMPTS`` find none.
         TaskError: The hand cannot grasp the object.
     """
+    made, found = [], False
     for attempt in islice(attempts(task, seed=seed), MOST_ATTEMPTS):
         if attempt.plan is not None:
+            found = True
             yield attempt.plan
+        made.append(attempt)
+        if not found and len(made) == FIRST_ATTEMPTS:
+            what = f"grasp of {task.object.name} by {side.name} ({task.hand.name}) alone"
+            raise nothing_found(what, made, "A handover needs one of each hand")
 
 
 def _alone(task: GraspTask, side: Side) -> GraspTask:
