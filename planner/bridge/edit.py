@@ -221,7 +221,7 @@ class Carried:
         spec: ``mujoco.MjSpec`` of the hand; attached, so give a fresh one.
         T_root_carriage: Pose of the carriage at rest.
         T_carriage_base: Pose of the hand's base on it.
-        servos: Its joints in order, slides before hinges.
+        servos: Its joints in order, slides before hinges; none of a hand that brings an arm.
     """
 
     name: str
@@ -262,7 +262,7 @@ def carried_spec(
         position, quaternion = pose_to_wxyz(hand.T_root_carriage)
         body = base.add_body(name=f"{hand.name}/carriage", pos=position, quat=quaternion)
         bodies.append(body)
-        for k, (axis, servo) in enumerate(zip(axes, hand.servos, strict=True)):
+        for k, (axis, servo) in enumerate(zip(axes, hand.servos, strict=bool(hand.servos))):
             _drive(out, body, f"{hand.name}/carriage_{axis}", np.eye(3)[k % 3], servo)
         position, quaternion = pose_to_wxyz(hand.T_carriage_base)
         frame = body.add_frame(pos=position, quat=quaternion)

@@ -21,7 +21,14 @@ from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.immutable import freeze
-from planner.kinematics import LARGEST_TURN, HandState, joint_axes, palm_pose, straight_path
+from planner.kinematics import (
+    LARGEST_TURN,
+    HandState,
+    joint_axes,
+    palm_pose,
+    palm_poses,
+    straight_path,
+)
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL
@@ -30,6 +37,7 @@ __all__ = [
     "LIFT_HEIGHT",
     "ArmPath",
     "find_lift",
+    "lift_height",
     "retreats",
     "verify_approach_line",
     "verify_arm_path",
@@ -38,6 +46,9 @@ __all__ = [
 
 LIFT_HEIGHT = 0.1
 """How far (m) upwards a grasp must be liftable by the arm: the lift of a trial."""
+
+PAIR_LIFT_HEIGHT = 0.2
+"""The same (m) of two arms: a large object is carried over what stands about."""
 
 LEAST_STEP = 5e-4
 """Shortest step (m) of any point in the check of a path: less than the clearance of an approach, so
@@ -55,11 +66,13 @@ TURN_TOL = 5e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmPath:
-    """The arm's part of a plan, rows of arm postures in the order of ``hand.arm.index``.
+    """The arm's part of a plan, rows of arm postures in the order of ``hand.arm_index``.
+
+    Two arms go in step: a row holds a posture of each.
 
     Attributes:
         approach: (m, n), from the start to the grasp; fingers at the pre-grasp.
-        lift: (k, n), from the grasp upwards by ``LIFT_HEIGHT``; fingers at the grasp.
+        lift: (k, n), from the grasp upwards by ``lift_height``; fingers at the grasp.
     """
 
     approach: FloatArray
@@ -70,12 +83,20 @@ class ArmPath:
         freeze(self, arrays=("approach", "lift"))
 
 
+def lift_height(hand: Hand) -> float:
+    """How far (m) the plan of a hand on an arm lifts, or of two."""
+    return PAIR_LIFT_HEIGHT if hand.pair else LIFT_HEIGHT
+
+
 def retreats(
     hand: Hand, T_world_base: SE3, q: FloatArray, ways: list[FloatArray]
 ) -> Iterator[FloatArray]:
-    """Arm paths (m, n) straight in to q (nq,), one for each way (3,), m, world, the arm can go."""
+    """Arm paths (m, n) straight in to q (nq,), one for each way, m, world, the arm can go.
+
+    A way is (3,), of two hands (2, 3).
+    """
     for way in ways:
-        path = straight_path(hand, q, T_world_base.rotation.T @ way)
+        path = straight_path(hand, q, way @ T_world_base.rotation)
         if path is not None:
             yield path[::-1].copy()
 
@@ -86,12 +107,13 @@ def find_lift(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatA
     The object moves with the palm. That it is clear of obstacles is not looked at, as it is not for
     a floating hand.
     """
-    up = T_world_base.rotation.T @ np.array([0.0, 0.0, LIFT_HEIGHT])
-    path = straight_path(world.task.hand, q, up)
+    hand, height = world.task.hand, lift_height(world.task.hand)
+    path = straight_path(hand, q, T_world_base.rotation.T @ np.array([0.0, 0.0, height]))
     if path is None:
+        who = "arms cannot lift the object together," if hand.pair else "arm cannot lift the object"
         return Failure(
             kind="arm_unreachable",
-            text=f"the arm cannot lift the object straight by {LIFT_HEIGHT:g} m within its limits",
+            text=f"the {who} straight by {height:g} m within {'their' if hand.pair else 'its'} limits",
         )
     return verify_lift(world, T_world_base, q, path) or path
 
@@ -100,10 +122,11 @@ def verify_lift(
     world: CollisionWorld, T_world_base: SE3, q: FloatArray, path: FloatArray
 ) -> Failure | None:
     """What is wrong with a lift (k, n) from a grasp q (nq,), None if nothing is."""
-    up = np.array([0.0, 0.0, LIFT_HEIGHT])
+    up = np.array([0.0, 0.0, lift_height(world.task.hand)])
     failure = _verify_line(world.task.hand, T_world_base, q, path, up, "lift")
     failure = failure or verify_arm_path(world, T_world_base, q, path, clearance=0.0, held=True)
-    failure = failure or _verify_torques(world.task, T_world_base, q, path)
+    if not world.task.hand.pair:  # what two arms press with is known with the forces alone
+        failure = failure or _verify_torques(world.task, T_world_base, q, path)
     return None if failure is None else failure.at("the lift")
 
 
@@ -117,8 +140,9 @@ def verify_approach_line(
         return Failure(kind="arm_path", text=text)
     first = q.copy()
     first[hand.arm_index] = ends[0]
-    shift = palm_pose(hand, first).translation - palm_pose(hand, q).translation
-    way = T_world_base.rotation @ shift
+    both = zip(palm_poses(hand, first), palm_poses(hand, q), strict=True)
+    shift = np.array([there.translation - here.translation for there, here in both])
+    way = shift @ T_world_base.rotation.T
     return _verify_line(hand, T_world_base, q, path[::-1], way, "approach")
 
 
@@ -130,7 +154,10 @@ def _verify_line(
     shift: FloatArray,
     what: str,
 ) -> Failure | None:
-    """Whether a path (m, n) that begins at q (nq,) is one the arm can go, straight by a shift."""
+    """Whether a path (m, n) that begins at q (nq,) is one the arm can go, straight by a shift.
+
+    The shift is one (3,), or one for each palm (k, 3), m, world.
+    """
     index = hand.arm_index
 
     def failure(text: str) -> Failure:
@@ -145,17 +172,17 @@ def _verify_line(
         return failure("the arm's path does not meet the grasp")
     if np.abs(np.diff(path, axis=0)).max() > LARGEST_TURN:
         return failure("the arm's path jumps")
-    begin, joints = palm_pose(hand, q), q.copy()
-    goal = T_world_base.rotation.T @ shift
+    begins, joints = palm_poses(hand, q), q.copy()
+    goals = np.broadcast_to(shift @ T_world_base.rotation, (len(begins), 3))
     for share, posture in zip(np.linspace(0.0, 1.0, len(path)), path, strict=True):
         joints[index] = posture
-        palm = palm_pose(hand, joints)
-        off = float(np.linalg.norm(palm.translation - begin.translation - share * goal))
-        turn = rotation_angle(begin.rotation.T @ palm.rotation)
-        if off > LINE_TOL or turn > TURN_TOL:
-            return failure(
-                f"the palm leaves the line by {1e3 * off:.1f} mm and {np.rad2deg(turn):.1f} deg"
-            )
+        for begin, palm, goal in zip(begins, palm_poses(hand, joints), goals, strict=True):
+            off = float(np.linalg.norm(palm.translation - begin.translation - share * goal))
+            turn = rotation_angle(begin.rotation.T @ palm.rotation)
+            if off > LINE_TOL or turn > TURN_TOL:
+                return failure(
+                    f"the palm leaves the line by {1e3 * off:.1f} mm and {np.rad2deg(turn):.1f} deg"
+                )
     return None
 
 

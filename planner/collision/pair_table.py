@@ -153,7 +153,7 @@ class PairTable:
         pairs = _pairs(hand, names)
         named = [(names[a], names[b]) for a, b in pairs]
         n_hand = len(hand.geometries)
-        arm = hand.arm.geometries if hand.arm is not None else frozenset()
+        arm = hand.arm_geometries
         joint = [*(g.joint_id for g in hand.geometries), *(0 for _ in surroundings)]
         on_object = np.array([b == OBJECT for _, b in named])
         between, outer = _finger_pairs(hand, pairs)
@@ -219,7 +219,7 @@ def _pairs(hand: Hand, names: Sequence[str]) -> list[tuple[int, int]]:
         if frozenset((names[a], names[b])) not in hand.allowed_pairs
     ]
     # an arm stands on the table
-    standing = {g.name for g in hand.geometries if hand.arm is not None and g.joint_id == 0}
+    standing = {g.name for g in hand.geometries if hand.on_arm and g.joint_id == 0}
     pairs += [
         (a, b)
         for a in range(n_hand)

@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from planner.collision.arm_path import lift_height
 from planner.errors import TaskError
 from planner.hands.two_hands import carriage_joints
-from planner.kinematics import moving_hand
+from planner.kinematics import Reach, follow, moving_hand, reach
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.seeds.enveloping import FAR, HANDS, EnvelopingSeeder, Palm, laid
 
@@ -31,7 +32,12 @@ TURN_OVER_TABLE = np.pi / 2
 """How far (rad) a hand turns about its palm's normal over a table, from its rest."""
 
 PLACED_DRAWS = 20
-"""Poses of a palm drawn in search of one within its carriage's reach."""
+"""Poses of a palm drawn in search of one within reach of its carriage or arm."""
+
+UP = np.array([0.0, 0.0, 1.0])
+
+REACH_RESTARTS = 1
+"""Random starts of inverse kinematics after the ready posture: another pose is drawn sooner."""
 
 
 class PairSeeder(EnvelopingSeeder):
@@ -46,7 +52,7 @@ class PairSeeder(EnvelopingSeeder):
         super()._prepare()
         task, hand = self.task, self.task.hand
         pose = task.T_world_object.inverse() * task.T_world_base
-        at_rest = moving_hand(hand).move(hand.neutral)
+        at_rest = moving_hand(hand).move(hand.at_rest)
         self._rest = [pose * at_rest.joint_pose(palm.pad.joint_id) for palm in self._palms]
         last = [int(palm.side.carriage[-1]) + 1 for palm in self._palms]
         self._roots = [pose * at_rest.joint_pose(joint) for joint in last]
@@ -54,8 +60,11 @@ class PairSeeder(EnvelopingSeeder):
         apart = self._rest[0].translation - self._rest[1].translation
         self._from = apart / np.linalg.norm(apart)
         self._faces = self._faces_towards_hands()
-        self._check_reach()
-        self._check_weight()
+        if hand.on_arm:
+            self._check_arms_reach()
+        else:
+            self._check_reach()
+            self._check_weight()
 
     def _faces_towards_hands(self) -> list[FloatArray]:
         """Normals (3,) of the flat sides that look to the first hand; none of a round object.
@@ -91,6 +100,28 @@ class PairSeeder(EnvelopingSeeder):
                     f"{half:.2f} m from its middle, and the palm of {palm.side.name!r} gets "
                     f"{most:.2f} m away from there; use a smaller object, turn it, or give the "
                     "carriages more reach in hand.toml"
+                )
+
+    def _check_arms_reach(self) -> None:
+        """Refuse an object on whose sides an arm brings no palm of those drawn, or does not lift it.
+
+        Raises:
+            TaskError: So.
+        """
+        rng, hand = np.random.default_rng(0), self.task.hand
+        for i, (palm, sign) in enumerate(zip(self._palms, (1.0, -1.0), strict=True)):
+            found = [
+                self._reached(i, self._drawn_pose(i, sign * self._drawn_direction(rng), rng), self.open)
+                for _ in range(PLACED_DRAWS)
+            ]
+            if not any(one.there for one in found):
+                least = min(one.distance for one in found)
+                raise TaskError(
+                    f"{hand.name} cannot reach the object together: of {PLACED_DRAWS} places of its "
+                    f"palm drawn, the arm of {palm.side.name!r} gets to none and {lift_height(hand):g} "
+                    f"m above it, the nearest it comes is {1e3 * least:.0f} mm; use a smaller object, "
+                    "turn it (T_world_object), or place the arms otherwise (position in hand.toml, "
+                    "T_world_base)"
                 )
 
     def _check_weight(self) -> None:
@@ -131,7 +162,8 @@ class PairSeeder(EnvelopingSeeder):
         """Joints (nq,) of both hands, closed."""
         q, outward = self._with_noise(self.open, rng), self._drawn_direction(rng)
         for i, (palm, sign) in enumerate(zip(self._palms, (1.0, -1.0), strict=True)):
-            q[palm.side.carriage] = self._carriage(i, sign * outward, rng)
+            place = self._arm if self.task.hand.on_arm else self._carriage
+            q[palm.side.carriage] = place(i, sign * outward, rng, q)
         return self._closed(T_object_base, q, rng)
 
     def _drawn_direction(self, rng: np.random.Generator) -> FloatArray:
@@ -141,7 +173,40 @@ class PairSeeder(EnvelopingSeeder):
         noisy = self._from + rng.normal(0.0, SIDE_NOISE, 3)
         return np.asarray(noisy / np.linalg.norm(noisy))
 
-    def _carriage(self, i: int, outward: FloatArray, rng: np.random.Generator) -> FloatArray:
+    def _arm(
+        self, i: int, outward: FloatArray, rng: np.random.Generator, q: FloatArray
+    ) -> FloatArray:
+        """Joints (n,) of arm i that lay its palm on the side that looks so, and can lift it there.
+
+        Of the poses drawn the first that is reached, else the nearest; the others' joints from q.
+        """
+        side, found = self._palms[i].side, []
+        for _ in range(PLACED_DRAWS):
+            found.append(self._reached(i, self._drawn_pose(i, outward, rng), q))
+            if found[-1].there:
+                break
+        best = min(found, key=lambda one: one.distance)
+        return np.asarray(best.q[side.alone.arm.chain])
+
+    def _reached(self, i: int, pose: SE3, q: FloatArray) -> Reach:
+        """How near arm i brings the joint of its palm to a pose, object frame, and above it.
+
+        What is missing is the larger miss of the two; its joints are those at the pose.
+        """
+        task, side = self.task, self._palms[i].side
+        alone = side.alone
+        T_world_palm = task.T_world_object * pose * alone.pin_model.frames[alone.palm_frame_id].placement
+        T_root_world = (task.T_world_base * side.T_base_root).inverse()
+        here = reach(alone, T_root_world * T_world_palm, q[side.joints], restarts=REACH_RESTARTS)
+        if not here.there:
+            return here
+        lifted = SE3(T_world_palm.rotation, T_world_palm.translation + lift_height(task.hand) * UP)
+        above = follow(alone, T_root_world * lifted, here.q)
+        return Reach(q=here.q, distance=above.distance, angle=above.angle)
+
+    def _carriage(
+        self, i: int, outward: FloatArray, rng: np.random.Generator, _: FloatArray
+    ) -> FloatArray:
         """Joints (6,) of carriage i that lay its palm on the side of the object that looks so."""
         hand, rest, root = self.task.hand, self._rest[i], self._roots[i]
         mine = self._palms[i].side.carriage
