@@ -301,6 +301,16 @@ class GraspTask:
         )
 
     @cached_property
+    def on_carriages(self) -> GraspTask:
+        """The task itself; that of two arms with their hands on carriages, about the object."""
+        hand, base = self.hand.on_carriages, self.T_world_base
+        if hand is None or base is None:
+            return self
+        return replace(
+            self, hand=hand, T_world_base=SE3(base.rotation, self.T_world_object.translation)
+        )
+
+    @cached_property
     def sharing_palm(self) -> GraspTask | None:
         """The same with half the default grip, where a palm of one hand touches; None elsewhere.
 

@@ -34,7 +34,7 @@ import numpy as np
 
 from planner.bridge.actuation import actuation_from_mujoco
 from planner.bridge.load import HIDDEN_GROUP, compile_spec
-from planner.bridge.prepare import name_parts
+from planner.bridge.prepare import delete_joints, isolate_base, name_parts
 from planner.errors import HandError, ModelError, NotFoundError
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 
@@ -175,6 +175,18 @@ def mount_spec(arm: Any, hand: Any, *, site: str, T_site_base: SE3, what: str) -
         warnings.filterwarnings("ignore", message="Attaching a spec with an empty prefix")
         compile_spec(out, f"{what} with its hand")
     return out.copy(), ARM_PREFIX + roots[0]
+
+
+def take_off_arm(spec: Any, link: str, what: str) -> None:
+    """Take the arm off a spec of a hand on an arm, in place, but for its last link, which stands.
+
+    Args:
+        spec: ``mujoco.MjSpec`` of both, as ``mount_spec`` makes it.
+        link: Body of that link.
+        what: What it is called in messages.
+    """
+    isolate_base(spec, link, what)
+    delete_joints(spec, list(spec.body(link).joints))
 
 
 def _exclude_root(arm: Any, model: Any) -> None:

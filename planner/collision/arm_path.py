@@ -16,14 +16,17 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
+from planner.hands.fingers import Side
 from planner.hands.hand import Hand
 from planner.immutable import freeze
 from planner.kinematics import (
     LARGEST_TURN,
     HandState,
+    follow,
     joint_axes,
     palm_pose,
     palm_poses,
@@ -38,6 +41,7 @@ __all__ = [
     "ArmPath",
     "find_lift",
     "lift_height",
+    "onto_arms",
     "retreats",
     "verify_approach_line",
     "verify_arm_path",
@@ -99,6 +103,64 @@ def retreats(
         path = straight_path(hand, q, way @ T_world_base.rotation)
         if path is not None:
             yield path[::-1].copy()
+
+
+def onto_arms(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray | Failure:
+    """Joints (nq,) of two hands on arms with all links where carriages have them; or why not.
+
+    Of several postures of an arm, found from its ready posture and from random ones, the one is
+    taken whose actuators have most left where the palm presses with the grip.
+
+    Args:
+        task: Of the hands on arms.
+        T_world_base: Base pose of the same on carriages, ``task.on_carriages``.
+        q: Joints of those.
+    """
+    hand, other = task.hand, task.on_carriages.hand
+    out, data = hand.at_rest, other.pin_model.createData()
+    pin.framesForwardKinematics(other.pin_model, data, q)
+    for side, there in zip(hand.pair, other.pair, strict=True):
+        joints = [hand.joint_index(other.joint_names[k]) for k in there.joints]
+        out[joints] = q[there.joints]
+        palm = data.oMf[other.pin_model.getBodyId(there.palm_body)]
+        root = task.T_world_base * side.T_base_root
+        starts = [out[side.joints]] * ARM_POSTURES
+        chain, rng = side.alone.arm.chain, np.random.default_rng(0)
+        found = []
+        for k, start in enumerate(starts):
+            q_start = start.copy()
+            if k > 0:
+                low, high = side.alone.q_lower[chain], side.alone.q_upper[chain]
+                q_start[chain] = rng.uniform(low, high)
+            found.append(follow(side.alone, root.inverse() * T_world_base * palm, q_start))
+        reached = [one.q for one in found if one.there]
+        if not reached:
+            least = min(one.distance for one in found)
+            return Failure(
+                kind="arm_unreachable",
+                text=f"the arm of {side.name!r} comes no nearer than {1e3 * least:.0f} mm to where its "
+                "palm lies",
+                numbers={"distance": least},
+            )
+        out[side.joints] = min(reached, key=lambda one: _load(task, side, root, one))
+    return out
+
+
+ARM_POSTURES = 1
+"""Starts of inverse kinematics for each arm: 1 ms each."""
+
+
+def _load(task: GraspTask, side: Side, T_world_root: SE3, q: FloatArray) -> float:
+    """Largest share (-) of a limit that an arm's actuators use at q while the palm presses."""
+    alone = side.alone
+    state, turn = HandState(alone, q), T_world_root.rotation
+    palm, joint = state.T_base_palm, int(alone.pin_model.frames[alone.palm_frame_id].parentJoint)
+    torque = state.gravity_torque(turn.T @ task.gravity)
+    press = task.grip_force * (palm.rotation @ alone.palm_normal)
+    torque += press @ state.point_jacobian(joint, palm.translation)[:3]
+    force, _ = alone.actuation.split_torque(q, torque)
+    arm = alone.actuation.moment[:, alone.arm_index].any(axis=1)
+    return float((np.abs(force) / np.abs(alone.actuation.force_limits(q)).min(axis=1))[arm].max())
 
 
 def find_lift(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatArray | Failure:
@@ -220,7 +282,8 @@ def verify_arm_path(
                 sweep = float(steps @ (here + steps @ here))
             T_object = None
             if held:
-                moved = T_world_base * palm_pose(hand, at) * palm_at_grasp.inverse()
+                palm = world.moving.move(at).T_base_palm
+                moved = T_world_base * palm * palm_at_grasp.inverse()
                 T_object = moved * T_world_base.inverse() * world.task.T_world_object
             nearest = world.nearest_on_arm(T_world_base, at, T_world_object=T_object)
             if nearest.distance < clearance - (PENETRATION_TOL if held else 0.0):

@@ -70,6 +70,10 @@ class Hand:
         arm: What carries the hand: its joints are part of q, and the base is its root, which stands
             fixed; None for a hand alone, and for two hands, whose ``pair`` have an arm each.
         pair: The two hands that this is (``planner.hands.two_hands``); empty for one hand.
+        on_carriages: Of two hands on arms the same on carriages, with which grasps are searched
+            for; None of all others.
+        last_link: Names of the colliding geometries of an arm's last link, of a hand on a carriage
+            that has it with it; none of others.
         rolls: Whether its pads have the cones within which contacts may roll (``rolling``).
     """
 
@@ -88,6 +92,8 @@ class Hand:
     couplings: tuple[Coupling, ...]
     arm: Arm | None = None
     pair: tuple[Side, ...] = ()
+    on_carriages: Hand | None = None
+    last_link: frozenset[str] = frozenset()
     rolls: bool = False
 
     @cached_property
@@ -218,11 +224,10 @@ class Hand:
 
     @cached_property
     def arm_geometries(self) -> frozenset[str]:
-        """Names of the colliding geometries of the arm, or of both."""
-        if self.arm is not None:
-            return self.arm.geometries
-        arms = [s for s in self.pair if s.T_base_root is not None]
-        return frozenset(s.called(name) for s in arms for name in s.alone.arm.geometries)
+        """Names of the colliding geometries of the arm, or of both; or of what is left of it."""
+        if self.pair:
+            return frozenset(s.called(name) for s in self.pair for name in s.alone.arm_geometries)
+        return self.last_link if self.arm is None else self.arm.geometries
 
     @cached_property
     def moved_by(self) -> NDArray[np.bool_]:

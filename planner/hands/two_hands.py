@@ -8,6 +8,9 @@ certificate take the contacts of both hands. See ``models/hands/two_allegro_hand
 
 Where both hands are on arms (``planner.hands.arm``), the joints of each arm take the place of its
 carriage's: the roots of both arms stand in the pair, whose base is on the table below the object.
+Grasps are searched for with the same hands on carriages (``Hand.on_carriages``): with 46 joints on end
+the solver tilts palms and solves one start in sixty. The arms then bring the palms there
+(``planner.collision.arm_path.onto_arms``).
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -24,7 +28,7 @@ import pinocchio as pin
 from pydantic import Field
 
 from planner.bridge import compile_spec
-from planner.bridge.edit import Carried, JointServo, carried_spec
+from planner.bridge.edit import Carried, JointServo, carried_spec, take_off_arm
 from planner.errors import HandError
 from planner.hands.build import hand_of_model
 from planner.hands.catalog import JOINED_NAMES
@@ -221,7 +225,7 @@ def two_hands(
     spec = pair_spec(pair, hands)
     written = pair.model_dump_json().encode() if path is None else path.read_bytes()
     content = b"".join(hand.digest.encode() for hand in hands) + written
-    return hand_of_model(
+    both = hand_of_model(
         spec,
         compile_spec(spec, where),
         pair_description(pair, hands),
@@ -231,6 +235,69 @@ def two_hands(
         digest=hashlib.sha256(content).hexdigest(),
         sides=lambda joint_names: sides_of(pair, hands, joint_names),
     )
+    return replace(both, on_carriages=_on_carriages(pair, hands, where)) if on_arms else both
+
+
+def _on_carriages(pair: PairDescription, hands: Sequence[Hand], where: str) -> Hand:
+    """The hands of two arms, each with the last link, on carriages about the origin of the pair.
+
+    Each is at rest on its arm's side, its palm turned from where the arm has it at its ready
+    posture, by the shortest way, to face the other arm.
+
+    Raises:
+        HandError: One arm stands above the other.
+    """
+    roots = [_at_rest(held, hand)[0] for held, hand in zip(pair.hands, hands, strict=True)]
+    way = (roots[1].translation - roots[0].translation) * np.array([1.0, 1.0, 0.0])
+    if not np.linalg.norm(way) > 0.0:
+        raise HandError(f"{where}: one arm stands above the other; move them apart (position)")
+    way /= np.linalg.norm(way)
+    alone, rests = [_off_arm(hand) for hand in hands], []
+    for held, hand, bare, root, sign in zip(
+        pair.hands, hands, alone, roots, (1.0, -1.0), strict=True
+    ):
+        turn = root.rotation @ _palm_turn(hand)
+        facing = pin.Quaternion.FromTwoVectors(turn @ hand.palm_normal, sign * way).matrix()
+        base = SE3(facing @ turn @ _palm_turn(bare).T, np.zeros(3))
+        x, y, z = -sign * HALF_APART * way
+        w, *vector = pose_to_wxyz(base)[1].tolist()
+        rests.append(
+            HeldHand(
+                name=held.name,
+                hand=bare.name,
+                position=(x, y, z),
+                quaternion_wxyz=(w, vector[0], vector[1], vector[2]),
+            )
+        )
+    carriages = pair.model_copy(update={"hands": (rests[0], rests[1])})
+    return two_hands(carriages, alone, None, where)
+
+
+def _off_arm(hand: Hand) -> Hand:
+    """A hand that an arm carries, with the arm's last link alone."""
+    assert hand.arm is not None
+    joint = hand.joint_names[hand.arm.flange - 1]
+    link = str(hand.mj_model.body(int(hand.mj_model.joint(joint).bodyid[0])).name)
+    spec = hand.new_spec()
+    take_off_arm(spec, link, hand.name)
+    bare = hand_of_model(
+        spec,
+        compile_spec(spec, hand.name),
+        hand.description.model_copy(update={"base_body": link}),
+        where=hand.name,
+        path=None,
+        reference=None,
+        digest=hashlib.sha256(f"{hand.digest} off its arm".encode()).hexdigest(),
+    )
+    names = {geometry.name for geometry in bare.geometries}
+    return replace(bare, last_link=hand.arm.geometries & names)
+
+
+def _palm_turn(hand: Hand) -> FloatArray:
+    """Rotation (3, 3) of the palm in the hand's base, at rest."""
+    data = hand.pin_model.createData()
+    pin.framesForwardKinematics(hand.pin_model, data, hand.at_rest)
+    return np.array(data.oMf[hand.palm_frame_id].rotation)
 
 
 def pair_spec(pair: PairDescription, hands: Sequence[Hand]) -> Any:

@@ -11,10 +11,12 @@ import pinocchio as pin
 
 from planner.collision.arm_path import lift_height
 from planner.errors import TaskError
+from planner.hands.fingers import Side
 from planner.hands.two_hands import carriage_joints
-from planner.kinematics import Reach, follow, moving_hand, reach
+from planner.kinematics import MovingHand, Reach, follow, moving_hand, reach
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.seeds.enveloping import FAR, HANDS, EnvelopingSeeder, Palm, laid
+from planner.task import GraspTask
 
 TIPS_GAP = (0.03, 0.09)
 """Distances (m) from the object of a palm whose fingertips alone touch."""
@@ -31,17 +33,32 @@ ASIDE_NOISE = 0.2
 TURN_OVER_TABLE = np.pi / 2
 """How far (rad) a hand turns about its palm's normal over a table, from its rest."""
 
+TURN_NOISE = 0.2
+"""Standard deviation (rad) of the turn of each of two palms that turn alike."""
+
 PLACED_DRAWS = 20
-"""Poses of a palm drawn in search of one within reach of its carriage or arm."""
+"""Poses of a palm drawn in search of one within its carriage's reach; also to see whether its arm
+reaches any."""
 
-UP = np.array([0.0, 0.0, 1.0])
+WITHDRAWAL, WITHDRAWALS = 0.02, 16
+"""Step (m) by which a palm goes back, away from its fingers, until the arm's last link, which is
+thicker than the palm, is clear of the object; and the most places looked at."""
 
-REACH_RESTARTS = 1
-"""Random starts of inverse kinematics after the ready posture: another pose is drawn sooner."""
+REACH_RESTARTS = 2
+"""Random starts of inverse kinematics after the ready posture, for such a pose."""
 
 
 class PairSeeder(EnvelopingSeeder):
-    """Draws starts in which two palms face each other across the object."""
+    """Draws starts in which two palms face each other across the object.
+
+    For two arms the starts are of their hands on carriages.
+    """
+
+    def __init__(self, task: GraspTask) -> None:
+        """See ``Seeder``; two arms that cannot reach the object together are refused."""
+        super().__init__(task.on_carriages)
+        if self.task is not task:
+            self._check_arms(task)
 
     def _prepare(self) -> None:
         """Find where the hands are at rest, and what they face.
@@ -52,19 +69,18 @@ class PairSeeder(EnvelopingSeeder):
         super()._prepare()
         task, hand = self.task, self.task.hand
         pose = task.T_world_object.inverse() * task.T_world_base
-        at_rest = moving_hand(hand).move(hand.at_rest)
+        at_rest = moving_hand(hand).move(hand.neutral)
         self._rest = [pose * at_rest.joint_pose(palm.pad.joint_id) for palm in self._palms]
         last = [int(palm.side.carriage[-1]) + 1 for palm in self._palms]
         self._roots = [pose * at_rest.joint_pose(joint) for joint in last]
         self._tips = [self._tips_of(palm) for palm in self._palms]
+        self._turn: float | None = None
+        self._links = [self._last_link_of(palm, at_rest) for palm in self._palms]
         apart = self._rest[0].translation - self._rest[1].translation
         self._from = apart / np.linalg.norm(apart)
         self._faces = self._faces_towards_hands()
-        if hand.on_arm:
-            self._check_arms_reach()
-        else:
-            self._check_reach()
-            self._check_weight()
+        self._check_reach()
+        self._check_weight()
 
     def _faces_towards_hands(self) -> list[FloatArray]:
         """Normals (3,) of the flat sides that look to the first hand; none of a round object.
@@ -102,24 +118,26 @@ class PairSeeder(EnvelopingSeeder):
                     "carriages more reach in hand.toml"
                 )
 
-    def _check_arms_reach(self) -> None:
-        """Refuse an object on whose sides an arm brings no palm of those drawn, or does not lift it.
+    def _check_arms(self, task: GraspTask) -> None:
+        """Refuse an object to whose sides an arm brings no palm of those drawn, or from there up.
 
         Raises:
             TaskError: So.
         """
-        rng, hand = np.random.default_rng(0), self.task.hand
-        for i, (palm, sign) in enumerate(zip(self._palms, (1.0, -1.0), strict=True)):
-            found = [
-                self._reached(i, self._drawn_pose(i, sign * self._drawn_direction(rng), rng), self.open)
-                for _ in range(PLACED_DRAWS)
-            ]
-            if not any(one.there for one in found):
-                least = min(one.distance for one in found)
+        rng, hand = np.random.default_rng(0), task.hand
+        for i, (side, sign) in enumerate(zip(hand.pair, (1.0, -1.0), strict=True)):
+            least = np.inf
+            for _ in range(PLACED_DRAWS):
+                pose = self._drawn_pose(i, sign * self._drawn_direction(rng), rng)
+                found = _lifting(task, side, pose)
+                least = min(least, found.distance)
+                if found.there:
+                    break
+            else:
                 raise TaskError(
                     f"{hand.name} cannot reach the object together: of {PLACED_DRAWS} places of its "
-                    f"palm drawn, the arm of {palm.side.name!r} gets to none and {lift_height(hand):g} "
-                    f"m above it, the nearest it comes is {1e3 * least:.0f} mm; use a smaller object, "
+                    f"palm drawn, the arm of {side.name!r} reaches none and {lift_height(hand):g} m "
+                    f"above it, the nearest it comes is {1e3 * least:.0f} mm; use a smaller object, "
                     "turn it (T_world_object), or place the arms otherwise (position in hand.toml, "
                     "T_world_base)"
                 )
@@ -161,9 +179,9 @@ class PairSeeder(EnvelopingSeeder):
     def _drawn_pair(self, T_object_base: SE3, rng: np.random.Generator) -> FloatArray:
         """Joints (nq,) of both hands, closed."""
         q, outward = self._with_noise(self.open, rng), self._drawn_direction(rng)
+        self._draw_turn(rng)
         for i, (palm, sign) in enumerate(zip(self._palms, (1.0, -1.0), strict=True)):
-            place = self._arm if self.task.hand.on_arm else self._carriage
-            q[palm.side.carriage] = place(i, sign * outward, rng, q)
+            q[palm.side.carriage] = self._carriage(i, sign * outward, rng)
         return self._closed(T_object_base, q, rng)
 
     def _drawn_direction(self, rng: np.random.Generator) -> FloatArray:
@@ -173,40 +191,7 @@ class PairSeeder(EnvelopingSeeder):
         noisy = self._from + rng.normal(0.0, SIDE_NOISE, 3)
         return np.asarray(noisy / np.linalg.norm(noisy))
 
-    def _arm(
-        self, i: int, outward: FloatArray, rng: np.random.Generator, q: FloatArray
-    ) -> FloatArray:
-        """Joints (n,) of arm i that lay its palm on the side that looks so, and can lift it there.
-
-        Of the poses drawn the first that is reached, else the nearest; the others' joints from q.
-        """
-        side, found = self._palms[i].side, []
-        for _ in range(PLACED_DRAWS):
-            found.append(self._reached(i, self._drawn_pose(i, outward, rng), q))
-            if found[-1].there:
-                break
-        best = min(found, key=lambda one: one.distance)
-        return np.asarray(best.q[side.alone.arm.chain])
-
-    def _reached(self, i: int, pose: SE3, q: FloatArray) -> Reach:
-        """How near arm i brings the joint of its palm to a pose, object frame, and above it.
-
-        What is missing is the larger miss of the two; its joints are those at the pose.
-        """
-        task, side = self.task, self._palms[i].side
-        alone = side.alone
-        T_world_palm = task.T_world_object * pose * alone.pin_model.frames[alone.palm_frame_id].placement
-        T_root_world = (task.T_world_base * side.T_base_root).inverse()
-        here = reach(alone, T_root_world * T_world_palm, q[side.joints], restarts=REACH_RESTARTS)
-        if not here.there:
-            return here
-        lifted = SE3(T_world_palm.rotation, T_world_palm.translation + lift_height(task.hand) * UP)
-        above = follow(alone, T_root_world * lifted, here.q)
-        return Reach(q=here.q, distance=above.distance, angle=above.angle)
-
-    def _carriage(
-        self, i: int, outward: FloatArray, rng: np.random.Generator, _: FloatArray
-    ) -> FloatArray:
+    def _carriage(self, i: int, outward: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Joints (6,) of carriage i that lay its palm on the side of the object that looks so."""
         hand, rest, root = self.task.hand, self._rest[i], self._roots[i]
         mine = self._palms[i].side.carriage
@@ -226,16 +211,47 @@ class PairSeeder(EnvelopingSeeder):
         """Pose of the joint of palm i, on or before the side of the object that looks so."""
         palm, rest, shape = self._palms[i], self._rest[i].rotation, self.task.object.shape
         onto = pin.Quaternion.FromTwoVectors(rest @ palm.pad.axis, -outward).matrix() @ rest
-        most = np.pi if self.task.table_height is None else TURN_OVER_TABLE
-        turn = pin.exp3(outward * rng.uniform(-most, most)) @ onto
+        turn = pin.exp3(outward * self._drawn_turn(i, rng)) @ onto
         far = shape.bounding_radius * (FAR * outward + rng.normal(0.0, ASIDE_NOISE, 3))
-        points, normals = shape.closest_point(far[None])
-        normal = outward if shape.flat_sides is not None else normals[0]
-        turn = pin.Quaternion.FromTwoVectors(outward, normal).matrix() @ turn
-        if not palm.touches:
-            gap = rng.uniform(*TIPS_GAP)
-            return laid(palm, self._tips[i], points[0] + gap * normal, turn)
-        return laid(palm, self._shares(palm, rng), points[0], turn)
+        if palm.touches:
+            gap, place = 0.0, self._shares(palm, rng)
+        else:
+            gap, place = rng.uniform(*TIPS_GAP), self._tips[i]
+        centers, radii = self._links[i]
+        for _ in range(WITHDRAWALS):
+            points, normals = shape.closest_point(far[None])
+            normal = outward if shape.flat_sides is not None else normals[0]
+            onto = pin.Quaternion.FromTwoVectors(outward, normal).matrix() @ turn
+            pose = laid(palm, place, points[0] + gap * normal, onto)
+            at = centers @ pose.rotation.T + pose.translation
+            if (self._from_surface(at)[0] >= radii).all():
+                break
+            far -= WITHDRAWAL * (onto @ palm.way)  # the last link beyond the object's edge
+        return pose
+
+    @property
+    def _most_turn(self) -> float:
+        return float(np.pi if self.task.table_height is None else TURN_OVER_TABLE)
+
+    def _draw_turn(self, rng: np.random.Generator) -> None:
+        """Let both palms turn alike, where arms' last links keep them to the edges of the object."""
+        if any(len(radii) for _, radii in self._links):
+            self._turn = rng.uniform(-self._most_turn, self._most_turn)
+
+    def _drawn_turn(self, i: int, rng: np.random.Generator) -> float:
+        """Angle (rad) of palm i about where it comes from, which are opposite for both."""
+        if self._turn is None:
+            return float(rng.uniform(-self._most_turn, self._most_turn))
+        return float((self._turn, -self._turn)[i] + rng.normal(0.0, TURN_NOISE))
+
+    def _last_link_of(self, palm: Palm, at_rest: MovingHand) -> tuple[FloatArray, FloatArray]:
+        """Spheres in the arm's last link: centres (k, 3) in the palm's joint at rest, radii (k,), m."""
+        T_base_palm = SE3(at_rest.joint_pose(palm.pad.joint_id))
+        names = [palm.side.called(name) for name in palm.side.alone.last_link]
+        inside = [ball for ball in self._spheres if ball.geometry in names]
+        placed = [at_rest.joint_pose(ball.joint_id).act(ball.center) for ball in inside]
+        centers = np.array([T_base_palm.actInv(center) for center in placed]).reshape(-1, 3)
+        return centers, np.array([ball.radius for ball in inside])
 
     def _tips_of(self, palm: Palm) -> FloatArray:
         """Middle of the tips of half closed fingers along the palm, (3,), m, from its middle."""
@@ -244,3 +260,15 @@ class PairSeeder(EnvelopingSeeder):
         tips = np.mean([state.pad_center(hand.fingers[f]) for f in palm.side.fingers], axis=0)
         off = state.joint_pose(palm.pad.joint_id).actInv(tips) - palm.pad.center
         return np.asarray(off - palm.pad.axis * (palm.pad.axis @ off))
+
+
+def _lifting(task: GraspTask, side: Side, pose: SE3) -> Reach:
+    """How near an arm brings the joint of its palm to a pose (object frame), and above that."""
+    alone, up = side.alone, np.array([0.0, 0.0, lift_height(task.hand)])
+    placed = pose * alone.pin_model.frames[alone.palm_frame_id].placement
+    there = task.T_world_object * placed
+    root = (task.T_world_base * side.T_base_root).inverse()
+    here = reach(alone, root * there, alone.at_rest, restarts=REACH_RESTARTS)
+    if not here.there:
+        return here
+    return follow(alone, root * SE3(there.rotation, there.translation + up), here.q)
