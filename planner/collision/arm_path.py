@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -105,35 +105,35 @@ def retreats(
             yield path[::-1].copy()
 
 
-def onto_arms(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray | Failure:
+def onto_arms(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatArray | Failure:
     """Joints (nq,) of two hands on arms with all links where carriages have them; or why not.
 
-    Of several postures of an arm, found from its ready posture and from random ones, the one is
-    taken whose actuators have most left where the palm presses with the grip.
+    Of several postures of both arms the first is taken that touches nothing, those before whose
+    actuators have most left where the palms press with the grip.
 
     Args:
-        task: Of the hands on arms.
+        world: True geometry of the task with the hands on arms.
         T_world_base: Base pose of the same on carriages, ``task.on_carriages``.
         q: Joints of those.
     """
+    task = world.task
     hand, other = task.hand, task.on_carriages.hand
     out, data = hand.at_rest, other.pin_model.createData()
     pin.framesForwardKinematics(other.pin_model, data, q)
+    postures = []
     for side, there in zip(hand.pair, other.pair, strict=True):
         joints = [hand.joint_index(other.joint_names[k]) for k in there.joints]
         out[joints] = q[there.joints]
         palm = data.oMf[other.pin_model.getBodyId(there.palm_body)]
         root = task.T_world_base * side.T_base_root
-        starts = [out[side.joints]] * ARM_POSTURES
-        chain, rng = side.alone.arm.chain, np.random.default_rng(0)
         found = []
-        for k, start in enumerate(starts):
-            q_start = start.copy()
-            if k > 0:
-                low, high = side.alone.q_lower[chain], side.alone.q_upper[chain]
-                q_start[chain] = rng.uniform(low, high)
-            found.append(follow(side.alone, root.inverse() * T_world_base * palm, q_start))
-        reached = [one.q for one in found if one.there]
+        for turn in WRIST_TURNS:
+            start, last = out[side.joints], side.alone.arm.chain[-1]
+            start[last] = np.clip(
+                start[last] + turn, side.alone.q_lower[last], side.alone.q_upper[last]
+            )
+            found.append(follow(side.alone, root.inverse() * T_world_base * palm, start))
+        reached = [(_load(task, side, root, one.q), one.q) for one in found if one.there]
         if not reached:
             least = min(one.distance for one in found)
             return Failure(
@@ -142,12 +142,20 @@ def onto_arms(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray |
                 "palm lies",
                 numbers={"distance": least},
             )
-        out[side.joints] = min(reached, key=lambda one: _load(task, side, root, one))
+        postures.append(reached)
+    pairs = sorted(product(*postures), key=lambda both: max(load for load, _ in both))
+    for both in (*pairs, pairs[0]):
+        for side, (_, posture) in zip(hand.pair, both, strict=True):
+            out[side.joints] = posture
+        held = task.T_world_object
+        if world.nearest_on_arm(task.T_world_base, out, T_world_object=held).distance > 0.0:
+            break
     return out
 
 
-ARM_POSTURES = 1
-"""Starts of inverse kinematics for each arm: 1 ms each."""
+WRIST_TURNS = (0.0, 1.0, -1.0, 2.0, -2.0)
+"""Turns (rad) of an arm's last joint from its ready posture, where inverse kinematics starts: an arm
+of seven joints has another posture for each."""
 
 
 def _load(task: GraspTask, side: Side, T_world_root: SE3, q: FloatArray) -> float:

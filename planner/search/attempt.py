@@ -100,7 +100,7 @@ def finished(
     q = np.clip(candidate.q, problem.hand.q_lower, problem.hand.q_upper)
     T_world_base = task.T_world_object * candidate.T_object_base
     if task.on_carriages is not task and problem.hand is not task.hand:
-        found = onto_arms(task, T_world_base, q)
+        found = onto_arms(true_geometry(task), T_world_base, q)
         if isinstance(found, Failure) or task.T_world_base is None:
             return found
         T_world_base, q = task.T_world_base, found
