@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.collision.pad_contact import PadContact, pad_contact_queries, pad_contacts
 from planner.collision.arm_path import lift_height
+from planner.collision.pad_contact import PadContact, pad_contact_queries, pad_contacts
 from planner.collision.pregrasp import Approach, find_approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
@@ -330,11 +330,10 @@ def verify_grasp(
             return no_needed(task, one, found)
     with stage("approach"):
         way = _way_in(world, T_world_base, q, contacts, approach)
-    failure = way if isinstance(way, Failure) else None
-    if failure is None and way.arm is not None and task.hand.pair:
-        failure = lift_torques(task, T_world_base, q, forces.contacts, way.arm.lift)
-    if failure is not None:
-        return failure.at("approach")
+    if not isinstance(way, Failure) and way.arm is not None and task.hand.pair:
+        way = lift_torques(task, T_world_base, q, forces.contacts, way.arm.lift) or way
+    if isinstance(way, Failure):
+        return way.at("approach")
     return GraspPlan(
         task=task,
         T_world_base=T_world_base,
@@ -366,7 +365,7 @@ def lift_torques(
         lift: Arm postures (k, n).
     """
     hand, joints = task.hand, np.array(q, dtype=np.float64)
-    of_arms = hand.actuation.moment[:, hand.arm_index].any(axis=1)  # fingers bear the same all the way
+    of_arms = hand.actuation.moment[:, hand.arm_index].any(axis=1)  # fingers' torques stay
     soft = np.nan_to_num(contacts.forces[:, 3])[:, None] * contacts.normals
     wrenches = np.hstack([contacts.forces_in_axes(), soft]) @ np.kron(
         np.eye(2), T_world_base.rotation

@@ -125,7 +125,7 @@ def onto_arms(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatA
         joints = [hand.joint_index(other.joint_names[k]) for k in there.joints]
         out[joints] = q[there.joints]
         palm = data.oMf[other.pin_model.getBodyId(there.palm_body)]
-        root = task.T_world_base * side.T_base_root
+        root = SE3(task.T_world_base) * side.T_base_root
         found = []
         for turn in WRIST_TURNS:
             start, last = out[side.joints], side.alone.arm.chain[-1]
@@ -138,8 +138,8 @@ def onto_arms(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatA
             least = min(one.distance for one in found)
             return Failure(
                 kind="arm_unreachable",
-                text=f"the arm of {side.name!r} comes no nearer than {1e3 * least:.0f} mm to where its "
-                "palm lies",
+                text=f"the arm of {side.name!r} comes no nearer than {1e3 * least:.0f} mm to where "
+                "its palm lies",
                 numbers={"distance": least},
             )
         postures.append(reached)
@@ -154,8 +154,8 @@ def onto_arms(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatA
 
 
 WRIST_TURNS = (0.0, 1.0, -1.0, 2.0, -2.0)
-"""Turns (rad) of an arm's last joint from its ready posture, where inverse kinematics starts: an arm
-of seven joints has another posture for each."""
+"""Turns (rad) of an arm's last joint from its ready posture, where inverse kinematics starts: an
+arm of seven joints has another posture for each."""
 
 
 def _load(task: GraspTask, side: Side, T_world_root: SE3, q: FloatArray) -> float:
@@ -180,10 +180,10 @@ def find_lift(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatA
     hand, height = world.task.hand, lift_height(world.task.hand)
     path = straight_path(hand, q, T_world_base.rotation.T @ np.array([0.0, 0.0, height]))
     if path is None:
-        who = "arms cannot lift the object together," if hand.pair else "arm cannot lift the object"
+        who = "arms cannot together" if hand.pair else "arm cannot"
         return Failure(
             kind="arm_unreachable",
-            text=f"the {who} straight by {height:g} m within {'their' if hand.pair else 'its'} limits",
+            text=f"the {who} lift the object straight by {height:g} m within its limits",
         )
     return verify_lift(world, T_world_base, q, path) or path
 

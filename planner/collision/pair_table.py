@@ -158,7 +158,9 @@ class PairTable:
         n_hand = len(hand.geometries)
         last = {s.carriage[-1] + 1 for s in hand.pair}
         arm = hand.arm_geometries - {g.name for g in hand.geometries if g.joint_id in last}
-        side_of = {name: s.name for s in hand.pair for name in names if name.startswith(s.called(""))}
+        side_of = {
+            name: s.name for s in hand.pair for name in names if name.startswith(s.called(""))
+        }
         joint = [*(g.joint_id for g in hand.geometries), *(0 for _ in surroundings)]
         sides = [(side_of.get(a), side_of.get(b)) for a, b in named]
         on_object = np.array([b == OBJECT for _, b in named])

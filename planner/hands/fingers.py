@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.bridge import LinkGeometry
-from planner.spatial import SE3, FloatArray, IntArray
+from planner.spatial import FloatArray, IntArray
 
 __all__ = ["Finger", "Pad", "Side"]
 
@@ -110,7 +110,7 @@ class Side:
         fingers: Names of its fingers.
         alone: The ``Hand`` alone, of two, with its arm if it is on one; None of the only one.
         joints: Where the joints of the hand alone stand in q; empty for the only one.
-        T_base_root: Pose of its arm's root in the base of both; None on a carriage.
+        T_base_root: Pose (SE3) of its arm's root in the base of both; None on a carriage.
     """
 
     name: str
@@ -120,7 +120,7 @@ class Side:
     fingers: tuple[str, ...]
     alone: Any = None
     joints: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    T_base_root: SE3 | None = None
+    T_base_root: Any = None
 
     def called(self, name: str) -> str:
         """What a body, joint or geometry of the hand alone is called in the whole."""

@@ -8,9 +8,8 @@ certificate take the contacts of both hands. See ``models/hands/two_allegro_hand
 
 Where both hands are on arms (``planner.hands.arm``), the joints of each arm take the place of its
 carriage's: the roots of both arms stand in the pair, whose base is on the table below the object.
-Grasps are searched for with the same hands on carriages (``Hand.on_carriages``): with 46 joints on end
-the solver tilts palms and solves one start in sixty. The arms then bring the palms there
-(``planner.collision.arm_path.onto_arms``).
+Grasps are searched for with the same hands on carriages (``Hand.on_carriages``), each with its
+arm's last link, and the arms then bring the palms there (``planner.collision.arm_path.onto_arms``).
 """
 
 from __future__ import annotations

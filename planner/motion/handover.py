@@ -219,6 +219,11 @@ def _sides(task: GraspTask, to: str | None) -> tuple[Side, Side]:
             f"a handover takes two hands, and {task.hand.name} is one; load two, such as "
             "two_allegro_hands or allegro_hand+shadow_hand_left"
         )
+    if task.hand.on_arm:
+        raise TaskError(
+            f"a handover takes hands on carriages, and those of {task.hand.name} are on arms; name "
+            "the hands alone, as in allegro_hand+shadow_hand_left"
+        )
     to = list(sides)[-1] if to is None else to
     if not isinstance(to, str) or to not in sides:
         raise NotFoundError("hand to take the object", str(to), sides)

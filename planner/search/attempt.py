@@ -101,9 +101,9 @@ def finished(
     T_world_base = task.T_world_object * candidate.T_object_base
     if task.on_carriages is not task and problem.hand is not task.hand:
         found = onto_arms(true_geometry(task), T_world_base, q)
-        if isinstance(found, Failure) or task.T_world_base is None:
+        if isinstance(found, Failure):
             return found
-        T_world_base, q = task.T_world_base, found
+        T_world_base, q = SE3(task.T_world_base), found
     return verified_on_surface(task, T_world_base, q, record=record, terms=problem.own_terms)
 
 

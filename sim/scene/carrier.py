@@ -2,15 +2,15 @@
 
 ``Timeline`` says how long the phases take.
 
-The arm follows its paths of the plan by its own actuators. Two arms press with their palms too, as
-the controller commands them: their motion is added to its commands. Their commands solve each actuator's
+The arm follows its paths of the plan by its own actuators. Their commands solve each actuator's
 affine law at the posture and the rates that are wanted now, for the torque that carries arm and
 hand (MuJoCo's bias force), so that a position servo gets
 
     ctrl = q_wanted + (bias + kd v_wanted) / kp
 
 and follows without lag and without sagging. Joints that are driven by motors get a spring and a
-damper around that.
+damper around that. Two arms press with their palms too, as the controller commands them: there the
+motion is added to its commands.
 """
 
 from __future__ import annotations

@@ -10,10 +10,11 @@ import numpy as np
 import pinocchio as pin
 
 from planner.collision.arm_path import lift_height
+from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.hands.fingers import Side
 from planner.hands.two_hands import carriage_joints
-from planner.kinematics import MovingHand, Reach, follow, moving_hand, reach
+from planner.kinematics import POSITION_TOL, MovingHand, Reach, follow, moving_hand, reach
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.seeds.enveloping import FAR, HANDS, EnvelopingSeeder, Palm, laid
 from planner.task import GraspTask
@@ -44,6 +45,9 @@ WITHDRAWAL, WITHDRAWALS = 0.02, 16
 """Step (m) by which a palm goes back, away from its fingers, until the arm's last link, which is
 thicker than the palm, is clear of the object; and the most places looked at."""
 
+IN_THE_WAY = 0.03
+"""How far (m) arms may be in something at places drawn: the search finds others beside them."""
+
 REACH_RESTARTS = 2
 """Random starts of inverse kinematics after the ready posture, for such a pose."""
 
@@ -56,9 +60,8 @@ class PairSeeder(EnvelopingSeeder):
 
     def __init__(self, task: GraspTask) -> None:
         """See ``Seeder``; two arms that cannot reach the object together are refused."""
+        self._asked = task
         super().__init__(task.on_carriages)
-        if self.task is not task:
-            self._check_arms(task)
 
     def _prepare(self) -> None:
         """Find where the hands are at rest, and what they face.
@@ -79,8 +82,11 @@ class PairSeeder(EnvelopingSeeder):
         apart = self._rest[0].translation - self._rest[1].translation
         self._from = apart / np.linalg.norm(apart)
         self._faces = self._faces_towards_hands()
-        self._check_reach()
-        self._check_weight()
+        if self._asked is self.task:
+            self._check_reach()
+            self._check_weight()
+        else:
+            self._check_arms()
 
     def _faces_towards_hands(self) -> list[FloatArray]:
         """Normals (3,) of the flat sides that look to the first hand; none of a round object.
@@ -118,29 +124,35 @@ class PairSeeder(EnvelopingSeeder):
                     "carriages more reach in hand.toml"
                 )
 
-    def _check_arms(self, task: GraspTask) -> None:
-        """Refuse an object to whose sides an arm brings no palm of those drawn, or from there up.
+    def _check_arms(self) -> None:
+        """Refuse an object that two arms, at no pair of places drawn, reach and lift together.
 
         Raises:
-            TaskError: So.
+            TaskError: So, or an arm stands in it.
         """
-        rng, hand = np.random.default_rng(0), task.hand
-        for i, (side, sign) in enumerate(zip(hand.pair, (1.0, -1.0), strict=True)):
-            least = np.inf
-            for _ in range(PLACED_DRAWS):
-                pose = self._drawn_pose(i, sign * self._drawn_direction(rng), rng)
-                found = _lifting(task, side, pose)
-                least = min(least, found.distance)
-                if found.there:
-                    break
-            else:
-                raise TaskError(
-                    f"{hand.name} cannot reach the object together: of {PLACED_DRAWS} places of its "
-                    f"palm drawn, the arm of {side.name!r} reaches none and {lift_height(hand):g} m "
-                    f"above it, the nearest it comes is {1e3 * least:.0f} mm; use a smaller object, "
-                    "turn it (T_world_object), or place the arms otherwise (position in hand.toml, "
-                    "T_world_base)"
-                )
+        task, hand, rng = self._asked, self._asked.hand, np.random.default_rng(0)
+        world, q = CollisionWorld(task), hand.at_rest
+        least = dict.fromkeys((side.name for side in hand.pair), np.inf)
+        for _ in range(PLACED_DRAWS):
+            outward, there = self._drawn_direction(rng), True
+            self._draw_turn(rng)
+            for i, (side, sign) in enumerate(zip(hand.pair, (1.0, -1.0), strict=True)):
+                found = _lifting(task, side, self._drawn_pose(i, sign * outward, rng))
+                least[side.name] = min(least[side.name], found.distance)
+                q[side.joints], there = found.q, there and found.there
+            held = task.T_world_object
+            nearest = world.nearest_on_arm(task.T_world_base, q, T_world_object=held)
+            if there and nearest.distance > -IN_THE_WAY:
+                return
+        far = max(least, key=lambda name: least[name])
+        miss = f"that of {far!r} comes no nearer than {1e3 * least[far]:.0f} mm"
+        raise TaskError(
+            f"{hand.name} cannot reach the object together: at none of {PLACED_DRAWS} pairs of "
+            f"places of the palms do both arms get there and {lift_height(hand):g} m above; "
+            f"{miss if least[far] > POSITION_TOL else f'in the way: {nearest}'}; use a smaller "
+            "object, turn it (T_world_object), or place the arms otherwise (position in hand.toml, "
+            "T_world_base)"
+        )
 
     def _check_weight(self) -> None:
         """Refuse an object that is heavier than what the carriages can carry beside the hands.
@@ -234,7 +246,7 @@ class PairSeeder(EnvelopingSeeder):
         return float(np.pi if self.task.table_height is None else TURN_OVER_TABLE)
 
     def _draw_turn(self, rng: np.random.Generator) -> None:
-        """Let both palms turn alike, where arms' last links keep them to the edges of the object."""
+        """Let both palms turn alike, where arms' last links keep them to the object's edges."""
         if any(len(radii) for _, radii in self._links):
             self._turn = rng.uniform(-self._most_turn, self._most_turn)
 
@@ -245,7 +257,7 @@ class PairSeeder(EnvelopingSeeder):
         return float((self._turn, -self._turn)[i] + rng.normal(0.0, TURN_NOISE))
 
     def _last_link_of(self, palm: Palm, at_rest: MovingHand) -> tuple[FloatArray, FloatArray]:
-        """Spheres in the arm's last link: centres (k, 3) in the palm's joint at rest, radii (k,), m."""
+        """Spheres in the arm's last link: centres (k, 3) in the palm's joint, radii (k,), m."""
         T_base_palm = SE3(at_rest.joint_pose(palm.pad.joint_id))
         names = [palm.side.called(name) for name in palm.side.alone.last_link]
         inside = [ball for ball in self._spheres if ball.geometry in names]
@@ -267,7 +279,7 @@ def _lifting(task: GraspTask, side: Side, pose: SE3) -> Reach:
     alone, up = side.alone, np.array([0.0, 0.0, lift_height(task.hand)])
     placed = pose * alone.pin_model.frames[alone.palm_frame_id].placement
     there = task.T_world_object * placed
-    root = (task.T_world_base * side.T_base_root).inverse()
+    root = (SE3(task.T_world_base) * side.T_base_root).inverse()
     here = reach(alone, root * there, alone.at_rest, restarts=REACH_RESTARTS)
     if not here.there:
         return here
