@@ -14,10 +14,11 @@ import pytest
 
 from planner import GraspTask, plan_grasp
 from planner.collision.arm_path import PAIR_LIFT_HEIGHT, lift_height, onto_arms
+from planner.collision.pregrasp import Approach
 from planner.collision.world import CollisionWorld
 from planner.errors import HandError, TaskError
 from planner.failure import Failure
-from planner.files import read_plan
+from planner.files import read_plan, write_plan
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.motion.handover import plan_handover
@@ -26,9 +27,10 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.seeds import seeder_for
 from planner.system.package import models_dir
+from planner.task import Obstacle
 from planner.verification import lift_torques, verify_grasp
 from sim import Timeline, simulate
-from sim.scene.build import HAND_PREFIX, build_scene
+from sim.scene.build import HAND_PREFIX, Scene, build_scene
 
 ARMS = "allegro_on_arm7+allegro_on_arm7"
 BOX, MASS = "box:0.3x0.2x0.2", 2.0
@@ -177,13 +179,13 @@ def test_palms_rise_straight_together(plan: GraspPlan) -> None:
             assert pin.log3(turn) == pytest.approx(np.zeros(3), abs=5e-4)
 
 
-def scene_at(plan: GraspPlan, posture: FloatArray, lifted: float) -> tuple[mujoco.MjData, object]:
+def scene_at(plan: GraspPlan, posture: FloatArray, lifted: float) -> tuple[mujoco.MjData, Scene]:
     """MuJoCo's scene with arms at a posture (14,), the object lifted, and contacts found."""
     scene = build_scene(plan.task, T_world_base=plan.T_world_base, q=plan.q)
     q = plan.q.copy()
     q[plan.task.hand.arm_index] = posture
     there = plan.task.T_world_object
-    there = SE3(there.rotation, there.translation + [0.0, 0.0, lifted])
+    there = SE3(there.rotation, there.translation + np.array([0.0, 0.0, lifted]))
     data = mujoco.MjData(scene.model)
     data.qpos[:] = scene.posed(q, plan.T_world_base, there)
     mujoco.mj_forward(scene.model, data)
@@ -197,7 +199,7 @@ def test_arms_bear_what_they_press_with_along_the_lift(plan: GraspPlan, share: f
     assert arm is not None
     posture = arm.lift[round(share * (len(arm.lift) - 1))]
     data, scene = scene_at(plan, posture, 0.2 * share)
-    torque = np.array(data.qfrc_bias[scene.hand_dof])  # type: ignore[attr-defined]
+    torque = np.array(data.qfrc_bias[scene.hand_dof])
     forces = plan.contacts.forces_in_axes()
     for i, finger in enumerate(task.fingers):
         geom = data.model.geom(HAND_PREFIX + finger.pad.geom)
@@ -206,7 +208,7 @@ def test_arms_bear_what_they_press_with_along_the_lift(plan: GraspPlan, share: f
         mujoco.mj_jac(data.model, data, linear, angular, point, int(geom.bodyid[0]))
         twist = plan.contacts.forces[i, 3] * plan.contacts.normals[i]
         both = linear.T @ forces[i] + angular.T @ twist
-        torque += both[scene.hand_dof]  # type: ignore[attr-defined]
+        torque += both[scene.hand_dof]
     if share == 0.0:
         assert torque[hand.arm_index] == pytest.approx(
             plan.forces.joint_torques[hand.arm_index], abs=0.02
@@ -258,9 +260,7 @@ def test_a_path_that_is_wrong_is_refused(fault: str, plan: GraspPlan) -> None:
     assert found.kind == "arm_path"
 
 
-def approach_of(plan: GraspPlan):  # type: ignore[no-untyped-def]
-    from planner.collision.pregrasp import Approach
-
+def approach_of(plan: GraspPlan) -> Approach:
     return Approach(
         q=plan.q_pregrasp,
         pregrasp_distance=plan.pregrasp_distance,
@@ -270,13 +270,11 @@ def approach_of(plan: GraspPlan):  # type: ignore[no-untyped-def]
 
 
 def test_an_obstacle_in_an_elbow_s_way_is_noticed(plan: GraspPlan) -> None:
-    from planner.task import Obstacle
-
     assert plan.arm is not None
     q = plan.q.copy()
     q[plan.task.hand.arm_index] = plan.arm.lift[-1]
     elbow = placed(plan.task.hand, q, plan.T_world_base)("second/arm/link4").translation
-    block = Obstacle("block", np.full(3, 0.02), SE3(np.eye(3), elbow))
+    block = Obstacle(name="block", size=np.full(3, 0.02), T_world_obstacle=SE3(np.eye(3), elbow))
     there = replace(plan.task, obstacles=(block,))
     found = verify_grasp(
         there, plan.T_world_base, plan.q, record=plan.record, approach=approach_of(plan)
@@ -286,8 +284,6 @@ def test_an_obstacle_in_an_elbow_s_way_is_noticed(plan: GraspPlan) -> None:
 
 
 def test_a_file_gives_the_same_plan_again(plan: GraspPlan, tmp_path: Path) -> None:
-    from planner.files import write_plan
-
     path = tmp_path / "plan.json"
     write_plan(plan, path)
     again = read_plan(path)

@@ -40,7 +40,7 @@ from planner.numerics.kernels import planning_time
 from planner.plan import GraspPlan
 from planner.search.attempt import Attempt, check_seed, nothing_found
 from planner.search.grasp import attempts
-from planner.spatial import SE3, FloatArray, IntArray
+from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from planner.verification import (
     contacts_at,
@@ -295,8 +295,7 @@ class _Carried:
         self.at_rest = base.inverse() * self.root  # of the carriage, in the base
         palm = data.oMf[model.getBodyId(side.palm_body)]
         self.looks = palm.rotation @ side.palm_normal
-        names = [side.called(joint) for joint in alone.joint_names]
-        self._index: IntArray = np.array([hand.joint_names.index(name) for name in names])
+        self._index = side.joints
         self.geometries = frozenset(side.called(g.name) for g in alone.geometries)
         self.fingers = dict(zip(alone.fingers, side.fingers, strict=True))
 
