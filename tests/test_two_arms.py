@@ -14,6 +14,7 @@ import pytest
 
 from planner import GraspTask, plan_grasp
 from planner.collision.arm_path import PAIR_LIFT_HEIGHT, lift_height, onto_arms
+from planner.collision.pair_table import PairTable
 from planner.collision.pregrasp import Approach
 from planner.collision.world import CollisionWorld
 from planner.errors import HandError, TaskError
@@ -192,44 +193,54 @@ def scene_at(plan: GraspPlan, posture: FloatArray, lifted: float) -> tuple[mujoc
     return data, scene
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_arms_bear_what_they_press_with_along_the_lift(plan: GraspPlan, share: float) -> None:
-    """Torques J^T f + gravity by MuJoCo's Jacobians, within the limits of the arms' motors."""
-    hand, arm, task = plan.task.hand, plan.arm, plan.task
-    assert arm is not None
-    posture = arm.lift[round(share * (len(arm.lift) - 1))]
-    data, scene = scene_at(plan, posture, 0.2 * share)
-    torque = np.array(data.qfrc_bias[scene.hand_dof])
+def pressing(plan: GraspPlan, k: int) -> tuple[FloatArray, FloatArray]:
+    """Torques (14,) of weight, and of the contact forces, at row k of the lift, by MuJoCo."""
+    assert plan.arm is not None
+    lifted = 0.2 * k / (len(plan.arm.lift) - 1)
+    data, scene = scene_at(plan, plan.arm.lift[k], lifted)
+    index, torque = scene.hand_dof[plan.task.hand.arm_index], np.zeros(data.model.nv)
     forces = plan.contacts.forces_in_axes()
-    for i, finger in enumerate(task.fingers):
+    for i, finger in enumerate(plan.task.fingers):
         geom = data.model.geom(HAND_PREFIX + finger.pad.geom)
         linear, angular = np.zeros((2, 3, data.model.nv))
-        point = plan.contacts.positions[i] + [0.0, 0.0, 0.2 * share]
+        point = plan.contacts.positions[i] + [0.0, 0.0, lifted]
         mujoco.mj_jac(data.model, data, linear, angular, point, int(geom.bodyid[0]))
         twist = plan.contacts.forces[i, 3] * plan.contacts.normals[i]
-        both = linear.T @ forces[i] + angular.T @ twist
-        torque += both[scene.hand_dof]
-    if share == 0.0:
-        assert torque[hand.arm_index] == pytest.approx(
-            plan.forces.joint_torques[hand.arm_index], abs=0.02
-        )
-    limits = hand.actuation.torque_limits(plan.q)[hand.arm_index]
-    beyond = np.maximum(
-        torque[hand.arm_index] - limits[:, 1], limits[:, 0] - torque[hand.arm_index]
-    )
-    assert beyond.max() <= 0.1
+        torque += linear.T @ forces[i] + angular.T @ twist
+    return np.array(data.qfrc_bias[index]), torque[index]
 
 
-def test_a_lift_that_needs_too_much_torque_is_refused(plan: GraspPlan) -> None:
-    task, arm = plan.task, plan.arm
+def test_arms_bear_what_they_press_with_up_to_the_limits_of_their_motors(plan: GraspPlan) -> None:
+    """The share of the forces at which a motor first ends the lift is MuJoCo's."""
+    hand, arm = plan.task.hand, plan.arm
     assert arm is not None
-    given = task, plan.T_world_base, plan.q
-    assert lift_torques(*given, plan.contacts, arm.lift) is None
-    hard = replace(plan.contacts, forces=3.0 * plan.contacts.forces)
-    found = lift_torques(*given, hard, arm.lift)
+    weight, press = pressing(plan, 0)
+    own = plan.forces.joint_torques[hand.arm_index]
+    assert weight + press == pytest.approx(own, abs=0.02)
+    limits = hand.actuation.torque_limits(plan.q)[hand.arm_index]
+    shares = []
+    for k in range(len(arm.lift)):
+        weight, press = pressing(plan, k)
+        ends = np.where(press > 0.0, limits[:, 1], limits[:, 0]) - weight
+        shares.append((ends / press)[np.abs(press) > 0.1].min())
+    most = min(shares)
+    assert most > 1.0
+    for share, holds in ((0.98 * most, True), (1.02 * most, False)):
+        contacts = replace(plan.contacts, forces=share * plan.contacts.forces)
+        found = lift_torques(plan.task, plan.T_world_base, plan.q, contacts, arm.lift)
+        assert (found is None) == holds
     assert found is not None
     assert found.kind == "arm_torque"
     assert "arm/A_joint" in found.text
+
+
+def test_pairs_of_both_hands_are_known(task: GraspTask) -> None:
+    table = PairTable.of(task)
+    for pair, between, of_arm in zip(table.named, table.between_hands, table.of_arm, strict=True):
+        ones = {name.split("/")[0].split("_")[0] for name in pair}
+        assert between == (ones == {"first", "second"}), pair
+        links = [n for n in pair if "/arm/" in n and not n.endswith("link7")]
+        assert of_arm == bool(links), pair
 
 
 def test_nothing_of_either_arm_touches_along_the_lift(plan: GraspPlan) -> None:
