@@ -22,6 +22,7 @@ from planner.failure import Failure
 from planner.files import read_plan, write_plan
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
+from planner.kinematics import straight_path
 from planner.motion.handover import plan_handover
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
@@ -178,6 +179,19 @@ def test_palms_rise_straight_together(plan: GraspPlan) -> None:
             assert moved == pytest.approx([0.0, 0.0, 0.2 * share], abs=1e-4)
             turn = begin(side.palm_body).rotation.T @ now(side.palm_body).rotation
             assert pin.log3(turn) == pytest.approx(np.zeros(3), abs=5e-4)
+
+
+def test_each_palm_goes_its_own_way(plan: GraspPlan) -> None:
+    hand, q = plan.task.hand, plan.q.copy()
+    ways = np.array([[0.0, -0.04, 0.03], [0.03, 0.04, 0.0]])
+    path = straight_path(hand, q, ways)
+    assert path is not None
+    begin = placed(hand, q)
+    q[hand.arm_index] = path[-1]
+    end = placed(hand, q)
+    for side, way in zip(hand.sides, ways, strict=True):
+        moved = end(side.palm_body).translation - begin(side.palm_body).translation
+        assert moved == pytest.approx(way, abs=1e-4)
 
 
 def scene_at(plan: GraspPlan, posture: FloatArray, lifted: float) -> tuple[mujoco.MjData, Scene]:
