@@ -423,10 +423,19 @@ def straight_path(hand: Hand, q: FloatArray, shift: FloatArray) -> FloatArray | 
     """Arm postures (m, n) along which the palm moves straight without turning; None if it cannot.
 
     Args:
-        hand: A hand on an arm.
+        hand: A hand on an arm, or two, whose palms go in step.
         q: Joints (nq,) where the path begins.
-        shift: Where the palm goes from there (3,), m, in the axes of the arm's root.
+        shift: Where the palm goes from there (3,), m, in the axes of the base; of two hands also
+            one for each (2, 3), of one length.
     """
+    if hand.pair:
+        ways = np.broadcast_to(shift, (len(hand.pair), 3))
+        paths = [
+            straight_path(side.alone, q[side.joints], side.T_base_root.rotation.T @ way)
+            for side, way in zip(hand.pair, ways, strict=True)
+        ]
+        parts = [path for path in paths if path is not None]
+        return np.hstack(parts) if len(parts) == len(paths) else None
     begin = palm_pose(hand, q)
     return palm_path(hand, q, SE3(begin.rotation, begin.translation + shift))
 
@@ -462,6 +471,13 @@ def palm_pose(hand: Hand, q: FloatArray) -> SE3:
     data = hand.pin_model.createData()
     pin.framesForwardKinematics(hand.pin_model, data, np.asarray(q))
     return SE3(data.oMf[hand.palm_frame_id])
+
+
+def palm_poses(hand: Hand, q: FloatArray) -> list[SE3]:
+    """Poses in the base of the palm, or of both palms of two hands on arms, at q (nq,)."""
+    if hand.pair:
+        return [s.T_base_root * palm_pose(s.alone, q[s.joints]) for s in hand.pair]
+    return [palm_pose(hand, q)]
 
 
 def _arm(hand: Hand) -> Arm:

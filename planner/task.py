@@ -199,7 +199,7 @@ class GraspTask:
             needed_margin: How many times each of them (-).
             T_world_base: Pose of the hand's base if it is fixed. A hand on an arm has its arm stand
                 where its description says, seen from the object, if None; two hands have their
-                middle at the object's.
+                middle at the object's, two arms theirs on the table below it.
             wrist_free: Whether the wrist joints may move; those of two hands always may, since
                 forearms are in the way of palms that lie on something large.
             wrist_q: Wrist joints, rad; zero if None.
@@ -216,11 +216,13 @@ class GraspTask:
             raise TaskError(f"fingers is the text {shown(fingers)}; give a list of names")
         if T_world_object is None:
             T_world_object = item.resting_pose(0.0 if table_height is None else table_height)
-        if T_world_base is None and hand.arm is not None:
+        if T_world_base is None and hand.on_arm:
             spot = np.array(T_world_object.translation)
             spot[2] = 0.0 if table_height is None else table_height
-            T_world_base = SE3(np.eye(3), spot) * hand.arm.T_spot_base
-        if T_world_base is None and hand.pair:
+            T_world_base = SE3(np.eye(3), spot)
+            if hand.arm is not None:
+                T_world_base = T_world_base * hand.arm.T_spot_base
+        elif T_world_base is None and hand.pair:
             T_world_base = SE3(np.eye(3), np.array(T_world_object.translation))
         if grasp_type is not None and fingers is not None:
             raise TaskError(
@@ -296,6 +298,16 @@ class GraspTask:
             may_spare_fingers=False,
             alternatives=(),
             grip_force=max(self.grip_force, least),
+        )
+
+    @cached_property
+    def on_carriages(self) -> GraspTask:
+        """The task itself; that of two arms with their hands on carriages, about the object."""
+        hand, base = self.hand.on_carriages, self.T_world_base
+        if hand is None or base is None:
+            return self
+        return replace(
+            self, hand=hand, T_world_base=SE3(base.rotation, self.T_world_object.translation)
         )
 
     @cached_property
@@ -388,7 +400,7 @@ class GraspTask:
                 "mu is 0: fingertips cannot close a grasp without friction; give mu > 0"
             )
         self._check_wrist()
-        if self.hand.arm is not None and self.T_world_base is None:
+        if self.hand.on_arm and self.T_world_base is None:
             raise TaskError(
                 f"{self.hand.name} is on an arm, which stands somewhere; give T_world_base, the "
                 "pose of the arm's root"

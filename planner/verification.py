@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.collision.arm_path import lift_height
 from planner.collision.pad_contact import PadContact, pad_contact_queries, pad_contacts
 from planner.collision.pregrasp import Approach, find_approach, verify_approach
 from planner.collision.world import CollisionWorld
@@ -35,7 +36,7 @@ from planner.forces import (
     distribute_forces,
     gravity_wrench,
 )
-from planner.kinematics import moving_hand
+from planner.kinematics import HandState, moving_hand
 from planner.numerics.least_squares import Task, ik_step
 from planner.objects import NeededWrench
 from planner.plan import GraspPlan, SolveRecord, Verification
@@ -329,6 +330,8 @@ def verify_grasp(
             return no_needed(task, one, found)
     with stage("approach"):
         way = _way_in(world, T_world_base, q, contacts, approach)
+    if not isinstance(way, Failure) and way.arm is not None and task.hand.pair:
+        way = lift_torques(task, T_world_base, q, forces.contacts, way.arm.lift) or way
     if isinstance(way, Failure):
         return way.at("approach")
     return GraspPlan(
@@ -345,6 +348,52 @@ def verify_grasp(
         record=record,
         needed=needed,
     )
+
+
+def lift_torques(
+    task: GraspTask, T_world_base: SE3, q: FloatArray, contacts: ContactSet, lift: FloatArray
+) -> Failure | None:
+    """Which actuator cannot give what two arms press and carry with along their lift; None if all.
+
+    The contact forces stay as planned, since the object does not turn: torque = sum J^T f + g(q).
+
+    Args:
+        task: Hand and gravity.
+        T_world_base: Base pose.
+        q: Joints of the grasp (nq,).
+        contacts: With their forces, world, at the grasp.
+        lift: Arm postures (k, n).
+    """
+    hand, joints = task.hand, np.array(q, dtype=np.float64)
+    of_arms = hand.actuation.moment[:, hand.arm_index].any(axis=1)  # fingers' torques stay
+    soft = np.nan_to_num(contacts.forces[:, 3])[:, None] * contacts.normals
+    wrenches = np.hstack([contacts.forces_in_axes(), soft]) @ np.kron(
+        np.eye(2), T_world_base.rotation
+    )
+    pads = np.array([f.pad.joint_id for f in task.fingers])
+    points = (contacts.positions - T_world_base.translation) @ T_world_base.rotation
+    up = T_world_base.rotation.T @ np.array([0.0, 0.0, lift_height(hand)])
+    for share, posture in zip(np.linspace(0.0, 1.0, len(lift)), lift, strict=True):
+        joints[hand.arm_index] = posture
+        state = HandState(hand, joints)
+        torque = state.gravity_torque(T_world_base.rotation.T @ task.gravity)
+        jacobians = state.point_jacobians(pads, points + share * up)
+        torque += np.einsum("nij,ni->j", jacobians, wrenches)
+        short = hand.actuation.short_of(joints, torque, LIFT_TORQUE_TOL) & of_arms
+        if short.any():
+            k = int(np.flatnonzero(short)[0])
+            force = float(hand.actuation.split_torque(joints, torque)[0][k])
+            return Failure(
+                kind="arm_torque",
+                text=f"at {share:.0%} of the lift {hand.actuation.names[k]} would have to give "
+                f"{force:.1f}, beyond its limits",
+                numbers={"force": force},
+            )
+    return None
+
+
+LIFT_TORQUE_TOL = 0.05
+"""How far (N m) an actuator may be beyond its limit along a lift: what servos do not hold to."""
 
 
 def _way_in(

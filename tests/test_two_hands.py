@@ -328,7 +328,7 @@ Change = Callable[[str], str]
         (lambda t: t.replace('name = "left"', 'name = "right"'), "both hands are called 'right'"),
         (lambda t: t.replace("[0.0, 0.25, 0.0]", "[0.0, -0.3, 0.0]"), "does not look towards"),
         (lambda t: t.replace("allegro_hand_left", "nobody"), "nobody/hand.toml, which does not"),
-        (lambda t: t.replace("allegro_hand_left", "allegro_on_arm7"), "which is on an arm"),
+        (lambda t: t.replace("allegro_hand_left", "allegro_on_arm7"), "is on an arm and the"),
         (lambda t: t.replace("allegro_hand_left", "two_shadow_hands"), "which is two hands itself"),
         (lambda t: t + "\n[carriage]\nforce = -1.0\n", "carriage.force"),
         (

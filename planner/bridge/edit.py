@@ -34,7 +34,7 @@ import numpy as np
 
 from planner.bridge.actuation import actuation_from_mujoco
 from planner.bridge.load import HIDDEN_GROUP, compile_spec
-from planner.bridge.prepare import name_parts
+from planner.bridge.prepare import delete_joints, isolate_base, name_parts
 from planner.errors import HandError, ModelError, NotFoundError
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 
@@ -177,6 +177,18 @@ def mount_spec(arm: Any, hand: Any, *, site: str, T_site_base: SE3, what: str) -
     return out.copy(), ARM_PREFIX + roots[0]
 
 
+def take_off_arm(spec: Any, link: str, what: str) -> None:
+    """Take the arm off a spec of a hand on an arm, in place, but for its last link, which stands.
+
+    Args:
+        spec: ``mujoco.MjSpec`` of both, as ``mount_spec`` makes it.
+        link: Body of that link.
+        what: What it is called in messages.
+    """
+    isolate_base(spec, link, what)
+    delete_joints(spec, list(spec.body(link).joints))
+
+
 def _exclude_root(arm: Any, model: Any) -> None:
     """Let the root and what its joints carry touch, as parent and child may everywhere else.
 
@@ -221,7 +233,7 @@ class Carried:
         spec: ``mujoco.MjSpec`` of the hand; attached, so give a fresh one.
         T_root_carriage: Pose of the carriage at rest.
         T_carriage_base: Pose of the hand's base on it.
-        servos: Its joints in order, slides before hinges.
+        servos: Its joints in order, slides before hinges; none of a hand that brings an arm.
     """
 
     name: str
@@ -262,7 +274,7 @@ def carried_spec(
         position, quaternion = pose_to_wxyz(hand.T_root_carriage)
         body = base.add_body(name=f"{hand.name}/carriage", pos=position, quat=quaternion)
         bodies.append(body)
-        for k, (axis, servo) in enumerate(zip(axes, hand.servos, strict=True)):
+        for k, (axis, servo) in enumerate(zip(axes, hand.servos, strict=bool(hand.servos))):
             _drive(out, body, f"{hand.name}/carriage_{axis}", np.eye(3)[k % 3], servo)
         position, quaternion = pose_to_wxyz(hand.T_carriage_base)
         frame = body.add_frame(pos=position, quat=quaternion)

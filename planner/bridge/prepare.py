@@ -130,7 +130,7 @@ def isolate_base(spec: Any, base_body: str, what: str) -> None:
                 spec.delete(other)
     removed = [joint for body in above[1:] for joint in body.joints]
     removed += [joint for joint in base.joints if int(joint.type) == _FREE]
-    _delete_joints(spec, removed)
+    delete_joints(spec, removed)
     for body in above[1:]:
         for part in (*body.geoms, *body.sites):
             spec.delete(part)
@@ -317,7 +317,7 @@ def _drop_coupling(spec: Any, name: str, what: str) -> None:
         spec.delete(tendon)
 
 
-def _delete_joints(spec: Any, joints: list[Any]) -> None:
+def delete_joints(spec: Any, joints: list[Any]) -> None:
     """Delete joints with the actuators, equalities and tendons that refer to them."""
     names = {joint.name for joint in joints}
     _delete_users(spec, names, int(mujoco.mjtObj.mjOBJ_JOINT))

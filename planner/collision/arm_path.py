@@ -12,16 +12,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
+from planner.hands.fingers import Side
 from planner.hands.hand import Hand
 from planner.immutable import freeze
-from planner.kinematics import LARGEST_TURN, HandState, joint_axes, palm_pose, straight_path
+from planner.kinematics import (
+    LARGEST_TURN,
+    HandState,
+    follow,
+    joint_axes,
+    palm_pose,
+    palm_poses,
+    straight_path,
+)
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL
@@ -30,6 +40,8 @@ __all__ = [
     "LIFT_HEIGHT",
     "ArmPath",
     "find_lift",
+    "lift_height",
+    "onto_arms",
     "retreats",
     "verify_approach_line",
     "verify_arm_path",
@@ -38,6 +50,9 @@ __all__ = [
 
 LIFT_HEIGHT = 0.1
 """How far (m) upwards a grasp must be liftable by the arm: the lift of a trial."""
+
+PAIR_LIFT_HEIGHT = 0.2
+"""The same (m) of two arms: a large object is carried over what stands about."""
 
 LEAST_STEP = 5e-4
 """Shortest step (m) of any point in the check of a path: less than the clearance of an approach, so
@@ -55,11 +70,13 @@ TURN_TOL = 5e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmPath:
-    """The arm's part of a plan, rows of arm postures in the order of ``hand.arm.index``.
+    """The arm's part of a plan, rows of arm postures in the order of ``hand.arm_index``.
+
+    Two arms go in step: a row holds a posture of each.
 
     Attributes:
         approach: (m, n), from the start to the grasp; fingers at the pre-grasp.
-        lift: (k, n), from the grasp upwards by ``LIFT_HEIGHT``; fingers at the grasp.
+        lift: (k, n), from the grasp upwards by ``lift_height``; fingers at the grasp.
     """
 
     approach: FloatArray
@@ -70,14 +87,88 @@ class ArmPath:
         freeze(self, arrays=("approach", "lift"))
 
 
+def lift_height(hand: Hand) -> float:
+    """How far (m) the plan of a hand on an arm lifts, or of two."""
+    return PAIR_LIFT_HEIGHT if hand.pair else LIFT_HEIGHT
+
+
 def retreats(
     hand: Hand, T_world_base: SE3, q: FloatArray, ways: list[FloatArray]
 ) -> Iterator[FloatArray]:
-    """Arm paths (m, n) straight in to q (nq,), one for each way (3,), m, world, the arm can go."""
+    """Arm paths (m, n) straight in to q (nq,), one for each way, m, world, the arm can go.
+
+    A way is (3,), of two hands (2, 3).
+    """
     for way in ways:
-        path = straight_path(hand, q, T_world_base.rotation.T @ way)
+        path = straight_path(hand, q, way @ T_world_base.rotation)
         if path is not None:
             yield path[::-1].copy()
+
+
+def onto_arms(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatArray | Failure:
+    """Joints (nq,) of two hands on arms with all links where carriages have them; or why not.
+
+    Of several postures of both arms the first is taken that touches nothing, those before whose
+    actuators have most left where the palms press with the grip.
+
+    Args:
+        world: True geometry of the task with the hands on arms.
+        T_world_base: Base pose of the same on carriages, ``task.on_carriages``.
+        q: Joints of those.
+    """
+    task = world.task
+    hand, other = task.hand, task.on_carriages.hand
+    out, data = hand.at_rest, other.pin_model.createData()
+    pin.framesForwardKinematics(other.pin_model, data, q)
+    postures = []
+    for side, there in zip(hand.pair, other.pair, strict=True):
+        joints = [hand.joint_index(other.joint_names[k]) for k in there.joints]
+        out[joints] = q[there.joints]
+        palm = data.oMf[other.pin_model.getBodyId(there.palm_body)]
+        root = SE3(task.T_world_base) * side.T_base_root
+        found = []
+        for turn in WRIST_TURNS:
+            start, last = out[side.joints], side.alone.arm.chain[-1]
+            start[last] = np.clip(
+                start[last] + turn, side.alone.q_lower[last], side.alone.q_upper[last]
+            )
+            found.append(follow(side.alone, root.inverse() * T_world_base * palm, start))
+        reached = [(_load(task, side, root, one.q), one.q) for one in found if one.there]
+        if not reached:
+            least = min(one.distance for one in found)
+            return Failure(
+                kind="arm_unreachable",
+                text=f"the arm of {side.name!r} comes no nearer than {1e3 * least:.0f} mm to where "
+                "its palm lies",
+                numbers={"distance": least},
+            )
+        postures.append(reached)
+    pairs = sorted(product(*postures), key=lambda both: max(load for load, _ in both))
+    for both in (*pairs, pairs[0]):
+        for side, (_, posture) in zip(hand.pair, both, strict=True):
+            out[side.joints] = posture
+        held = task.T_world_object
+        if world.nearest_on_arm(task.T_world_base, out, T_world_object=held).distance > 0.0:
+            break
+    return out
+
+
+WRIST_TURNS = (0.0, 1.0, -1.0, 2.0, -2.0)
+"""Turns (rad) of an arm's last joint from its ready posture, where inverse kinematics starts: an
+arm of seven joints has another posture for each."""
+
+
+def _load(task: GraspTask, side: Side, T_world_root: SE3, q: FloatArray) -> float:
+    """Largest share (-) of a limit that an arm's actuators use at q while the palm presses."""
+    alone = side.alone
+    state, turn = HandState(alone, q), T_world_root.rotation
+    palm, joint = state.T_base_palm, int(alone.pin_model.frames[alone.palm_frame_id].parentJoint)
+    torque = state.gravity_torque(turn.T @ task.gravity)
+    press = task.grip_force * (palm.rotation @ alone.palm_normal)
+    torque += press @ state.point_jacobian(joint, palm.translation)[:3]
+    force, _ = alone.actuation.split_torque(q, torque)
+    arm = alone.actuation.moment[:, alone.arm_index].any(axis=1)
+    return float((np.abs(force) / np.abs(alone.actuation.force_limits(q)).min(axis=1))[arm].max())
 
 
 def find_lift(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatArray | Failure:
@@ -86,12 +177,13 @@ def find_lift(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatA
     The object moves with the palm. That it is clear of obstacles is not looked at, as it is not for
     a floating hand.
     """
-    up = T_world_base.rotation.T @ np.array([0.0, 0.0, LIFT_HEIGHT])
-    path = straight_path(world.task.hand, q, up)
+    hand, height = world.task.hand, lift_height(world.task.hand)
+    path = straight_path(hand, q, T_world_base.rotation.T @ np.array([0.0, 0.0, height]))
     if path is None:
+        who = "arms cannot together" if hand.pair else "arm cannot"
         return Failure(
             kind="arm_unreachable",
-            text=f"the arm cannot lift the object straight by {LIFT_HEIGHT:g} m within its limits",
+            text=f"the {who} lift the object straight by {height:g} m within its limits",
         )
     return verify_lift(world, T_world_base, q, path) or path
 
@@ -100,10 +192,11 @@ def verify_lift(
     world: CollisionWorld, T_world_base: SE3, q: FloatArray, path: FloatArray
 ) -> Failure | None:
     """What is wrong with a lift (k, n) from a grasp q (nq,), None if nothing is."""
-    up = np.array([0.0, 0.0, LIFT_HEIGHT])
+    up = np.array([0.0, 0.0, lift_height(world.task.hand)])
     failure = _verify_line(world.task.hand, T_world_base, q, path, up, "lift")
     failure = failure or verify_arm_path(world, T_world_base, q, path, clearance=0.0, held=True)
-    failure = failure or _verify_torques(world.task, T_world_base, q, path)
+    if not world.task.hand.pair:  # what two arms press with is known with the forces alone
+        failure = failure or _verify_torques(world.task, T_world_base, q, path)
     return None if failure is None else failure.at("the lift")
 
 
@@ -117,8 +210,9 @@ def verify_approach_line(
         return Failure(kind="arm_path", text=text)
     first = q.copy()
     first[hand.arm_index] = ends[0]
-    shift = palm_pose(hand, first).translation - palm_pose(hand, q).translation
-    way = T_world_base.rotation @ shift
+    both = zip(palm_poses(hand, first), palm_poses(hand, q), strict=True)
+    shift = np.array([there.translation - here.translation for there, here in both])
+    way = shift @ T_world_base.rotation.T
     return _verify_line(hand, T_world_base, q, path[::-1], way, "approach")
 
 
@@ -130,7 +224,10 @@ def _verify_line(
     shift: FloatArray,
     what: str,
 ) -> Failure | None:
-    """Whether a path (m, n) that begins at q (nq,) is one the arm can go, straight by a shift."""
+    """Whether a path (m, n) that begins at q (nq,) is one the arm can go, straight by a shift.
+
+    The shift is one (3,), or one for each palm (k, 3), m, world.
+    """
     index = hand.arm_index
 
     def failure(text: str) -> Failure:
@@ -145,17 +242,17 @@ def _verify_line(
         return failure("the arm's path does not meet the grasp")
     if np.abs(np.diff(path, axis=0)).max() > LARGEST_TURN:
         return failure("the arm's path jumps")
-    begin, joints = palm_pose(hand, q), q.copy()
-    goal = T_world_base.rotation.T @ shift
+    begins, joints = palm_poses(hand, q), q.copy()
+    goals = np.broadcast_to(shift @ T_world_base.rotation, (len(begins), 3))
     for share, posture in zip(np.linspace(0.0, 1.0, len(path)), path, strict=True):
         joints[index] = posture
-        palm = palm_pose(hand, joints)
-        off = float(np.linalg.norm(palm.translation - begin.translation - share * goal))
-        turn = rotation_angle(begin.rotation.T @ palm.rotation)
-        if off > LINE_TOL or turn > TURN_TOL:
-            return failure(
-                f"the palm leaves the line by {1e3 * off:.1f} mm and {np.rad2deg(turn):.1f} deg"
-            )
+        for begin, palm, goal in zip(begins, palm_poses(hand, joints), goals, strict=True):
+            off = float(np.linalg.norm(palm.translation - begin.translation - share * goal))
+            turn = rotation_angle(begin.rotation.T @ palm.rotation)
+            if off > LINE_TOL or turn > TURN_TOL:
+                return failure(
+                    f"the palm leaves the line by {1e3 * off:.1f} mm and {np.rad2deg(turn):.1f} deg"
+                )
     return None
 
 
@@ -193,7 +290,8 @@ def verify_arm_path(
                 sweep = float(steps @ (here + steps @ here))
             T_object = None
             if held:
-                moved = T_world_base * palm_pose(hand, at) * palm_at_grasp.inverse()
+                palm = world.moving.move(at).T_base_palm
+                moved = T_world_base * palm * palm_at_grasp.inverse()
                 T_object = moved * T_world_base.inverse() * world.task.T_world_object
             nearest = world.nearest_on_arm(T_world_base, at, T_world_object=T_object)
             if nearest.distance < clearance - (PENETRATION_TOL if held else 0.0):

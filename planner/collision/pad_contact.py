@@ -232,4 +232,5 @@ def contact_geometries(hand: Hand, finger: Finger) -> list[LinkGeometry]:
     geometry = pad_geometry(hand, finger.pad.geom)
     if geometry.kind in ROUND:
         return [geometry]
-    return [g for g in hand.geometries if g.joint_id == geometry.joint_id]
+    own = [g for g in hand.geometries if g.name not in hand.arm_geometries]
+    return [g for g in own if g.joint_id == geometry.joint_id]

@@ -109,7 +109,9 @@ class PairTable:
         first: The first geometry of each pair (n_pairs,).
         joints: Pinocchio's joints that carry them (n_pairs, 2).
         hand_environment_pairs: Which pairs (n_pairs,) are of hand and surroundings;
-        of_arm: which have to do with the arm that carries the hand;
+        of_arm: which have to do with the arm that carries the hand; of two, with what is above
+            their last links, which move with the hands;
+        between_hands: which are of two hands, their arms included;
         between_fingers: which are of two different fingers;
         finger_pairs: which of those are of links on their last three joints;
         on_object: which are with the object;
@@ -126,6 +128,7 @@ class PairTable:
     joints: IntArray
     hand_environment_pairs: NDArray[np.bool_]
     of_arm: NDArray[np.bool_]
+    between_hands: NDArray[np.bool_]
     between_fingers: NDArray[np.bool_]
     finger_pairs: NDArray[np.bool_]
     on_object: NDArray[np.bool_]
@@ -153,8 +156,13 @@ class PairTable:
         pairs = _pairs(hand, names)
         named = [(names[a], names[b]) for a, b in pairs]
         n_hand = len(hand.geometries)
-        arm = hand.arm.geometries if hand.arm is not None else frozenset()
+        last = {s.carriage[-1] + 1 for s in hand.pair}
+        arm = hand.arm_geometries - {g.name for g in hand.geometries if g.joint_id in last}
+        side_of = {
+            name: s.name for s in hand.pair for name in names if name.startswith(s.called(""))
+        }
         joint = [*(g.joint_id for g in hand.geometries), *(0 for _ in surroundings)]
+        sides = [(side_of.get(a), side_of.get(b)) for a, b in named]
         on_object = np.array([b == OBJECT for _, b in named])
         between, outer = _finger_pairs(hand, pairs)
         return cls(
@@ -168,6 +176,7 @@ class PairTable:
             joints=np.array([(joint[a], joint[b]) for a, b in pairs]),
             hand_environment_pairs=np.array([b >= n_hand for _, b in pairs]),
             of_arm=np.array([a in arm or b in arm for a, b in named]),
+            between_hands=np.array([None not in both and len(set(both)) > 1 for both in sides]),
             between_fingers=between,
             finger_pairs=between & outer,
             on_object=on_object,
@@ -219,7 +228,7 @@ def _pairs(hand: Hand, names: Sequence[str]) -> list[tuple[int, int]]:
         if frozenset((names[a], names[b])) not in hand.allowed_pairs
     ]
     # an arm stands on the table
-    standing = {g.name for g in hand.geometries if hand.arm is not None and g.joint_id == 0}
+    standing = {g.name for g in hand.geometries if hand.on_arm and g.joint_id == 0}
     pairs += [
         (a, b)
         for a in range(n_hand)

@@ -25,7 +25,7 @@ from planner.collision.pregrasp_ik import PregraspIk, spread_idle, undetermined_
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.hands.hand import Hand
-from planner.kinematics import palm_pose, tip_reach
+from planner.kinematics import palm_pose, palm_poses, tip_reach
 from planner.spatial import SE3, FloatArray
 from planner.tolerances import JOINT_TOL
 
@@ -131,8 +131,7 @@ def find_approach(
     failure: Failure | None = Failure(
         kind="pregrasp_unreachable", text="the fingers cannot open along the contact normals"
     )
-    on_arm = world.task.hand.arm is not None
-    lift = find_lift(world, T_world_base, q) if on_arm else None
+    lift = find_lift(world, T_world_base, q) if world.task.hand.on_arm else None
     if isinstance(lift, Failure):
         return lift
     if not (world.task.is_of_fingertips or world.task.hand.pair):
@@ -240,7 +239,7 @@ def _verify_way_in(
     matrix, value = hand.coupling_matrix
     if outside > JOINT_TOL or np.abs(matrix @ approach.q - value).max(initial=0.0) > JOINT_TOL:
         return _invalid("the pre-grasp violates a joint limit or a coupling")
-    if hand.arm is not None:
+    if hand.on_arm:
         return _verify_on_arm(world, T_world_base, q, approach)
     if approach.arm is not None:
         return _invalid("there are paths of an arm, but the hand is not on one")
@@ -285,7 +284,7 @@ def _verify_on_arm(
         return _invalid("the arm's way in and lift are missing")
     if not np.allclose(approach.T_world_base_start.homogeneous, T_world_base.homogeneous):
         return _invalid("the root of the arm moves")
-    if np.abs(approach.q - q)[hand.arm_index].max() > JOINT_TOL:
+    if not hand.pair and np.abs(approach.q - q)[hand.arm_index].max() > JOINT_TOL:
         return _invalid("the arm moves while the fingers close")
     failure = verify_approach_line(hand, T_world_base, approach.q, arm.approach)
     if failure is not None:
@@ -332,7 +331,7 @@ def _ways_in(
     """Approaches to be looked at; a base that is fixed without an arm stays where it is."""
     hand = world.task.hand
     ways = _ways_back(world, T_world_base, opened) if ways is None else ways
-    if hand.arm is not None and lift is not None:
+    if lift is not None:
         for path in retreats(hand, T_world_base, opened, ways):
             arm = ArmPath(approach=path, lift=lift)
             yield Approach(
@@ -351,6 +350,8 @@ def _ways_back(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> 
 
     Over a table first from above, without one first against the palm's normal.
     """
+    if world.task.hand.pair and world.task.hand.on_arm:
+        return _palms_back(world.task.hand, T_world_base, opened)
     palm = T_world_base * world.moving.move(opened).T_base_palm
     back = -(palm.rotation @ world.moving.hand.palm_normal)
     up = np.array([0.0, 0.0, 1.0])
@@ -363,6 +364,13 @@ def _ways_back(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> 
         ways += [back + sign * a for a in (aside, np.cross(back, aside)) for sign in (1.0, -1.0)]
     lengths = [(d, float(np.linalg.norm(d))) for d in ways]
     return [STANDOFF * d / length for d, length in lengths if length > SHORTEST]
+
+
+def _palms_back(hand: Hand, T_world_base: SE3, opened: FloatArray) -> list[FloatArray]:
+    """Where both palms of two hands may come from, (2, 3), m: against their normals, or nowhere."""
+    palms = zip(hand.pair, palm_poses(hand, opened), strict=True)
+    back = np.array([-(palm.rotation @ side.palm_normal) for side, palm in palms])
+    return [STANDOFF * back @ T_world_base.rotation.T, np.zeros((2, 3))]
 
 
 SHORTEST = 1e-6

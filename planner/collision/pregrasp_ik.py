@@ -141,6 +141,7 @@ class PregraspIk:
         moved = np.ones(hand.nq, dtype=bool)
         for held in (hand.wrist_index, hand.arm_index, np.array(still, dtype=np.int64)):
             moved[held] = False
+        moved[hand.carriage_index] = True  # an arm of two opens with its palm
         self._free = np.flatnonzero(moved)
         self._held = self._matrix[:, self._free]
         self._clear = OPEN_CLEARANCE + world.task.joint_error * tip_reach(hand)

@@ -182,7 +182,8 @@ class CollisionWorld:
     ) -> Clearance:
         """The pair of smallest signed distance among those that change when the arm moves.
 
-        Arm and hand against the surroundings, and the arm against itself and the hand.
+        Arm and hand against the surroundings, and the arm against itself and the hand. Two hands
+        that hold the object move together; else each is looked at against the other.
 
         Args:
             T_world_base: Pose of the arm's root.
@@ -193,6 +194,8 @@ class CollisionWorld:
         self._pairs.place(T_world_base, q, T_world_object)
         moving = self._table.hand_environment_pairs | self._table.of_arm
         held = self._table.on_object & ~self._table.of_arm
+        if T_world_object is None:
+            moving = moving | self._table.between_hands
         return self._nearest(moving if T_world_object is None else moving & ~held)
 
     def nearest_of(self, T_world_base: SE3, q: FloatArray, moving: frozenset[str]) -> Clearance:

@@ -73,7 +73,8 @@ def _joints(hand: Hand, findings: Findings) -> tuple[JointRow, ...]:
     torques = hand.actuation.torque_limits(middle)
     owner = {j: f.name for f in hand.fingers.values() for j in f.joints}
     owner |= dict.fromkeys(hand.description.wrist_joints, "wrist")
-    owner |= {hand.joint_names[k]: "carriage" for k in hand.carriage_index}
+    mover = "arm" if hand.on_arm else "carriage"
+    owner |= {hand.joint_names[k]: mover for k in hand.carriage_index}
     out = []
     for k, name in enumerate(hand.joint_names):
         acting = np.flatnonzero(hand.actuation.moment[:, k])

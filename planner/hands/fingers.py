@@ -105,9 +105,12 @@ class Side:
         name: Its name in the description of the pair; "" of the only one.
         palm_body: Body of its palm.
         palm_normal: Direction the palm faces (3,), unit, in that body's frame.
-        carriage: Where the joints of its carriage stand in q (6,); empty for the only one.
+        carriage: Where the joints that move its palm stand in q: of its carriage (6,), or of the
+            arm that takes its place (n,); empty for the only one.
         fingers: Names of its fingers.
-        alone: The ``Hand`` alone, of two; None of the only one.
+        alone: The ``Hand`` alone, of two, with its arm if it is on one; None of the only one.
+        joints: Where the joints of the hand alone stand in q; empty for the only one.
+        T_base_root: Pose (SE3) of its arm's root in the base of both; None on a carriage.
     """
 
     name: str
@@ -116,6 +119,8 @@ class Side:
     carriage: IntArray
     fingers: tuple[str, ...]
     alone: Any = None
+    joints: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    T_base_root: Any = None
 
     def called(self, name: str) -> str:
         """What a body, joint or geometry of the hand alone is called in the whole."""

@@ -68,8 +68,12 @@ class Hand:
         actuation: Transmission, actuator laws, ranges and stops.
         couplings: Kinematic couplings that hold in a grasp.
         arm: What carries the hand: its joints are part of q, and the base is its root, which stands
-            fixed; None for a hand alone.
+            fixed; None for a hand alone, and for two hands, whose ``pair`` have an arm each.
         pair: The two hands that this is (``planner.hands.two_hands``); empty for one hand.
+        on_carriages: Of two hands on arms the same on carriages, with which grasps are searched
+            for; None of all others.
+        last_link: Names of the colliding geometries of an arm's last link, of a hand on a carriage
+            that has it with it; none of others.
         rolls: Whether its pads have the cones within which contacts may roll (``rolling``).
     """
 
@@ -88,6 +92,8 @@ class Hand:
     couplings: tuple[Coupling, ...]
     arm: Arm | None = None
     pair: tuple[Side, ...] = ()
+    on_carriages: Hand | None = None
+    last_link: frozenset[str] = frozenset()
     rolls: bool = False
 
     @cached_property
@@ -131,6 +137,16 @@ class Hand:
     def neutral(self) -> FloatArray:
         """Joints (nq,) at zero, or at the end of their range that is nearest to it."""
         return np.clip(np.zeros(self.nq), self.q_lower, self.q_upper)
+
+    @property
+    def at_rest(self) -> FloatArray:
+        """Joints (nq,) as ``neutral``, with arms at their ready posture."""
+        q = self.neutral
+        sides = ((side.joints, side.alone.arm) for side in self.pair)
+        for joints, arm in ((np.arange(self.nq), self.arm), *sides):
+            if arm is not None:
+                q[joints[arm.index]] = arm.ready
+        return q
 
     @cached_property
     def wrist_index(self) -> IntArray:
@@ -190,13 +206,28 @@ class Hand:
 
     @cached_property
     def carriage_index(self) -> IntArray:
-        """Where the joints of the carriages of two hands stand in q; empty for one hand."""
+        """Where the joints that move the palms of two hands stand in q; empty for one hand."""
         return np.concatenate([side.carriage for side in self.sides])
 
     @cached_property
+    def on_arm(self) -> bool:
+        """Whether an arm carries it, or an arm each of two hands: its base stands fixed."""
+        return self.arm is not None or any(side.T_base_root is not None for side in self.pair)
+
+    @cached_property
     def arm_index(self) -> IntArray:
-        """Where the joints of the arm that carries the hand stand in q; empty without one."""
-        return np.zeros(0, dtype=int) if self.arm is None else self.arm.index
+        """Where the joints of the arm, or of both, stand in q; empty without one."""
+        if self.arm is not None:
+            return self.arm.index
+        arms = [s.joints[s.alone.arm.index] for s in self.pair if s.T_base_root is not None]
+        return np.concatenate([np.zeros(0, dtype=int), *arms])
+
+    @cached_property
+    def arm_geometries(self) -> frozenset[str]:
+        """Names of the colliding geometries of the arm, or of both; or of what is left of it."""
+        if self.pair:
+            return frozenset(s.called(name) for s in self.pair for name in s.alone.arm_geometries)
+        return self.last_link if self.arm is None else self.arm.geometries
 
     @cached_property
     def moved_by(self) -> NDArray[np.bool_]:
@@ -282,9 +313,7 @@ class Hand:
         postures = self.description.postures
         if name not in postures:
             raise NotFoundError(f"posture of {self.name}", name, postures)
-        q = self.neutral
-        if self.arm is not None:
-            q[self.arm.index] = self.arm.ready
+        q = self.at_rest
         for joint, angle in postures[name].items():
             q[self.joint_index(joint)] = angle
         return self.checked_q(q, f"posture {name!r}")

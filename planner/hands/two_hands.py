@@ -1,10 +1,15 @@
-"""Two hands as one: its description, and the model in which each hand hangs on a carriage.
+"""Two hands as one: its description, and the model in which a carriage or an arm moves each hand.
 
 Called by ``planner.hand_loading``. The description is a fourth kind of ``hand.toml``: it names two
 descriptions, where the hands are at rest, and what moves them. A carriage has three slides and
 three hinges through the palm's origin; it stands for the arm that would carry the hand. The joints
 of both carriages are part of q like any others, so that one grasp map, one force programme and one
 certificate take the contacts of both hands. See ``models/hands/two_allegro_hands/hand.toml``.
+
+Where both hands are on arms (``planner.hands.arm``), the joints of each arm take the place of its
+carriage's: the roots of both arms stand in the pair, whose base is on the table below the object.
+Grasps are searched for with the same hands on carriages (``Hand.on_carriages``), each with its
+arm's last link, and the arms then bring the palms there (``planner.collision.arm_path.onto_arms``).
 """
 
 from __future__ import annotations
@@ -12,6 +17,8 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +27,7 @@ import pinocchio as pin
 from pydantic import Field
 
 from planner.bridge import compile_spec
-from planner.bridge.edit import Carried, JointServo, carried_spec
+from planner.bridge.edit import Carried, JointServo, carried_spec, take_off_arm
 from planner.errors import HandError
 from planner.hands.build import hand_of_model
 from planner.hands.catalog import JOINED_NAMES
@@ -29,6 +36,7 @@ from planner.hands.fingers import Side
 from planner.hands.hand import Hand
 from planner.joints.description import FingerDescription, Finite, HandDescription, Positive, Vector
 from planner.schema import StrictData
+from planner.shapes.convex_pairs import DistancePair
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 
 PAIR = "pair"
@@ -46,8 +54,9 @@ class HeldHand(StrictData):
     Attributes:
         name: What it is called; names of its bodies and joints begin with it.
         hand: Its description, relative to this file.
-        position: Where its palm is at rest, m, in the axes of the pair.
-        quaternion_wxyz: Orientation of its base there.
+        position: Where its palm is at rest, m, in the axes of the pair; of a hand on an arm where
+            the arm's root stands.
+        quaternion_wxyz: Orientation of its base there; the arm's root is its base.
     """
 
     name: str = Field(min_length=1)
@@ -101,6 +110,11 @@ HALF_APART = 0.25
 """Distance (m) of a palm at rest from the middle of two hands that are named as ``ONE+OTHER``: room
 for an object as wide as a person takes between both hands."""
 
+ARM_AWAY = 0.6
+"""Distance (m) of an arm's root from the middle of two arms that are named as ``ONE+OTHER``. Of 60
+palms drawn on the sides of objects of 15 to 40 cm, both shipped hands reach all at this distance,
+and stay there while they lift by 0.2 m; at 0.4 m one reaches 45, at 0.8 m the other 53."""
+
 CARRIED_ARM = 0.1
 """Radius of gyration (m) of carriage, hand and their share of an object about the palm, for the
 damping of the hinges."""
@@ -125,14 +139,16 @@ def read_pair(path: Path) -> PairDescription:
 
 
 def joined_hands(hands: Sequence[Hand], reference: str) -> Hand:
-    """Two hands as one that no file describes: palm to palm, fingers up, on the usual carriages.
+    """Two hands as one that no file describes, palm to palm.
+
+    On the usual carriages their fingers are up; arms stand opposite each other, the object between.
 
     Args:
         hands: Both hands, each alone.
         reference: What ``load_hand`` takes to get the same again: "ONE+OTHER".
 
     Raises:
-        HandError: There are not two, or one is on an arm or two hands itself.
+        HandError: There are not two, one alone is on an arm, or one is two hands itself.
     """
     if len(hands) != len(JOINED_NAMES):
         raise HandError(f"{reference} names {len(hands)} hands; join two, as in one+other")
@@ -140,7 +156,9 @@ def joined_hands(hands: Sequence[Hand], reference: str) -> Hand:
         HeldHand(
             name=name,
             hand=hand.reference or hand.name,
-            position=(0.0, -sign * HALF_APART, 0.0),
+            position=(0.0, -sign * HALF_APART, 0.0)
+            if hand.arm is None
+            else (0.0, -sign * ARM_AWAY, hand.arm.T_spot_base.translation[2]),
             quaternion_wxyz=_facing(hand, np.array([0.0, sign, 0.0])),
         )
         for name, hand, sign in zip(JOINED_NAMES, hands, (1.0, -1.0), strict=True)
@@ -150,7 +168,12 @@ def joined_hands(hands: Sequence[Hand], reference: str) -> Hand:
 
 
 def _facing(hand: Hand, direction: FloatArray) -> tuple[float, float, float, float]:
-    """Quaternion of a base at which the palm faces a horizontal direction (3,), fingers up."""
+    """Quaternion of a base at which the palm faces a horizontal direction (3,), fingers up.
+
+    An arm stands upright, and its forward direction, x, points there.
+    """
+    if hand.arm is not None:
+        return float(np.sqrt(0.5)), 0.0, 0.0, float(np.sign(direction[1]) * np.sqrt(0.5))
     data = hand.pin_model.createData()
     pin.framesForwardKinematics(hand.pin_model, data, hand.neutral)
     palm = data.oMf[hand.palm_frame_id]
@@ -170,7 +193,7 @@ def _facing(hand: Hand, direction: FloatArray) -> tuple[float, float, float, flo
 def two_hands(
     pair: PairDescription, hands: Sequence[Hand], path: Path | None, reference: str
 ) -> Hand:
-    """Two hands on carriages as one.
+    """Two hands on carriages, or on arms, as one.
 
     Args:
         pair: The description.
@@ -179,19 +202,29 @@ def two_hands(
         reference: What ``load_hand`` takes to get the same again.
 
     Raises:
-        HandError: A hand is on an arm or a pair itself, or they do not fit.
+        HandError: One alone is on an arm, one is a pair itself, or they do not fit.
         ModelError: MuJoCo refuses the whole.
     """
     where = reference if path is None else str(path)
     for hand in hands:
-        if hand.arm is not None or hand.pair:
-            what = "is on an arm" if hand.arm is not None else "is two hands itself"
-            raise HandError(f"{where}: hands names {hand.name}, which {what}; name a hand alone")
-    _check_faces(where, pair, hands)
+        if hand.pair:
+            raise HandError(
+                f"{where}: hands names {hand.name}, which is two hands itself; name a hand alone"
+            )
+    on_arms = [hand.name for hand in hands if hand.arm is not None]
+    if len(on_arms) == 1:
+        raise HandError(
+            f"{where}: {on_arms[0]} is on an arm and the other hand is not; put both on arms, or "
+            "both on carriages by naming hands alone"
+        )
+    if on_arms:
+        _check_roots(where, pair, hands)
+    else:
+        _check_faces(where, pair, hands)
     spec = pair_spec(pair, hands)
     written = pair.model_dump_json().encode() if path is None else path.read_bytes()
     content = b"".join(hand.digest.encode() for hand in hands) + written
-    return hand_of_model(
+    both = hand_of_model(
         spec,
         compile_spec(spec, where),
         pair_description(pair, hands),
@@ -201,10 +234,73 @@ def two_hands(
         digest=hashlib.sha256(content).hexdigest(),
         sides=lambda joint_names: sides_of(pair, hands, joint_names),
     )
+    return replace(both, on_carriages=_on_carriages(pair, hands, where)) if on_arms else both
+
+
+def _on_carriages(pair: PairDescription, hands: Sequence[Hand], where: str) -> Hand:
+    """The hands of two arms, each with the last link, on carriages about the origin of the pair.
+
+    Each is at rest on its arm's side, its palm turned from where the arm has it at its ready
+    posture, by the shortest way, to face the other arm.
+
+    Raises:
+        HandError: One arm stands above the other.
+    """
+    roots = [_at_rest(held, hand)[0] for held, hand in zip(pair.hands, hands, strict=True)]
+    way = (roots[1].translation - roots[0].translation) * np.array([1.0, 1.0, 0.0])
+    if not np.linalg.norm(way) > 0.0:
+        raise HandError(f"{where}: one arm stands above the other; move them apart (position)")
+    way /= np.linalg.norm(way)
+    alone, rests = [_off_arm(hand) for hand in hands], []
+    for held, hand, bare, root, sign in zip(
+        pair.hands, hands, alone, roots, (1.0, -1.0), strict=True
+    ):
+        turn = root.rotation @ _palm_turn(hand)
+        facing = pin.Quaternion.FromTwoVectors(turn @ hand.palm_normal, sign * way).matrix()
+        base = SE3(facing @ turn @ _palm_turn(bare).T, np.zeros(3))
+        x, y, z = -sign * HALF_APART * way
+        w, *vector = pose_to_wxyz(base)[1].tolist()
+        rests.append(
+            HeldHand(
+                name=held.name,
+                hand=bare.name,
+                position=(x, y, z),
+                quaternion_wxyz=(w, vector[0], vector[1], vector[2]),
+            )
+        )
+    carriages = pair.model_copy(update={"hands": (rests[0], rests[1])})
+    return two_hands(carriages, alone, None, where)
+
+
+def _off_arm(hand: Hand) -> Hand:
+    """A hand that an arm carries, with the arm's last link alone."""
+    assert hand.arm is not None
+    joint = hand.joint_names[hand.arm.flange - 1]
+    link = str(hand.mj_model.body(int(hand.mj_model.joint(joint).bodyid[0])).name)
+    spec = hand.new_spec()
+    take_off_arm(spec, link, hand.name)
+    bare = hand_of_model(
+        spec,
+        compile_spec(spec, hand.name),
+        hand.description.model_copy(update={"base_body": link}),
+        where=hand.name,
+        path=None,
+        reference=None,
+        digest=hashlib.sha256(f"{hand.digest} off its arm".encode()).hexdigest(),
+    )
+    names = {geometry.name for geometry in bare.geometries}
+    return replace(bare, last_link=hand.arm.geometries & names)
+
+
+def _palm_turn(hand: Hand) -> FloatArray:
+    """Rotation (3, 3) of the palm in the hand's base, at rest."""
+    data = hand.pin_model.createData()
+    pin.framesForwardKinematics(hand.pin_model, data, hand.at_rest)
+    return np.array(data.oMf[hand.palm_frame_id].rotation)
 
 
 def pair_spec(pair: PairDescription, hands: Sequence[Hand]) -> Any:
-    """``mujoco.MjSpec`` of both hands on their carriages, under one root body.
+    """``mujoco.MjSpec`` of both hands on their carriages or arms, under one root body.
 
     Raises:
         ModelError: MuJoCo refuses the whole.
@@ -222,6 +318,7 @@ def pair_spec(pair: PairDescription, hands: Sequence[Hand]) -> Any:
                 servos=[
                     _servo(c, load, slides=k < 3, most=most)
                     for k, most in enumerate((*(c.reach,) * 3, HALF_TURN, c.tilt, c.tilt))
+                    if hand.arm is None
                 ],
             )
         )
@@ -294,23 +391,50 @@ def _check_faces(where: str, pair: PairDescription, hands: Sequence[Hand]) -> No
             )
 
 
+def _check_roots(where: str, pair: PairDescription, hands: Sequence[Hand]) -> None:
+    """Refuse arms whose roots, which stand fixed, overlap.
+
+    Raises:
+        HandError: They do.
+    """
+    roots = [
+        [(_at_rest(s, h)[0] * g.T_joint_geometry, g) for g in h.geometries if g.joint_id == 0]
+        for s, h in zip(pair.hands, hands, strict=True)
+    ]
+    for (T_one, one), (T_other, other) in product(*roots):
+        if DistancePair(one.geometry, other.geometry).distance(T_one, T_other) < 0.0:
+            names = " and ".join(held.name for held in pair.hands)
+            raise HandError(
+                f"{where}: the arms of {names} stand in one place; move them apart (position)"
+            )
+
+
 def sides_of(
     pair: PairDescription,
     hands: Sequence[Hand],
     joint_names: Sequence[str],
 ) -> tuple[Side, ...]:
     """Both hands by the names and joints of the whole."""
-    return tuple(
-        Side(
-            name=held.name,
-            palm_body=f"{held.name}/{hand.description.palm_body}",
-            palm_normal=hand.palm_normal,
-            carriage=np.array([joint_names.index(f"{held.name}/carriage_{a}") for a in AXES]),
-            fingers=tuple(_called(held, name) for name in hand.fingers),
-            alone=hand,
+    sides = []
+    for held, hand in zip(pair.hands, hands, strict=True):
+        joints = np.array([joint_names.index(f"{held.name}/{joint}") for joint in hand.joint_names])
+        if hand.arm is None:
+            carriage = np.array([joint_names.index(f"{held.name}/carriage_{a}") for a in AXES])
+        else:
+            carriage = joints[hand.arm.chain]
+        sides.append(
+            Side(
+                name=held.name,
+                palm_body=f"{held.name}/{hand.description.palm_body}",
+                palm_normal=hand.palm_normal,
+                carriage=carriage,
+                fingers=tuple(_called(held, name) for name in hand.fingers),
+                alone=hand,
+                joints=joints,
+                T_base_root=None if hand.arm is None else _at_rest(held, hand)[0],
+            )
         )
-        for held, hand in zip(pair.hands, hands, strict=True)
-    )
+    return tuple(sides)
 
 
 def _called(held: HeldHand, finger: str) -> str:
@@ -331,7 +455,13 @@ def _finger(held: HeldHand, finger: FingerDescription) -> FingerDescription:
 
 
 def _at_rest(held: HeldHand, hand: Hand) -> tuple[SE3, SE3]:
-    """Pose of the carriage in the pair, x along the palm's normal, and of the base on it."""
+    """Pose of the carriage in the pair, x along the palm's normal, and of the base on it.
+
+    Of a hand on an arm, the pose of the arm's root, twice the same place.
+    """
+    if hand.arm is not None:
+        root = pose_from_wxyz(np.array(held.position), np.array(held.quaternion_wxyz))
+        return root, SE3.Identity()
     data = hand.pin_model.createData()
     pin.framesForwardKinematics(hand.pin_model, data, hand.neutral)
     T_base_palm = data.oMf[hand.palm_frame_id]

@@ -40,7 +40,7 @@ from planner.numerics.kernels import planning_time
 from planner.plan import GraspPlan
 from planner.search.attempt import Attempt, check_seed, nothing_found
 from planner.search.grasp import attempts
-from planner.spatial import SE3, FloatArray, IntArray
+from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from planner.verification import (
     contacts_at,
@@ -224,6 +224,11 @@ def _sides(task: GraspTask, to: str | None) -> tuple[Side, Side]:
             f"a handover takes two hands, and {task.hand.name} is one; load two, such as "
             "two_allegro_hands or allegro_hand+shadow_hand_left"
         )
+    if task.hand.on_arm:
+        raise TaskError(
+            f"a handover takes hands on carriages, and those of {task.hand.name} are on arms; name "
+            "the hands alone, as in allegro_hand+shadow_hand_left"
+        )
     to = list(sides)[-1] if to is None else to
     if not isinstance(to, str) or to not in sides:
         raise NotFoundError("hand to take the object", str(to), sides)
@@ -302,8 +307,7 @@ class _Carried:
         self.at_rest = base.inverse() * self.root  # of the carriage, in the base
         palm = data.oMf[model.getBodyId(side.palm_body)]
         self.looks = palm.rotation @ side.palm_normal
-        names = [side.called(joint) for joint in alone.joint_names]
-        self._index: IntArray = np.array([hand.joint_names.index(name) for name in names])
+        self._index = side.joints
         self.geometries = frozenset(side.called(g.name) for g in alone.geometries)
         self.fingers = dict(zip(alone.fingers, side.fingers, strict=True))
 

@@ -19,6 +19,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 import numpy as np
 
 from planner.arrays import LARGEST_INT
+from planner.collision.arm_path import onto_arms
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, TaskError, shown
 from planner.failure import Failure
@@ -96,8 +97,13 @@ def finished(
         status=candidate.status,
         objective=str(options.objective),
     )
-    q = np.clip(candidate.q, task.hand.q_lower, task.hand.q_upper)
+    q = np.clip(candidate.q, problem.hand.q_lower, problem.hand.q_upper)
     T_world_base = task.T_world_object * candidate.T_object_base
+    if task.on_carriages is not task and problem.hand is not task.hand:
+        found = onto_arms(true_geometry(task), T_world_base, q)
+        if isinstance(found, Failure):
+            return found
+        T_world_base, q = SE3(task.T_world_base), found
     return verified_on_surface(task, T_world_base, q, record=record, terms=problem.own_terms)
 
 

@@ -404,8 +404,12 @@ def _wanted_attempts(task: GraspTask, seed: int, wanted: Wanted) -> Iterator[Att
 
 @dataclass(frozen=True)
 class _Problem:
-    """A task with its problems and seeder: made once, for whatever thread asks."""
+    """A task with its problems and seeder: made once, for whatever thread asks.
 
+    Two arms' task is solved with their hands on carriages, and verified as ``asked``.
+    """
+
+    asked: GraspTask
     task: GraspTask
     problems: Problems
     seeder: Seeder
@@ -474,7 +478,7 @@ class _GraspContext:
     def verified(self, candidate: Candidate) -> GraspPlan | Failure:
         """Project a candidate onto the true surface and verify it."""
         problem, options, shared = self.grasp_problem, self.options, self.task.sharing_palm
-        found = finished(problem, self.task, candidate, options)
+        found = finished(problem, self.problem.asked, candidate, options)
         if not (self.shares and shared and isinstance(found, Failure) and found.kind == NO_FORCES):
             return found
         again = finished(problem, shared, candidate, options)
@@ -486,7 +490,7 @@ def _problem(task: GraspTask, form: ProblemForm) -> _Problem:
     """Seeder and problems of a task, made once for all who ask with the same one."""
     seeder = seeder_for(task)
     true_geometry(task)  # refuses what stands in something else, before the problems are built
-    return _Problem(task, problems_for(task, form), seeder)
+    return _Problem(task, seeder.task, problems_for(seeder.task, form), seeder)
 
 
 @made_once(8)

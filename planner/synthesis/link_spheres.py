@@ -84,7 +84,7 @@ def margin_of(sphere: LinkSphere, touching: Sequence[Finger]) -> str | None:
 
 def moving(hand: Hand, spheres: tuple[LinkSphere, ...]) -> tuple[LinkSphere, ...]:
     """The spheres that move with q or the base: not those of an arm's root, which stands fixed."""
-    return tuple(b for b in spheres if hand.arm is None or b.joint_id > 0)
+    return tuple(b for b in spheres if not hand.on_arm or b.joint_id > 0)
 
 
 @lru_cache(maxsize=8)

@@ -92,7 +92,7 @@ def shake_cases(settings: Settings) -> tuple[ShakeCase, ...]:
 
 def on_an_arm(hand: Hand) -> str:
     """Why a hand's gantry cannot be shaken; "" if it can."""
-    if hand.arm is None:
+    if not hand.on_arm:
         return ""
     return (
         f"protocol shake shakes the gantry, and {hand.name} is on an arm; plan with the hand "

@@ -265,7 +265,7 @@ def build_scene(
     add_looks(spec, task, T_world_base, hand.neutral if q is None else q)
     model = compile_spec(spec, f"the scene of {spec.modelname}")
     gantry = None
-    if hand.arm is None:
+    if not hand.on_arm:
         gantry = tuned_gantry(model, T_world_base, truth.object.mass, OBJECT, hinges)
     return index_scene(task, physics, T_world_base, model, gantry, truth.object.shape)
 
@@ -302,7 +302,7 @@ def scene_spec(
     physics.apply(spec, task.gravity)
     truth = truth or _believed(task)
     gantry = _add_hand(spec, task, T_world_base, physics)
-    if with_gantry and task.hand.arm is None:
+    if with_gantry and not task.hand.on_arm:
         add_gantry(spec, gantry, task.hand.mj_model, np.eye(3) if hinges is None else hinges)
     _add_object(spec, task, truth, physics)
     _add_surroundings(spec, task, truth.table_height, physics)
@@ -360,7 +360,7 @@ def add_looks(spec: Any, task: GraspTask, T_world_base: SE3, q: FloatArray) -> N
         task.T_world_object.translation,
         T_world_palm.rotation @ hand.palm_normal,
         task.table_height,
-        1.0 if hand.arm is None else ARM_VIEW,
+        ARM_VIEW if hand.on_arm else 1.0,
     )
 
 

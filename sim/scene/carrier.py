@@ -9,7 +9,8 @@ hand (MuJoCo's bias force), so that a position servo gets
     ctrl = q_wanted + (bias + kd v_wanted) / kp
 
 and follows without lag and without sagging. Joints that are driven by motors get a spring and a
-damper around that.
+damper around that. Two arms press with their palms too, as the controller commands them: there the
+motion is added to its commands.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from planner.arrays import check_fields
-from planner.collision.arm_path import LIFT_HEIGHT, ArmPath
+from planner.collision.arm_path import ArmPath, lift_height
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, minimum_jerk
@@ -165,17 +166,20 @@ class ArmCarrier:
                 f"{plan.task.hand.name} is on an arm, whose plan lifts without turning; leave turn "
                 "and tilt at 0"
             )
-        if timeline.lift_height > LIFT_HEIGHT:
+        most = lift_height(plan.task.hand)
+        if timeline.lift_height > most:
             raise TaskError(
                 f"the timeline lifts by {timeline.lift_height:g} m; with an arm a plan lifts by "
-                f"{LIFT_HEIGHT:g} m: give at most that"
+                f"{most:g} m: give at most that"
             )
         self._hand, self._path = plan.task.hand, path
         self._scene, self._timeline = scene, timeline
-        self._lift_share = timeline.lift_height / LIFT_HEIGHT
+        self._lift_share = timeline.lift_height / most
         self._dof = scene.hand_dof[self._hand.arm_index]
         self._qpos = scene.hand_qpos[self._hand.arm_index]
         self._rows = np.isin(scene.hand_ctrl, scene.arm_ctrl)
+        self._along = self._hand.actuation.moment[np.ix_(self._rows, self._hand.arm_index)]
+        self._force_of = np.linalg.pinv(self._along.T)  # joint torques to actuator forces
         self._q = plan.q_start
         self._approached = 1.0
         self._stiffness, self._damping = (
@@ -187,6 +191,9 @@ class ArmCarrier:
         if phase == "approach":
             self._approached = self._timeline.profile(share)[0]
         target, velocity = self.motion(phase, share)
+        if self._hand.pair:
+            self._add_motion(data, phase, target, velocity)
+            return
         index = self._hand.arm_index
         v, torque = np.zeros(self._hand.nq), np.zeros(self._hand.nq)
         self._q[index], v[index] = target, velocity
@@ -195,6 +202,29 @@ class ArmCarrier:
         torque[index] += self._damping * (velocity - data.qvel[self._dof])
         ctrl = self._hand.actuation.commands(self._q, v, torque)
         data.ctrl[self._scene.arm_ctrl] = ctrl[self._rows]
+
+    def _add_motion(
+        self, data: Any, phase: Phase, target: FloatArray, velocity: FloatArray
+    ) -> None:
+        """Move the postures about which the controller holds both arms along their paths.
+
+        Their actuators' law is linear: what moves a posture by dq at rates v is, for a position
+        servo, ctrl + dq + (kd / kp) v. The torques that press stay as commanded.
+
+        Args:
+            data: ``mujoco.MjData`` with the controller's commands.
+            phase: Which.
+            target: Arm joints (n,).
+            velocity: Their rates (n,).
+        """
+        a, path = self._hand.actuation, self._path
+        coming = phase in ("approach", "open", "retreat")
+        moved = target - (path.approach[-1] if coming else path.lift[0])
+        force = self._force_of @ (self._stiffness * moved + self._damping * velocity)
+        force -= a.bias[self._rows, 1] * (self._along @ moved)
+        force -= a.bias[self._rows, 2] * (self._along @ velocity)
+        ctrl = data.ctrl[self._scene.arm_ctrl] + force / a.gain[self._rows]
+        data.ctrl[self._scene.arm_ctrl] = np.clip(ctrl, *a.ctrl_range[self._rows].T)
 
     def motion(self, phase: Phase, share: float) -> tuple[FloatArray, FloatArray]:
         """Arm joints (n,) and their rates (n,) at a share in [0, 1] of a phase."""

@@ -334,8 +334,8 @@ def moving_stage(
     grip = int(np.isfinite(recording.points[:, :, 0]).sum(axis=1).argmax())
     base, item = recording.poses(grip)
     stage = Stage(task, base, recording.q[grip], item)
-    followed = "hand" if hand.arm is None else "object"
-    way = recording.T_world_base if hand.arm is None else recording.T_world_object
+    followed = "object" if hand.on_arm else "hand"
+    way = recording.T_world_object if hand.on_arm else recording.T_world_base
     scene = Scene(
         models=stage.models,
         actors=tuple(stage.actors),

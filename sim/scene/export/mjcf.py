@@ -150,7 +150,7 @@ def plain_scene(plan: GraspPlan, physics: PhysicsOptions) -> tuple[Scene, Any]:
     plain = spec_from_model(compiled)
     plain.body(GANTRY).name = MOUNT
     physics.apply(plain, task.gravity)
-    if task.hand.arm is None:
+    if not task.hand.on_arm:
         _keep_neighbours_apart(plain, compiled)
     for pair in range(compiled.npair):
         _add_pair(plain, compiled, pair)

@@ -66,9 +66,9 @@ def physics_data(
             "name": task.hand.name,
             "base_body": HAND_PREFIX + task.hand.description.base_body,
             "T_world_base": _pose(plan.T_world_base),
-            "carrier": "the base stands fixed in the world"
-            if task.hand.arm is None
-            else "the root of the arm stands fixed; the arm's servos carry the hand",
+            "carrier": "the root of the arm stands fixed; the arm's servos carry the hand"
+            if task.hand.on_arm
+            else "the base stands fixed in the world",
         },
         "object": {
             "body": OBJECT,
