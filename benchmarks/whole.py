@@ -210,7 +210,10 @@ def _growing(plan: GraspPlan, along: FloatArray, *, told: bool, first: float) ->
         raise TaskError(f"the hand did not close: {fault.detail}")
     hold.begin_hold()
     names, scene = np.array(plan.task.finger_names), hold.simulation.scene
-    predictions = {"off": compliance_of(plan, scene, closed), "plan_off": compliance_of(plan, scene)}
+    predictions = {
+        "off": compliance_of(plan, scene, closed),
+        "plan_off": compliance_of(plan, scene),
+    }
     given: dict[str, Any] = dict(
         force_arguments(plan.task, plan.contacts, plan.T_world_base, plan.q)
     )

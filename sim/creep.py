@@ -95,7 +95,7 @@ LEAST_PRESSING = 2.0
 """Force (N) at which the compliance of contacts is taken that press less: they may press later."""
 
 NEAR = 0.001
-"""Gap (m) within which a link counts as one that may come to bear: pressing fingers move by less."""
+"""Gap (m) within which a link may come to bear: fingers that press move by less."""
 
 CREEP_BUDGET = 1e-4
 """Creep (m/s) that remedies are sized for unless told otherwise: 5 mm in 50 s."""

@@ -201,7 +201,7 @@ def test_a_contact_that_parted_presses_again_where_it_did() -> None:
 
 
 def test_a_contact_with_a_gap_presses_once_it_is_closed() -> None:
-    """By hand: one joint of 1 N m/rad, two links 0.1 m from it, the second 1 mm away, a fixed object.
+    """By hand: one joint of 1 N m/rad, two links 0.1 m from it, the second 1 mm from the object.
 
     They give way by 1e-3 m/N. With 0.05 N m the first link sinks in by 0.1 q = 1e-3 f, so that
     q + 0.1 f = 0.05: f = 100 q = 0.4545 N and q = 4.5e-3, less than the 10e-3 of the gap. With

@@ -20,7 +20,8 @@ no force is counted that neither an actuator commands nor compliance brings abou
 holds together move as one: J is that of the motions that ties leave.
 
 ``GraspCompliance.under`` puts unilateral contacts and friction on top: contacts that part or slide
-bear what the cone leaves them, and the others take the rest.
+bear what the cone leaves them, and the others take the rest. ``pressed`` is how a grasp gets there:
+from gaps, by torques that the servos add.
 """
 
 from __future__ import annotations
