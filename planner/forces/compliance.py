@@ -49,7 +49,7 @@ SOFTEST = 1e-3
 STOP = 20.0
 """Stiffness of a stop that carries, N m/rad: bent by 0.01 rad by the torque of a firm grip."""
 
-LARGEST_STEP, SMALLEST_STEP, ITERATIONS = 0.1, 1e-3, 20
+LARGEST_STEP, SMALLEST_STEP, ITERATIONS = 0.1, 1e-3, 60
 """Steps of a load, as shares of it, and Newton iterations of each (-)."""
 
 SINGULAR = 1e-9
