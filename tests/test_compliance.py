@@ -41,8 +41,9 @@ def hand() -> Hand:
 def inner(hand: Hand) -> GraspPlan:
     """Seven contacts: two links of two fingers each, two more fingers, and the palm."""
     item = parse_object("sphere:0.04", mass=1.0)
-    choices = GraspTask.create(hand, item, grasp_type="power").choices
-    return plan_grasp(choices[0], seed=1)
+    links = [f"{finger}_distal" for finger in ("thumb", "middle", "ring", "index")]
+    links += ["middle_proximal", "ring_proximal", "palm"]
+    return plan_grasp(GraspTask.create(hand, item, fingers=links), seed=1)
 
 
 def link_and_palm(contact: float, joint: float) -> GraspCompliance:
