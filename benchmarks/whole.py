@@ -65,7 +65,8 @@ TOLD_FROM, TOLD, HELD = 0.5, 1.05, 1.15
 load to the next (-), told and held."""
 
 LEAST = 0.5
-"""Force (N) below which a contact is not compared: its relative error says nothing."""
+"""Force (N) below which a contact is not compared, if neither measured nor predicted force is above
+it: its relative error says nothing. Errors are shares of the predicted force, or of this."""
 
 GRIPS = (1.0, 0.5, 0.0)
 """Shares of the least normal forces that the controller that is told asks for, the first that is
@@ -150,8 +151,11 @@ def _push(case: Row) -> Row:
     way = np.random.default_rng(case["seed"]).normal(size=3)
     along = np.append(way / np.linalg.norm(way), np.zeros(3))
     seen = _growing(plan, along, told=False, first=FIRST)
-    return {"found": True, "contacts": len(plan.contacts), "broke": seen["broke"]} | {
+    inner = len(plan.contacts) - len(plan.task.outermost) - 1  # and the palm
+    return {"found": True, "contacts": len(plan.contacts), "inner": inner} | {
+        "broke": seen["broke"],
         "force_off": seen["off"],
+        "plan_off": seen["plan_off"],
         "predicted_to": seen["to"],
     }
 
@@ -190,6 +194,9 @@ def _load(case: Row) -> Row:
 def _growing(plan: GraspPlan, along: FloatArray, *, told: bool, first: float) -> Row:
     """The load (N) under which the object was lost, and how far (%) contact forces were predicted.
 
+    Once from the posture in which the fingers had closed, whose joints are the references of the
+    servos while they press and are pushed; and once from the plan alone.
+
     Args:
         plan: The grasp.
         along: Of 1 N (6,), world.
@@ -197,14 +204,22 @@ def _growing(plan: GraspPlan, along: FloatArray, *, told: bool, first: float) ->
         first: The first load, N.
     """
     hold = DisturbanceTrial(plan)
-    if (fault := hold.close_and_squeeze()) is not None:
+    fault = hold.run_phases("close")
+    closed = hold.simulation.data.qpos.copy()
+    if (fault := fault or hold.run_phases("squeeze", "settle", "lift")) is not None:
         raise TaskError(f"the hand did not close: {fault.detail}")
-    grasp, contacts, pressed = compliance_of(plan, hold.simulation.scene)
+    hold.begin_hold()
+    names, scene = np.array(plan.task.finger_names), hold.simulation.scene
+    predictions = {
+        "off": compliance_of(plan, scene, closed),
+        "plan_off": compliance_of(plan, scene),
+    }
     given: dict[str, Any] = dict(
         force_arguments(plan.task, plan.contacts, plan.T_world_base, plan.q)
     )
     turn = plan.task.T_world_object.rotation
-    before, level, off, end = 0.0, first, list[float](), 0.0
+    before, level, end = 0.0, first, 0.0
+    off: dict[str, list[float]] = {kind: [] for kind in predictions}
     while level < MOST:
         if told:
             for grip in GRIPS:
@@ -224,14 +239,18 @@ def _growing(plan: GraspPlan, along: FloatArray, *, told: bool, first: float) ->
         if hold.hold_for(STEP, each_step=grow):
             break
         if not told and hold.at_rest():
-            forces, borne = grasp.under(contacts, pressed, level * along)
-            if borne == 1.0:
-                normal, end = forces.reshape(-1, 4)[:, 0], level
-                measured = hold.simulation.normal_forces()
-                seen = normal > LEAST
-                off += (100.0 * np.abs(measured - normal)[seen] / normal[seen]).tolist()
+            measured = hold.simulation.normal_forces()
+            for kind, (grasp, contacts, pressed) in predictions.items():
+                forces, borne = grasp.under(contacts, pressed, level * along)
+                if borne < 1.0:
+                    continue
+                normals = forces[np.cumsum([0, *contacts.dims])[:-1]]
+                normal = (names[:, None] == np.array(contacts.fingers)) @ normals
+                error = 100.0 * np.abs(measured - normal) / np.maximum(normal, LEAST)
+                off[kind] += error[np.maximum(measured, normal) > LEAST].tolist()
+                end = level if kind == "off" else end
         before, level = level, (TOLD if told else HELD) * level
-    return {"broke": level, "off": off, "to": end}
+    return {"broke": level, **off, "to": end}
 
 
 def tables(result: Row) -> Iterator[Row]:
@@ -260,18 +279,21 @@ def tables(result: Row) -> Iterator[Row]:
     pushes = [row for row in rows if row["part"] == "push"]
     if pushes:
         yield summary(
-            "normal forces of contacts against the prediction under a growing push, %; load, N, "
-            "under which it was lost, and up to which balance was predicted",
-            pushes,
-            ("hand", "object"),
+            "normal forces of contacts against the prediction under a growing push, %, and against "
+            "that of the plan alone; load, N, under which it was lost, and up to which balance was "
+            "predicted; by the number of inner links",
+            [{**row, "inner": row.get("inner", "-")} for row in pushes],
+            {"hand": "hand", "object": "object", "inner": "inner links"},
             {
                 "found": share("found"),
+                "values": of("force_off", "count", 0),
                 "median %": of("force_off", "median", 1),
                 "90 %": of("force_off", 0.9, 1),
+                "of the plan": of("plan_off", "median", 1),
                 "lost at": of("broke", "median", 1),
                 "predicted": of("predicted_to", "median", 1),
             },
-            [("all", "")],
+            [("all", "", None), ("all", "", "")],
         )
     sizes = [row for row in rows if row["part"] == "sizes"]
     if sizes:

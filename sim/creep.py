@@ -42,10 +42,13 @@ physics`` measures creep beside this formula.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from planner.contacts import ContactModel, ContactSet
@@ -54,6 +57,7 @@ from planner.forces import GraspCompliance, build_force_problem
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.verification import force_arguments
+from sim.contacts import contacts_from_mujoco
 from sim.scene.build import Scene
 from sim.scene.physics import PhysicsOptions
 
@@ -89,6 +93,9 @@ DEEPEST = 0.01
 
 LEAST_PRESSING = 2.0
 """Force (N) at which the compliance of contacts is taken that press less: they may press later."""
+
+NEAR = 0.001
+"""Gap (m) within which a link may come to bear: fingers that press move by less."""
 
 CREEP_BUDGET = 1e-4
 """Creep (m/s) that remedies are sized for unless told otherwise: 5 mm in 50 s."""
@@ -154,35 +161,72 @@ def with_friction_of(plan: GraspPlan, physics: PhysicsOptions) -> ContactSet:
     )
 
 
-def compliance_of(plan: GraspPlan, scene: Scene) -> tuple[GraspCompliance, ContactSet, FloatArray]:
+def compliance_of(
+    plan: GraspPlan, scene: Scene, qpos: FloatArray | None = None
+) -> tuple[GraspCompliance, ContactSet, FloatArray]:
     """The grasp of a plan with the servos and contacts of its simulation.
 
+    Contacts are those that MuJoCo finds within ``NEAR``, several on a face or along a line, with
+    the gaps that are left: some 0.1 mm between an inner link and the object is a contact less.
     Friction has no spring; across their normals contacts are taken to be ``impratio`` times as
     stiff as along them.
 
+    Args:
+        plan: Gives the torques.
+        scene: Its simulation's.
+        qpos: State whose joints are the servos' references and in which no torque of the plan is on
+            yet, as when the fingers have closed; the planned one if None.
+
     Returns:
-        It; its contacts with the simulation's friction; and the forces (m,) with which they press
-        when the planned torques are on and the object is let go.
+        It; its n contacts, by the names of fingers and links; and the forces (m,) with which they
+        press when the planned torques are on and the object is let go, of those that do not touch
+        as ``GraspCompliance.pressed`` gives them.
     """
-    task, physics, weights = plan.task, scene.physics, scene.model.body_invweight0[:, 0]
-    contacts = with_friction_of(plan, physics)
-    given = force_arguments(task, contacts, plan.T_world_base, plan.q)
-    problem = build_force_problem(contacts, **given)
-    planned = np.nan_to_num(plan.forces.forces)
-    body_of = {g.name: g.body for g in task.hand.geometries}
-    bodies = [scene.model.body(f"hand/{body_of[f.pad.geom]}").id for f in task.fingers]
-    along = [
-        contact_compliance(
+    task, physics, model = plan.task, scene.physics, copy(scene.model)
+    if qpos is None:
+        qpos = scene.posed(plan.q, plan.T_world_base, task.T_world_object)
+    model.geom_margin[list(scene.object_geoms)] = NEAR
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    contacts = contacts_from_mujoco(
+        model,
+        data,
+        object_body=scene.object_body,
+        finger_of_geom=scene.finger_of_geom,
+        with_unloaded=True,
+    )
+    pairs, weights = data.contact.geom, model.body_invweight0[:, 0]
+    of_hand = np.isin(pairs, list(scene.finger_of_geom))
+    met = np.isin(pairs, list(scene.object_geoms)).any(axis=1) & of_hand.any(axis=1)
+    bodies = model.geom_bodyid[pairs[met][of_hand[met]]].tolist()
+    jacobians = np.zeros((len(bodies), 6, model.nv))
+    for own, point, body in zip(jacobians, contacts.positions, bodies, strict=True):
+        mujoco.mj_jac(model, data, own[:3], own[3:], point, body)
+    given = force_arguments(task, plan.contacts, plan.T_world_base, plan.q)
+    problem = build_force_problem(
+        contacts,
+        wrench=given["wrench"],
+        jacobians=jacobians[:, :, scene.hand_dof],
+        actuation=task.hand.actuation,
+        q=qpos[scene.hand_qpos],
+        gravity_torque=given["gravity_torque"],
+    )
+    planned = dict(zip(task.finger_names, plan.contacts.forces[:, 0].tolist(), strict=True))
+    each = Counter(contacts.fingers)
+    compliance = []
+    for body, finger, dim in zip(bodies, contacts.fingers, contacts.dims, strict=True):
+        along = contact_compliance(
             physics,
             inverse_mass=float(weights[body] + weights[scene.object_body]),
-            force=max(float(force), LEAST_PRESSING),
+            force=max(planned.get(finger, 0.0) / each[finger], LEAST_PRESSING),
         )
-        for body, force in zip(bodies, planned[:, 0], strict=True)
-    ]
-    across = np.array(along)[:, None] * np.array([1.0, *[1.0 / physics.impratio] * 3])
-    grasp = GraspCompliance.of(problem, across.ravel())
-    torque = problem.joint_map @ planned.ravel()
-    return grasp, contacts, grasp.pressed(contacts, torque, problem.wrench)[0]
+        compliance += [along, *[along / physics.impratio] * (dim - 1)]
+    grasp = GraspCompliance.of(problem, compliance)
+    known = plan.forces.problem
+    torque = known.joint_map @ plan.forces.unknowns[: known.n_force]
+    gaps = data.contact.dist[met]
+    return grasp, contacts, grasp.pressed(contacts, torque, problem.wrench, gaps)[0]
 
 
 def predicted_creep(scene: Scene, data: Any) -> float:

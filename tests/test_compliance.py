@@ -41,8 +41,9 @@ def hand() -> Hand:
 def inner(hand: Hand) -> GraspPlan:
     """Seven contacts: two links of two fingers each, two more fingers, and the palm."""
     item = parse_object("sphere:0.04", mass=1.0)
-    choices = GraspTask.create(hand, item, grasp_type="power").choices
-    return plan_grasp(choices[0], seed=1)
+    links = [f"{finger}_distal" for finger in ("thumb", "middle", "ring", "index")]
+    links += ["middle_proximal", "ring_proximal", "palm"]
+    return plan_grasp(GraspTask.create(hand, item, fingers=links), seed=1)
 
 
 def link_and_palm(contact: float, joint: float) -> GraspCompliance:
@@ -200,6 +201,34 @@ def test_a_contact_that_parted_presses_again_where_it_did() -> None:
     np.testing.assert_allclose(back, pressing)
 
 
+def test_a_contact_with_a_gap_presses_once_it_is_closed() -> None:
+    """By hand: one joint of 1 N m/rad, two links 0.1 m from it, the second 1 mm from the object.
+
+    They give way by 1e-3 m/N. With 0.05 N m the first link sinks in by 0.1 q = 1e-3 f, so that
+    q + 0.1 f = 0.05: f = 100 q = 0.4545 N and q = 4.5e-3, less than the 10e-3 of the gap. With
+    0.5 N m both press: 0.5 = q + 0.1 (100 q + 100 q - 1), so q = 0.6 / 21.
+    """
+    points = [[0.01, 0.0, 0.03], [-0.01, 0.0, 0.03]]
+    contacts = ContactSet.from_arrays(points, [[0.0, 0.0, -1.0]] * 2, mu=0.0)
+    grasp = GraspCompliance(
+        grasp_map=np.zeros((1, 6)),
+        joint_map=np.array([[0.1, 0.0, 0.0, 0.1, 0.0, 0.0]]),
+        contact=np.full(6, 1e-3),
+        joint=np.eye(1),
+    )
+    gaps, nothing = np.array([0.0, 1e-3]), np.zeros(1)
+    state, share = grasp.pressed(contacts, np.array([0.05]), nothing, gaps)
+    assert share == 1.0 and state[0] == pytest.approx(0.05 / 0.11, rel=1e-4)
+    assert state[3] == pytest.approx(state[0] - 1.0, rel=1e-4)  # what is left of the gap
+    forces, _ = grasp.under(contacts, state, np.zeros(1))
+    np.testing.assert_allclose(forces[[0, 3]], [state[0], 0.0], atol=1e-9)
+    state, _ = grasp.pressed(contacts, np.array([0.5]), nothing, gaps)
+    q = 0.6 / 21.0
+    np.testing.assert_allclose(state[[0, 3]], [100.0 * q, 100.0 * q - 1.0], rtol=1e-4)
+    sunk, _ = grasp.pressed(contacts, nothing, nothing, -1e-3)
+    assert (sunk[[0, 3]] > 0.0).all()  # what has sunk in presses without a torque
+
+
 def test_the_programme_counts_no_passive_force_that_compliance_does_not_bring(
     inner: GraspPlan,
 ) -> None:
@@ -251,23 +280,39 @@ def test_what_stands_in_the_way_may_be_a_passive_force() -> None:
         distribute_forces(contacts, **asked, contact_compliance=0.0)
 
 
+def by_finger(plan: GraspPlan, contacts: ContactSet, forces: FloatArray) -> FloatArray:
+    """Normal forces (n,) of a plan's fingers and links, N, over all contacts of each."""
+    normals = forces[np.cumsum([0, *contacts.dims])[:-1]]
+    of = np.array(plan.task.finger_names)[:, None] == np.array(contacts.fingers)
+    return np.asarray(of @ normals)
+
+
 def test_mujoco_shares_a_push_as_predicted(inner: GraspPlan) -> None:
-    """Normal forces of all contacts while 5 to 15 N push from the side; median error below 10 %."""
-    physics = PhysicsOptions()
-    hold = DisturbanceTrial(inner, physics=physics)
-    assert hold.close_and_squeeze() is None
-    grasp, contacts, pressed = compliance_of(inner, hold.simulation.scene)
-    errors = []
+    """Normal forces of all contacts while 5 to 15 N push from the side; median error below 10 %.
+
+    From the posture in which the fingers closed it is half of that, and no link that MuJoCo says
+    bears nothing is told to bear 1 N.
+    """
+    hold = DisturbanceTrial(inner, physics=PhysicsOptions())
+    assert hold.run_phases("close") is None
+    closed = hold.simulation.data.qpos.copy()
+    assert hold.run_phases("squeeze", "settle", "lift") is None
+    scene = hold.simulation.scene
+    ways = {0.1: compliance_of(inner, scene), 0.05: compliance_of(inner, scene, closed)}
+    errors: dict[float, list[float]] = {limit: [] for limit in ways}
     for force in (5.0, 10.0, 15.0):
         wrench = np.array([0.6 * force, 0.0, -0.8 * force, 0.0, 0.0, 0.0])
         hold.push(wrench)
         assert hold.hold_for(0.3) is None
-        predicted, share = grasp.under(contacts, pressed, wrench)
-        assert share == 1.0
-        normals = predicted.reshape(-1, 4)[:, 0]
         measured = hold.simulation.normal_forces()
-        errors += (np.abs(measured - normals) / np.maximum(normals, 1.0)).tolist()
-    assert np.median(errors) < 0.1
+        for limit, (grasp, contacts, pressed) in ways.items():
+            predicted, share = grasp.under(contacts, pressed, wrench)
+            assert share == 1.0
+            normals = by_finger(inner, contacts, predicted)
+            errors[limit] += (np.abs(measured - normals) / np.maximum(normals, 1.0)).tolist()
+            assert limit == 0.1 or (normals[measured == 0.0] < 1.0).all()
+    for limit, found in errors.items():
+        assert np.median(found) < limit
 
 
 def test_the_problem_of_links_is_shown_and_solvers_are_compared_on_it(

@@ -428,14 +428,25 @@ def test_a_palm_on_a_fixed_base_is_refused() -> None:
         plan_grasp(task)
 
 
+@pytest.mark.parametrize("name", ["allegro_hand", "shadow_hand"])
+def test_an_inner_link_of_the_thumb_comes_first_in_power_grasps(name: str) -> None:
+    """Half of the turns and the first; of type any each set has one turn, fingertips the first."""
+    hand = load_hand(name)
+    power, free = contact_sets(hand, "power"), contact_sets(hand, "any")
+    around = [{"thumb_proximal", "thumb_distal", "palm"} <= set(names) for names in power]
+    assert around == [True, True, True, False, True, False]
+    assert len(power[-1]) == 4 and free[1:] == tuple(dict.fromkeys(power))
+    assert free[:1] == contact_sets(hand, "fingertip")
+
+
 def test_the_grip_is_shared_by_what_presses(hand: Hand) -> None:
-    """Of two kilogrammes: of seven contacts four press, each as hard as one of four fingertips."""
+    """Of two kilogrammes: of six contacts four press, each as hard as one of four fingertips."""
     item = parse_object("sphere:0.04", mass=2.0)
     power = GraspTask.create(hand, item, grasp_type="power")
-    assert [len(task.outermost) for task in power.choices] == [4, 4, 4, 3]
+    assert [len(task.outermost) for task in power.choices] == [4, 4, 4, 4, 4, 3]
     assert power.grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 4))
     assert power.grip_force == GraspTask.create(hand, item).grip_force
-    assert power.choices[3].grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 3))
+    assert power.choices[-1].grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 3))
 
 
 def test_a_weak_hand_shares_the_load_with_its_palm(hand: Hand) -> None:

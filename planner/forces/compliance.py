@@ -20,7 +20,8 @@ no force is counted that neither an actuator commands nor compliance brings abou
 holds together move as one: J is that of the motions that ties leave.
 
 ``GraspCompliance.under`` puts unilateral contacts and friction on top: contacts that part or slide
-bear what the cone leaves them, and the others take the rest.
+bear what the cone leaves them, and the others take the rest. ``pressed`` is how a grasp gets there:
+from gaps, by torques that the servos add.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ SOFTEST = 1e-3
 STOP = 20.0
 """Stiffness of a stop that carries, N m/rad: bent by 0.01 rad by the torque of a firm grip."""
 
-LARGEST_STEP, SMALLEST_STEP, ITERATIONS = 0.1, 1e-3, 20
+LARGEST_STEP, SMALLEST_STEP, ITERATIONS = 0.1, 1e-3, 60
 """Steps of a load, as shares of it, and Newton iterations of each (-)."""
 
 SINGULAR = 1e-9
@@ -132,21 +133,33 @@ class GraspCompliance:
         return np.asarray(left[:, : size - self.passive.shape[1]])
 
     def pressed(
-        self, contacts: ContactSet, torque: FloatArray, wrench: FloatArray
+        self,
+        contacts: ContactSet,
+        torque: FloatArray,
+        wrench: FloatArray,
+        gaps: ArrayLike = 0.0,
     ) -> tuple[FloatArray, float]:
         """Forces (m,) where servos added a torque while the object was held, and then let it go.
 
         Args:
-            contacts: Give the friction.
+            contacts: n contacts; give the friction.
             torque: Of the joints (nv,) beside what holds the hand itself, N m.
             wrench: On the object, w (6,), N and N m.
+            gaps: How far pads are from the object before, one number or (n,), m; negative where
+                they have sunk in.
 
         Returns:
-            As ``under``.
+            As ``under``; a contact that does not touch has the negative normal force that its gap
+            would take, -gap / C_contact.
         """
-        alone = self.stiffness @ (self.joint_map.T @ (self.joint @ torque))
-        inside, _, _ = self._in_cones(contacts, alone, np.zeros(len(alone)))
-        return self.under(contacts, inside, self.grasp_map @ inside + wrench)
+        state, n = np.zeros(len(self.contact)), len(self.grasp_map)
+        normal = np.cumsum([0, *contacts.dims])[:-1]
+        state[normal] = -np.asarray(gaps, dtype=np.float64) / self.contact[normal]
+        load = np.append(np.zeros(n), torque)
+        inside, state, held = self._grown(contacts, (0.0 * state, state), load, slice(n, None))
+        load = np.append(self.grasp_map @ inside + wrench, 0.0 * torque)
+        _, state, free = self._grown(contacts, (inside, state), load, slice(None))
+        return state, min(held, free)
 
     def under(
         self, contacts: ContactSet, forces: FloatArray, wrench: ArrayLike
@@ -155,24 +168,17 @@ class GraspCompliance:
 
         Args:
             contacts: Give the friction.
-            forces: Before it (m,), inside the cones.
+            forces: Before it (m,), inside the cones, or with gaps as ``pressed`` gives them.
             wrench: What is added (6,), N and N m.
 
         Returns:
             Forces, and the share of the wrench (-) up to which balance was found: less than 1 where
             the grasp breaks.
         """
-        wrench = float_array("wrench", wrench)
-        size = max(float(np.abs(forces).max(initial=0.0)), 1.0)
-        f, share, step = forces, 0.0, LARGEST_STEP
-        last = forces, np.zeros(len(self._moves[0]))
-        while share < 1.0 and step >= SMALLEST_STEP:
-            goal = min(share + step, 1.0)
-            there = self._balanced(contacts, last, (forces, goal * wrench), BALANCED * size)
-            if there is None:
-                step /= 2.0
-            else:
-                (f, last), share, step = there, goal, LARGEST_STEP
+        load = np.zeros(self._moves.shape[1])
+        load[: len(self.grasp_map)] = float_array("wrench", wrench)
+        first = self._in_cones(contacts, forces, np.zeros(len(forces)))[0]
+        f, _, share = self._grown(contacts, (first, forces), load, slice(None))
         return f, share
 
     @cached_property
@@ -180,24 +186,52 @@ class GraspCompliance:
         """How pads move against the object (m, 6 + nv), by motions of object and joints."""
         return np.hstack([-self.grasp_map.T, self.joint_map.T])
 
+    def _grown(
+        self,
+        contacts: ContactSet,
+        before: tuple[FloatArray, FloatArray],
+        load: FloatArray,
+        free: slice,
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Forces, their state (see ``_in_cones``) and the share (-) of a load that is balanced.
+
+        Args:
+            contacts: Give the friction.
+            before: Forces (m,) that are balanced without the load, and the state (m,).
+            load: Wrench on the object and torques of the joints (6 + nv,).
+            free: Which of the motions there are.
+        """
+        first, f = before[0], before[0]
+        last = before[1], np.zeros(len(load[free]))
+        size = max(float(np.abs(first).max(initial=0.0)), 1.0)
+        share, step = 0.0, LARGEST_STEP
+        while share < 1.0 and step >= SMALLEST_STEP:
+            goal = min(share + step, 1.0)
+            there = self._balanced(contacts, last, (first, goal * load), free, BALANCED * size)
+            if there is None:
+                step /= 2.0
+            else:
+                (f, last), share, step = there, goal, LARGEST_STEP
+        return f, last[0], share
+
     def _balanced(
         self,
         contacts: ContactSet,
         last: tuple[FloatArray, FloatArray],
         given: tuple[FloatArray, FloatArray],
+        free: slice,
         tolerance: float,
     ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]] | None:
-        """Forces that balance a wrench beyond given ones, and where that is; see ``_in_cones``."""
-        moves, (before, moved), (first, wrench) = self._moves, last, given
-        n = len(wrench)
-        servos = np.zeros((moves.shape[1], moves.shape[1]))
+        """Forces that balance a load beyond given ones, and where that is; see ``_in_cones``."""
+        moves, (before, moved), (first, load) = self._moves[:, free], last, given
+        n = len(self.grasp_map)
+        servos = np.zeros((len(load), len(load)))
         servos[n:, n:] = np.linalg.inv(self.joint)
+        servos = servos[free, free]
 
         def left(at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
             f, state, slope = self._in_cones(contacts, before, moves @ (at - moved))
-            out = moves.T @ (f - first) + servos @ at
-            out[:n] -= wrench
-            return out, f, state, slope
+            return moves.T @ (f - first) + servos @ at - load[free], f, state, slope
 
         at = moved
         missing, f, state, slope = left(at)
