@@ -55,7 +55,7 @@ class Played:
 
     Attributes:
         served: The task.
-        scene: With the object at rest.
+        scene: As it was read last.
     """
 
     def __init__(
@@ -82,7 +82,13 @@ class Played:
         home = hand_now.actuation.commands(data.qpos[joints], still, still)
         for _ in range(rest):
             self.send(T_world_flange, home)
-        self.scene = ForeignScene(model, data, hand_now, object, table=TABLE, **given)
+        self._given = {"hand": hand_now, "object": object, "table": TABLE, **given}
+        self.read()
+
+    def read(self, **changes: Any) -> None:
+        """Read the scene as it is now, with other arguments of ``ForeignScene`` if given."""
+        given = self._given | changes
+        self.scene = ForeignScene(self.served.model, self.served.data, **given)
 
     def run(self, plan: GraspPlan, controller: AnyController | None = None) -> ForeignRun:
         """A run of a plan by its steps, which ends with the episode."""

@@ -19,9 +19,13 @@ from planner.objects import Region, TouchRegion
 from planner.plan import GraspPlan
 from planner.spatial import SE3, shifted
 from planner.tools import plan_use
-from sim.controllers import GraspController
+from sim.controllers import GraspController, Phase
 from sim.foreign import ForeignRun
+from sim.scene.carrier import Timeline
 from sim.tables import Row
+
+REST = 30
+"""Steps that they are left alone for after a reset: they fall by 1 cm."""
 
 LIFT = 0.15
 """How far (m) the tongs are lifted; asked for is 0.1 m."""
@@ -30,16 +34,17 @@ CLOSED, OPENED = -0.075, 0.11
 """Angle of the hinge (rad) at which a pinch ends, and at which the next may begin: 5 and 10 mrad
 beyond what its test asks for."""
 
-OUTSIDE = {
+WHERE = {
     "right": ((0.03, -np.inf, -0.12), (np.inf, np.inf, 0.05)),
     "left": ((-np.inf, -np.inf, -0.12), (-0.065, np.inf, 0.05)),
+    "middle": ((-np.inf, -np.inf, 0.07), (np.inf, np.inf, 0.15)),
 }
-"""Corners (m) of boxes, in the axes of their body, with the outsides of the two handles."""
+"""Corners (m) of boxes, in the axes of their body: the outsides of the handles, and the hinge."""
 
 GRIP = 2.0
 """Least planned force (N) of a finger: the spring gives about 2 N at a handle."""
 
-SOFTEST, HARDEST, RATE = -8.0, 8.0, 0.25
+SOFTEST, HARDEST, RATE = -8.0, 4.0, 0.1
 """Least and most times (-) the planned forces, and change in a step: fingers pull back from where
 they latched, since the tongs are closed there."""
 
@@ -55,18 +60,15 @@ class _Pinching(Played):
 
     def __init__(self, served: Served, hand: Path) -> None:
         """As every episode."""
-        super().__init__(served, hand, "link_1")
-        self._whole = self.scene.object
+        super().__init__(served, hand, "link_1", rest=REST)
 
     def row(self, seed: int) -> Row:
         """What came of it."""
         thumb, *others = self.scene.hand.description.default_fingers
         for near, far in (("right", "left"), ("left", "right")):
             regions = dict.fromkeys(others, self._region(far)) | {thumb: self._region(near)}
-            self.scene.object = replace(self._whole, touch=TouchRegion(required=regions))
-            task = self.scene.task(grip_force=GRIP)
             try:
-                plan = plan_use(task, self._way, seed=seed, max_attempts=ATTEMPTS, best_of=1)
+                plan = self._plan(TouchRegion(required=regions), GRIP, seed)
                 break
             except NoGraspFoundError as error:
                 said = str(error)
@@ -74,26 +76,55 @@ class _Pinching(Played):
             return {"done": False, "ended": "no plan", "detail": said[:200]}
         fingers = GraspController(plan)
         run = self.run(plan, fingers)
-        ended = self._episode(run, fingers)
+        ended = self._pinch(run, fingers)
+        if not ended:
+            self._raise(run, "approach", 0.0)
+            self.read()
+            try:
+                plan = self._plan(TouchRegion(allowed=(self._region("middle"),)), None, seed)
+            except NoGraspFoundError as error:
+                return {"done": False, "ended": "no second plan", "detail": str(error)[:200]}
+            run = self.run(plan)
+            ended = self._lift(run)
         told = self.served.told
         row = outcome(run, done=bool(told["succeed"]), ended=ended, steps=self.served.steps)
         return {**row, "pinches": int(told["pinch_count"])}
 
-    def _episode(self, run: ForeignRun, fingers: GraspController) -> str:
-        """Grasp, pinch, lift; where it ended."""
+    def _plan(self, touch: TouchRegion, grip: float | None, seed: int) -> GraspPlan:
+        """A grasp that touches only there.
+
+        Raises:
+            NoGraspFoundError: There is none.
+        """
+        self.scene.object = replace(self.scene.object, touch=touch)
+        task = self.scene.task(grip_force=grip)
+        return plan_use(task, self._way, seed=seed, max_attempts=ATTEMPTS, best_of=1)
+
+    def _pinch(self, run: ForeignRun, fingers: GraspController) -> str:
+        """Pinch where the tongs lie; what went wrong."""
         plan = run.plan
         run.move(shifted(plan.T_world_base_start, [0.0, 0.0, CLEAR]), 1.0, phase="approach")
         run.move(plan.T_world_base_start, 1.0, wait=0.5, phase="approach")
-        run.grasp()
-        while True:
-            if not self._press(run, fingers, RATE):
-                return "not closed"
-            if self.served.told["pinch_count"] >= PINCHES:
-                break
+        run.grasp(Timeline(close_wait=0.2, settle=0.1))
+        while self.served.told["pinch_count"] < PINCHES:
             if not self._press(run, fingers, -RATE):
                 return "not opened"
-        run.move(shifted(run.wanted, [0.0, 0.0, LIFT]), 1.5, wait=3.0, until=lambda _: run.ended)
-        return "lost" if run.touching() < plan.task.fingers_needed else "not lifted"
+            if not self._press(run, fingers, RATE):
+                return "not closed"
+        self._press(run, fingers, -RATE)
+        return ""
+
+    def _lift(self, run: ForeignRun) -> str:
+        """Grasp by the hinge and lift; where it ended."""
+        run.move(run.plan.T_world_base_start, 1.0, wait=0.5, phase="approach")
+        if not run.grasp():
+            return "not grasped"
+        self._raise(run, "hold", 1.0)
+        return "lost" if run.touching() < run.plan.task.fingers_needed else "not lifted"
+
+    def _raise(self, run: ForeignRun, phase: Phase, wait: float) -> None:
+        up = shifted(run.wanted, [0.0, 0.0, LIFT])
+        run.move(up, 0.8, wait=wait, phase=phase, until=lambda _: run.ended)
 
     def _press(self, run: ForeignRun, fingers: GraspController, rate: float) -> bool:
         """Press harder until the hinge has closed, or softer until it has opened; whether it has."""
@@ -113,7 +144,7 @@ class _Pinching(Played):
         return float(self.served.data.joint("joint_0").qpos[0])
 
     def _region(self, handle: str) -> Region:
-        lower, upper = np.array(OUTSIDE[handle]) - self.scene.T_body_object.translation
+        lower, upper = np.array(WHERE[handle]) - self.scene.T_body_object.translation
         return Region(name=handle, lower=tuple(lower), upper=tuple(upper))
 
     def _way(self, plan: GraspPlan) -> list[SE3]:
