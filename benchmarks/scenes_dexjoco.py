@@ -142,7 +142,10 @@ class _Hammering(Played):
         run = self.run(plan)
         ended = self._episode(run)
         told = self.served.told
-        about: dict[str, Any] = {"done": bool(told["succeed"]), "depth_mm": 1e3 * told["nail_depth"]}
+        about: dict[str, Any] = {
+            "done": bool(told["succeed"]),
+            "depth_mm": 1e3 * told["nail_depth"],
+        }
         row = outcome(run, ended=ended, steps=self.served.steps, **about)
         return {**row, "closed": self._closed}
 

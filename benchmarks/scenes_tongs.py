@@ -127,7 +127,7 @@ class _Pinching(Played):
         run.move(up, 0.8, wait=wait, phase=phase, until=lambda _: run.ended)
 
     def _press(self, run: ForeignRun, fingers: GraspController, rate: float) -> bool:
-        """Press harder until the hinge has closed, or softer until it has opened; whether it has."""
+        """Press harder until the hinge has closed, or softer until it is open; whether it is so."""
 
         def there() -> bool:
             return self._hinge <= CLOSED if rate > 0.0 else self._hinge >= OPENED

@@ -114,9 +114,7 @@ def object_in_model(
     return _placed(model, where, mesh, SE3(np.eye(3), mesh.offset))
 
 
-def _placed(
-    model: Any, where: Mapping[int, SE3], shape: Shape, T_body_object: SE3
-) -> ObjectBody:
+def _placed(model: Any, where: Mapping[int, SE3], shape: Shape, T_body_object: SE3) -> ObjectBody:
     """A shape with the mass and the centre of mass that its bodies have in the model."""
     masses = model.body_mass[list(where)]
     mass = float(masses.sum())

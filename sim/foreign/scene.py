@@ -103,8 +103,8 @@ class ForeignScene:
             data: Its ``mujoco.MjData``, with its kinematics computed.
             hand: The hand, or its ``hand.toml``: that of the model that was attached to the scene,
                 or of the scene itself (``opposable hands SCENE --base-body PALM --describe``).
-            object: Name of the free body to grasp. Bodies on joints below it are part of the object,
-                as if those joints were fixed where they are now.
+            object: Name of the free body to grasp. Bodies below it are part of the object, as if
+                their joints were fixed where they are now.
             table: Name of the plane or box that carries it, or of a body which that is the only
                 colliding geom of; None for none.
             obstacles: Names of boxes that hand and object must not touch; as of the table.
