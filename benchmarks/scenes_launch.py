@@ -82,7 +82,7 @@ class Adroit:
         return {"ended": bool(ended or truncated), "succeed": float(info["success"])}
 
 
-SERVED = {
+SERVED: dict[str, Any] = {
     "hammer_nail": lambda *given: DexJoCo("HammerNail", *given),
     "pinch_tongs": lambda *given: DexJoCo("PinchTongs", *given),
     "click_mouse": lambda *given: DexJoCo("ClickMouse", *given),

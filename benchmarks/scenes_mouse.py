@@ -36,7 +36,7 @@ GRIP = 4.0
 """Least force (N) of a finger: the table's friction is 11 N."""
 
 NEAR, ON_PAD = 0.05, 0.13
-"""How near (m) the pad's middle the mouse is to come, and how near is enough: 0.15 m is asked for."""
+"""How near (m) the pad's middle the mouse is to come, and what is enough: 0.15 m is asked for."""
 
 POKE = {"ffj1": 1.3, "ffj2": 0.3, "ffj3": 0.3, "thj0": 0.263}
 """Joints (rad) that point the index finger down, 0.1 m below all others; the rest are zero."""
@@ -47,6 +47,8 @@ TIP, TIP_AT, TIP_RADIUS = "ff_tip", (0.0, 0.0, 0.029), 0.012
 FORWARD, ABOVE, BELOW = 0.025, 0.04, 0.04
 """Where the button is pressed: how far (m) before its middle, away from the back of the mouse; from
 how far (m) above to how far below its top the finger is sent."""
+
+UP = np.array([0.0, 0.0, 1.0])
 
 OPENS, OPENING = -0.2, 0.6
 """Change of the pressing forces in a step (-), and time (s), when the mouse is let go."""
@@ -121,7 +123,7 @@ class _Clicking(Played):
         end = tip.xpos + tip.xmat.reshape(3, 3) @ TIP_AT - palm.xpos
         level = self._home.rotation
         place = self._button() - level @ palm.xmat.reshape(3, 3).T @ end
-        above, below = (SE3(level, place + [0.0, 0.0, far]) for far in (ABOVE, -BELOW))
+        above, below = (SE3(level, place + far * UP) for far in (ABOVE, -BELOW))
         run.move(above, 2.0, wait=1.0)
         run.move(below, 2.5, wait=2.0, until=lambda _: run.ended)
         return "not clicked"
@@ -140,7 +142,7 @@ class _Clicking(Played):
         ahead = at - data.geom("mouse").xpos
         ahead[2] = 0.0
         at += FORWARD * ahead / np.linalg.norm(ahead)
-        return np.array(at + [0.0, 0.0, float(np.abs(turn[2]) @ half) + TIP_RADIUS])
+        return at + (float(np.abs(turn[2]) @ half) + TIP_RADIUS) * UP
 
     def _left(self) -> FloatArray:
         """Way (2,), m, of the mouse to the pad's middle."""

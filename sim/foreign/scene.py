@@ -128,7 +128,8 @@ class ForeignScene:
             )
         self.parts = np.flatnonzero(model.body_rootid == model.body_rootid[body])
         here = self.pose(body)
-        frozen = {int(part): here.actInv(self.pose(part)) for part in self.parts if part != body}
+        below = [part for part in self.parts.tolist() if part != body]
+        frozen = {part: here.actInv(self.pose(part)) for part in below}
         read = object_in_model(model, object, what, frozen=frozen, hulls=True)
         self.T_body_object, self.center = read.T_body_object, read.center
         region = None
