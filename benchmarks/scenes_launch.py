@@ -36,8 +36,9 @@ class _NoPictures:
 class DexJoCo:
     """A task of DexJoCo: position and quaternion (w, x, y, z) of the flange, 16 joint targets."""
 
-    def __init__(self, name: str, checkout: str, seed: int) -> None:
-        """Make it; the name is that of its class without what all begin and end with."""
+    def __init__(self, name: str, tells: tuple[str, ...], checkout: str, seed: int) -> None:
+        """Make it, by its class without what all begin and end with, and what it tells of a step."""
+        self._keys = ("succeed", *tells)
         sys.path.insert(0, os.path.join(checkout, "dexjoco"))
         module = "".join(f"_{c.lower()}" if c.isupper() else c for c in name)
         task: Any = import_module(f"dexjoco.sim.envs.panda{module}_env")
@@ -55,7 +56,7 @@ class DexJoCo:
     def step(self, action: Any) -> dict[str, Any]:
         """Its step; what it says of it."""
         _, _, ended, _, info = self._env.step(action)
-        return {"ended": bool(ended)} | {key: float(value) for key, value in info.items()}
+        return {"ended": bool(ended)} | {key: float(info[key]) for key in self._keys}
 
 
 class Adroit:
@@ -83,11 +84,9 @@ class Adroit:
 
 
 SERVED: dict[str, Any] = {
-    "hammer_nail": lambda *given: DexJoCo("HammerNail", *given),
-    "pinch_tongs": lambda *given: DexJoCo("PinchTongs", *given),
-    "click_mouse": lambda *given: DexJoCo("ClickMouse", *given),
-    "pick_bucket": lambda *given: DexJoCo("PickBucket", *given),
-    "fold_glasses": lambda *given: DexJoCo("FoldGlasses", *given),
+    "hammer_nail": lambda *given: DexJoCo("HammerNail", ("nail_depth", "hammer_hit"), *given),
+    "pinch_tongs": lambda *given: DexJoCo("PinchTongs", ("pinch_count",), *given),
+    "click_mouse": lambda *given: DexJoCo("ClickMouse", (), *given),
     "adroit_hammer": Adroit,
 }
 """How each task is made; takes a checkout and a seed."""

@@ -142,7 +142,7 @@ class _Clicking(Played):
         ahead = at - data.geom("mouse").xpos
         ahead[2] = 0.0
         at += FORWARD * ahead / np.linalg.norm(ahead)
-        return at + (float(np.abs(turn[2]) @ half) + TIP_RADIUS) * UP
+        return np.asarray(at + (np.abs(turn[2]) @ half + TIP_RADIUS) * UP)
 
     def _left(self) -> FloatArray:
         """Way (2,), m, of the mouse to the pad's middle."""
