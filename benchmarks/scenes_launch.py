@@ -37,7 +37,7 @@ class DexJoCo:
     """A task of DexJoCo: position and quaternion (w, x, y, z) of the flange, 16 joint targets."""
 
     def __init__(self, name: str, tells: tuple[str, ...], checkout: str, seed: int) -> None:
-        """Make it, by its class without what all begin and end with, and what it tells of a step."""
+        """Make it, by the middle of its class's name, and what it tells of a step."""
         self._keys = ("succeed", *tells)
         sys.path.insert(0, os.path.join(checkout, "dexjoco"))
         module = "".join(f"_{c.lower()}" if c.isupper() else c for c in name)
