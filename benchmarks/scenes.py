@@ -20,12 +20,14 @@ import typer
 from benchmarks.bench import Options as Shared
 from benchmarks.scenes_adroit import HAMMER as ADROIT_HAMMER
 from benchmarks.scenes_dexjoco import HAMMER as DEXJOCO_HAMMER
+from benchmarks.scenes_mouse import MOUSE
 from benchmarks.scenes_task import Served
+from benchmarks.scenes_tongs import TONGS
 from benchmarks.summary import counted, of, share, summary
 from planner.errors import NotFoundError
 from sim.tables import Row
 
-TASKS = {task.name: task for task in (DEXJOCO_HAMMER, ADROIT_HAMMER)}
+TASKS = {task.name: task for task in (DEXJOCO_HAMMER, TONGS, MOUSE, ADROIT_HAMMER)}
 """By name."""
 
 

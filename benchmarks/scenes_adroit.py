@@ -116,7 +116,7 @@ class _Hammering:
         fingers, period = GraspController(plan), TWICE * self._served.period
         run = ForeignRun(plan, self.scene, self._step, period=period, controller=fingers)
         ended = self._episode(run, fingers)
-        about: dict[str, Any] = {"done": self._done, "depth": self._depth}
+        about: dict[str, Any] = {"done": self._done, "depth_mm": 1e3 * self._depth}
         row = outcome(run, ended=ended, steps=self._served.steps, **about)
         return {**row, "closed": self._closed}
 

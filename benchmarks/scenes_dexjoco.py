@@ -6,6 +6,7 @@ the nail is 40 mm deep before 1000 of its steps are over.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,18 @@ import numpy as np
 
 from benchmarks.scenes_task import Served, Task, outcome
 from planner.errors import NoGraspFoundError, TaskError
+from planner.hand_loading import load_hand
 from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, pose_to_wxyz, shifted
 from planner.tools import plan_use
+from sim.controllers import AnyController
 from sim.foreign import ForeignRun, ForeignScene
 from sim.simulation import Simulation
 from sim.tables import Row
 
-PALM, FLANGE = "allegro_palm", "attachment_site"
-"""Body of the hand's base, and site that its arm controller moves."""
+PALM, FLANGE, TABLE = "allegro_palm", "attachment_site", "table_collision"
+"""Body of the hand's base, site that its arm controller moves, and geom of its table."""
 
 REST = 50
 """Steps of 20 ms that it is left alone for after a reset: the hammer falls onto the table."""
@@ -47,32 +50,86 @@ BEST_OF, ATTEMPTS = 3, 300
 """Grasps to choose from, and attempts to find them."""
 
 
-class _Hammering:
-    """One episode."""
+class Played:
+    """One episode of one of its tasks.
 
-    def __init__(self, served: Served, hand: Path) -> None:
-        """Let the hammer come to rest, and read the scene."""
-        self._served = served
+    Attributes:
+        served: The task.
+        scene: As it was read last.
+    """
+
+    def __init__(
+        self, served: Served, hand: Path, object: str, *, rest: int = REST, **given: Any
+    ) -> None:
+        """Let everything come to rest, and read the scene.
+
+        Args:
+            served: The task.
+            hand: Description of the hand.
+            object: As ``ForeignScene``.
+            rest: Steps that it is left alone for.
+            given: As ``ForeignScene``.
+        """
+        self.served = served
         model, data = served.model, served.data
         site, palm = model.site(FLANGE).id, model.body(PALM).id
         T_world_palm = SE3(data.xmat[palm].reshape(3, 3), data.xpos[palm])
         T_world_flange = SE3(data.site_xmat[site].reshape(3, 3), data.site_xpos[site])
         self._T_base_flange = T_world_palm.inverse() * T_world_flange
-        self._closed = False
-        self._face, self._nail = model.geom("face").id, model.body("nail").id
-        self.scene = ForeignScene(
-            model,
-            data,
-            hand,
-            "hammer_body",
-            table="table_collision",
-            obstacles=("wood_collision",),
-            touch=("handle",),
+        hand_now = load_hand(hand)
+        joints = [int(model.joint(name).qposadr[0]) for name in hand_now.joint_names]
+        still = np.zeros(hand_now.nq)
+        home = hand_now.actuation.commands(data.qpos[joints], still, still)
+        for _ in range(rest):
+            self.send(T_world_flange, home)
+        self._given = {"hand": hand_now, "object": object, "table": TABLE, **given}
+        self.read()
+
+    def read(self, **changes: Any) -> None:
+        """Read the scene as it is now, with other arguments of ``ForeignScene`` if given."""
+        given = self._given | changes
+        self.scene = ForeignScene(self.served.model, self.served.data, **given)
+
+    def run(self, plan: GraspPlan, controller: AnyController | None = None) -> ForeignRun:
+        """A run of a plan by its steps, which ends with the episode."""
+        period = self.served.period
+        run = ForeignRun(plan, self.scene, self._step, period=period, controller=controller)
+        run.on_step = self._end
+        return run
+
+    def check_reach(self, way: Sequence[SE3]) -> None:
+        """Refuse a way of the base that its arm does not reach.
+
+        Raises:
+            TaskError: It does not.
+        """
+        for pose in way:
+            if not self.scene.reaches(pose):
+                raise TaskError(f"its arm does not reach {pose.translation.round(3)} m")
+
+    def send(self, T_world_flange: SE3, targets: FloatArray) -> None:
+        """One of its steps: where the flange is wanted, and targets of the fingers' servos."""
+        self.served.step(np.concatenate([*pose_to_wxyz(T_world_flange), targets]).tolist())
+
+    def _step(self, T_world_base: SE3, targets: FloatArray) -> None:
+        self.send(T_world_base * self._T_base_flange, targets)
+
+    def _end(self, run: Simulation) -> None:
+        """Make no further step after its last one."""
+        if self.served.told["ended"]:
+            run.stop("its test or its steps ended it")
+
+
+class _Hammering(Played):
+    """One episode."""
+
+    def __init__(self, served: Served, hand: Path) -> None:
+        """As every episode."""
+        super().__init__(
+            served, hand, "hammer_body", obstacles=("wood_collision",), touch=("handle",)
         )
-        still = np.zeros(self.scene.hand.nq)
-        home = self.scene.hand.actuation.commands(self.scene.q, still, still)
-        for _ in range(REST):
-            self._send(T_world_flange, home)
+        self._closed = False
+        self._face, self._nail = served.model.geom("face").id, served.model.body("nail").id
 
     def row(self, seed: int) -> Row:
         """What came of it."""
@@ -82,12 +139,14 @@ class _Hammering:
             )
         except NoGraspFoundError as error:
             return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
-        run = ForeignRun(plan, self.scene, self._step, period=self._served.period)
-        run.on_step = self._end
+        run = self.run(plan)
         ended = self._episode(run)
-        told = self._served.told
-        about: dict[str, Any] = {"done": bool(told["succeed"]), "depth": told["nail_depth"]}
-        row = outcome(run, ended=ended, steps=self._served.steps, **about)
+        told = self.served.told
+        about: dict[str, Any] = {
+            "done": bool(told["succeed"]),
+            "depth_mm": 1e3 * told["nail_depth"],
+        }
+        row = outcome(run, ended=ended, steps=self.served.steps, **about)
         return {**row, "closed": self._closed}
 
     def _episode(self, run: ForeignRun) -> str:
@@ -111,17 +170,12 @@ class _Hammering:
                 break
         return "nail not in"
 
-    def _end(self, run: Simulation) -> None:
-        """Make no further step after its last one."""
-        if self._served.told["ended"]:
-            run.stop("its test or its steps ended it")
-
     def _met(self, _: Any) -> bool:
-        return bool(self._served.told["hammer_hit"])
+        return bool(self.served.told["hammer_hit"])
 
     def _over(self) -> FloatArray:
         """Way (3,), m, of the face to its place over the nail."""
-        data = self._served.data
+        data = self.served.data
         return np.array(data.xpos[self._nail] + [0.0, 0.0, HOVER] - data.geom_xpos[self._face])
 
     def _way(self, plan: GraspPlan) -> list[SE3]:
@@ -133,17 +187,8 @@ class _Hammering:
         low = self._over() - [0.0, 0.0, HOVER + DEPTH]
         up = [0.0, 0.0, CLEAR]
         way = [shifted(plan.T_world_base, by) for by in (np.zeros(3), up, low + up, low)]
-        for pose in (plan.T_world_base_start, *way):
-            if not self.scene.reaches(pose):
-                raise TaskError(f"its arm does not reach {pose.translation.round(3)} m")
+        self.check_reach([plan.T_world_base_start, *way])
         return way
-
-    def _step(self, T_world_base: SE3, targets: FloatArray) -> None:
-        self._send(T_world_base * self._T_base_flange, targets)
-
-    def _send(self, T_world_flange: SE3, targets: FloatArray) -> None:
-        """One of its steps: where the flange is wanted, and targets of the fingers' servos."""
-        self._served.step(np.concatenate([*pose_to_wxyz(T_world_flange), targets]).tolist())
 
 
 HAMMER = Task(

@@ -36,14 +36,16 @@ class _NoPictures:
 class DexJoCo:
     """A task of DexJoCo: position and quaternion (w, x, y, z) of the flange, 16 joint targets."""
 
-    def __init__(self, module: str, name: str, checkout: str, seed: int) -> None:
-        """Make it."""
+    def __init__(self, name: str, tells: tuple[str, ...], checkout: str, seed: int) -> None:
+        """Make it, by the middle of its class's name, and what it tells of a step."""
+        self._keys = ("succeed", *tells)
         sys.path.insert(0, os.path.join(checkout, "dexjoco"))
-        task: Any = import_module(f"dexjoco.sim.envs.{module}")
+        module = "".join(f"_{c.lower()}" if c.isupper() else c for c in name)
+        task: Any = import_module(f"dexjoco.sim.envs.panda{module}_env")
         task.MujocoRenderer = _NoPictures
-        kind = getattr(task, name)
+        kind = getattr(task, f"Panda{name}GymEnv")
         kind._compute_observation = lambda self: {}
-        self._env = env = kind(seed=seed)
+        self._env = env = kind(seed=seed, randomize=False)
         env.hz = float("inf")
         self.model, self.data, self.seconds = env.model, env.data, float(env.control_dt)
 
@@ -54,8 +56,7 @@ class DexJoCo:
     def step(self, action: Any) -> dict[str, Any]:
         """Its step; what it says of it."""
         _, _, ended, _, info = self._env.step(action)
-        keys = ("succeed", "nail_depth", "hammer_hit")
-        return {"ended": bool(ended)} | {key: float(info[key]) for key in keys}
+        return {"ended": bool(ended)} | {key: float(info[key]) for key in self._keys}
 
 
 class Adroit:
@@ -82,10 +83,10 @@ class Adroit:
         return {"ended": bool(ended or truncated), "succeed": float(info["success"])}
 
 
-SERVED = {
-    "hammer_nail": lambda checkout, seed: DexJoCo(
-        "panda_hammer_nail_env", "PandaHammerNailGymEnv", checkout, seed
-    ),
+SERVED: dict[str, Any] = {
+    "hammer_nail": lambda *given: DexJoCo("HammerNail", ("nail_depth", "hammer_hit"), *given),
+    "pinch_tongs": lambda *given: DexJoCo("PinchTongs", ("pinch_count",), *given),
+    "click_mouse": lambda *given: DexJoCo("ClickMouse", (), *given),
     "adroit_hammer": Adroit,
 }
 """How each task is made; takes a checkout and a seed."""

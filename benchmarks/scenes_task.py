@@ -113,13 +113,13 @@ class Served:
             self._said.close()
 
 
-def outcome(run: ForeignRun, *, done: bool, ended: str, depth: float, steps: int) -> Row:
-    """What a case says of a hammer and its nail, driven in by a depth (m), after its episode."""
+def outcome(run: ForeignRun, *, done: bool, ended: str, steps: int, **more: Any) -> Row:
+    """What a case says after its episode: of a nail also how deep it was driven in, mm."""
     (far, turned), record = run.slip, run.plan.record
     return {
         "done": done,
         "ended": "done" if done else ended,
-        "depth_mm": 1e3 * depth,
+        **more,
         "fingers_left": run.touching(),
         "slip_mm": far,
         "slip_deg": turned,

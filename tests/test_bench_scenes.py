@@ -18,7 +18,9 @@ from benchmarks.scenes_dexjoco import HAMMER
 from benchmarks.scenes_task import Served
 from planner.errors import NotFoundError, TaskError
 
-PLACES = {"hammer_nail": "DEXJOCO", "adroit_hammer": "ADROIT"}
+PLACES = dict.fromkeys(("hammer_nail", "pinch_tongs", "click_mouse"), "DEXJOCO") | {
+    "adroit_hammer": "ADROIT"
+}
 """Environment variables by task: CHECKOUT:PYTHON:HAND_TOML, see docs/how/scenes.md."""
 
 STAND_IN = """
@@ -90,6 +92,7 @@ def test_every_task_is_served_and_another_is_none() -> None:
 def test_a_depth_that_is_not_told_is_not_zero(monkeypatch: pytest.MonkeyPatch) -> None:
     told = {"succeed": False, "hammer_hit": False}
     task = object.__new__(scenes_launch.DexJoCo)
+    task._keys = ("succeed", "nail_depth")
     task._env = SimpleNamespace(step=lambda action: (None, 0.0, False, False, told))
     with pytest.raises(KeyError, match="nail_depth"):
         task.step([])
@@ -97,7 +100,7 @@ def test_a_depth_that_is_not_told_is_not_zero(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(scenes_dexjoco, "plan_use", MagicMock())
     monkeypatch.setattr(scenes_dexjoco, "ForeignRun", lambda *_, **__: run)
     hammering = object.__new__(scenes_dexjoco._Hammering)
-    hammering.scene, hammering._served = MagicMock(), MagicMock(told=told)
+    hammering.scene, hammering.served = MagicMock(), MagicMock(told=told)
     hammering._closed = True
     monkeypatch.setattr(hammering, "_episode", lambda _: "nail not in")
     with pytest.raises(KeyError, match="nail_depth"):
@@ -106,10 +109,12 @@ def test_a_depth_that_is_not_told_is_not_zero(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", PLACES)
-def test_a_nail_is_driven_by_their_own_test(task: str) -> None:
+def test_it_is_done_by_their_own_test(task: str) -> None:
     if PLACES[task] not in os.environ:
         pytest.skip(f"{PLACES[task]} names no checkout, Python and hand.toml")
     scene, python, hand = os.environ[PLACES[task]].split(":")
     where: dict[str, Any] = {"scene": Path(scene), "python": Path(python), "hand": Path(hand)}
     (row,) = run_bench("scenes", **where, task=task, n=1, seed=1)["rows"]
-    assert row["done"] and row["depth_mm"] >= 40.0 and row["steps"] < 1000 and row["closed"]
+    assert row["done"] and row["steps"] < 1200
+    if "hammer" in task:
+        assert row["depth_mm"] >= 40.0 and row["steps"] < 1000 and row["closed"]

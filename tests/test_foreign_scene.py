@@ -18,6 +18,7 @@ from planner.errors import NotFoundError, TaskError
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, pose_to_wxyz, shifted
 from planner.system.package import models_dir
+from sim.contacts import ContactHistory, hand_contacts
 from sim.foreign import ForeignRun, ForeignScene
 
 TOOL = """
@@ -177,7 +178,9 @@ def test_names_that_do_not_fit(
 
 def test_what_is_no_free_body_or_another_hand_is_refused(owner: Owner) -> None:
     given = owner.parts
-    with pytest.raises(NotFoundError, match=r"no body is called 'tol'\. Did you mean 'tool'"):
+    with pytest.raises(
+        NotFoundError, match=r"no body of the scene is called 'tol'\. Did you mean 'tool'"
+    ):
         ForeignScene(*given, "allegro_hand", "tol")
     with pytest.raises(TaskError, match="body 'fixed' of the scene has no free joint"):
         ForeignScene(*given, "allegro_hand", "fixed")
@@ -185,11 +188,6 @@ def test_what_is_no_free_body_or_another_hand_is_refused(owner: Owner) -> None:
         ForeignScene(*given, "allegro_hand", "tool")
     with pytest.raises(TaskError, match=r"index_\S+ of the scene is 5.0 mm and 0.0 degrees"):
         Owner(moved=0.005).scene()
-
-
-def add_cap(spec: Any, _: Any) -> None:
-    """A part that is fixed to the tool."""
-    spec.body("tool").add_body(name="cap").add_geom(size=[0.01] * 3, mass=0.02)
 
 
 def turn_link(_: Any, hand: Any) -> None:
@@ -212,10 +210,76 @@ def change_force(_: Any, hand: Any) -> None:
     hand.actuators[2].forcerange = [-0.1, 0.1]
 
 
+def add_flap(spec: Any, _: Any) -> None:
+    """A part on a hinge along y at the end of the tool's grip, and one fixed to that."""
+    flap = spec.body("tool").add_body(name="flap", pos=[-0.09, 0, 0])
+    flap.add_joint(name="hinge", axis=[0, 1, 0])
+    box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": [0.005, 0.015, 0.03]}
+    flap.add_geom(name="flap", pos=[0, 0, 0.03], mass=0.05, **box)
+    knob = flap.add_body(name="knob", pos=[0, 0, 0.08])
+    knob.add_geom(name="knob", size=[0.01] * 3, mass=0.02, friction=[0.3, 0, 0], priority=1)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_bodies_on_joints_are_part_of_an_object_as_they_are_now(angle: float) -> None:
+    owner = Owner(change=add_flap)
+    model, data = owner.parts
+    data.joint("hinge").qpos = -angle
+    mujoco.mj_forward(model, data)
+    scene = owner.scene(touch=("knob",))
+    assert [model.body(part).name for part in scene.parts] == ["tool", "flap", "knob"]
+    task = scene.task()
+    assert task.object.mass == pytest.approx(0.08 + 0.1 + 0.05 + 0.02)
+    # by hand, in the tool's axes: flap and knob 30 and 80 mm along a line at that angle
+    out = np.array([-np.sin(angle), 0.0, np.cos(angle)])
+    flap, knob = [-0.09, 0, 0] + 0.03 * out, [-0.09, 0, 0] + 0.08 * out
+    center = (0.1 * np.array([0.09, 0, 0]) + 0.05 * flap + 0.02 * knob) / 0.25
+    np.testing.assert_allclose(scene.T_body_object.act(scene.center), center, atol=1e-9)
+    there = data.subtree_com[scene.object_body]
+    np.testing.assert_allclose(scene.T_world_object.act(scene.center), there, atol=1e-9)
+    shape, at = task.object.shape, scene.T_body_object.translation
+    assert shape.volume == pytest.approx(
+        8 * (70 * 20 * 50 + 20 * 30 * 50 + 5 * 15 * 30) * 1e-9 + 4 / 3 * np.pi * 1e-6, rel=1e-3
+    )
+    assert shape.support(np.array([0, 0, 1.0])) + at[2] == pytest.approx(knob[2] + 0.01, abs=1e-4)
+    assert shape.support(np.array([-1.0, 0, 0])) - at[0] == pytest.approx(0.01 - knob[0], abs=1e-4)
+    # its weight acts there
+    (needed,) = task.needed
+    turned = task.T_world_object.rotation @ np.array(needed.torque)
+    lever = there - task.T_world_object.translation
+    weight = -0.25 * np.array(model.opt.gravity)
+    np.testing.assert_allclose(turned, np.cross(lever, weight), atol=1e-9)
+    # fingers may touch the knob alone, with its friction, and what they feel of it counts
+    assert task.mu == pytest.approx(0.25)
+    assert task.object.touch is not None
+    seen = np.array([knob, flap]) - at
+    np.testing.assert_array_equal(task.object.touch.permits(seen), [True, False])
+    assert scene.for_task(task, 0.02).object_geoms == {
+        model.geom(name).id for name in ("grip", "head", "flap", "knob")
+    }
+
+
+def test_a_finger_that_presses_on_a_part_touches_the_object() -> None:
+    def beside(spec: Any, hand: Any) -> None:
+        add_flap(spec, hand)
+        spec.body("tool").pos = [0, 0, 2]
+
+    owner = Owner(change=beside)
+    model, data = owner.parts
+    scene = owner.scene(table=None, obstacles=(), touch=())
+    seen = scene.for_task(scene.task(), 0.02)
+    tip = data.body("robot/index_distal").xpos
+    data.qpos[:3] += tip - data.body("knob").xpos
+    mujoco.mj_forward(model, data)
+    assert "index" in hand_contacts(seen, data).fingers
+    history = ContactHistory.of(seen)
+    history.note(data)
+    assert history.rows().finger.size == len(hand_contacts(seen, data).fingers)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (add_cap, "'cap' hangs on body 'tool' of the scene; an object is one body"),
         (turn_link, r"index_distal of the scene is 0\.0 mm and 5\.0 degrees from where allegro"),
         (turn_axis, r"joint \S+ of the scene has axis \[.*, that of allegro_hand \["),
         (change_gain, r"actuator \S+ of the scene has gainprm \[6\.0, "),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.bridge.object_body import object_body
+from planner.bridge.object_body import object_body, object_in_model
 from planner.errors import ModelError, NotFoundError, ObjectError
 from planner.objects import DEFAULT_MASS, parse_object
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere, Torus
@@ -181,3 +181,19 @@ def test_a_geom_collides_by_either_of_its_masks(scene: Scene, bits: str) -> None
     drawn = '<geom type="box" size="0.05 0.05 0.05" contype="0" conaffinity="0"/>'
     path = scene(f'{drawn}<geom type="sphere" size="0.03" {bits}/>')
     assert object_body(path, "thing").shape == Sphere(0.03)
+
+
+def test_a_mesh_may_be_what_mujoco_lets_collide() -> None:
+    corners = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+    vertices = [(0.01 * x, 0.01 * y, z) for z in (0.0, 0.01) for x, y in corners]
+    faces = [f for k in range(1, 5) for f in ((0, k + 1, k), (6, k + 6, k + 7))]
+    faces += [
+        f for k in range(6) for j in [(k + 1) % 6] for f in ((k, j, j + 6), (k, j + 6, k + 6))
+    ]
+    spec = mujoco.MjSpec()
+    spec.add_mesh(name="l", uservert=np.ravel(vertices), userface=np.ravel(faces))
+    spec.worldbody.add_body(name="l").add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="l")
+    model = spec.compile()
+    for hulls, volume in ((False, 3.0e-6), (True, 3.5e-6)):
+        shape = object_in_model(model, "l", "an L", hulls=hulls).shape
+        assert shape.volume == pytest.approx(volume, rel=1e-6)

@@ -39,7 +39,7 @@ def scene(
     return model, data
 
 
-def read(model: Any, data: Any, **options: bool) -> ContactSet:
+def read(model: Any, data: Any, **options: Any) -> ContactSet:
     body = model.body("object").id
     fingers = {g: model.geom(g).name for g in range(model.ngeom) if model.geom_bodyid[g] != body}
     return contacts_from_mujoco(model, data, object_body=body, finger_of_geom=fingers, **options)

@@ -7,9 +7,10 @@ MuJoCo itself would let its convex hull collide.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -66,7 +67,13 @@ def object_body(path: Path, name: str, *, repair: bool = False, strict: bool = F
 
 
 def object_in_model(
-    model: Any, name: str, what: str, repair: bool = False, strict: bool = False
+    model: Any,
+    name: str,
+    what: str,
+    repair: bool = False,
+    strict: bool = False,
+    frozen: Mapping[int, SE3] = MappingProxyType({}),
+    hulls: bool = False,
 ) -> ObjectBody:
     """The same of a compiled ``mujoco.MjModel``.
 
@@ -76,6 +83,9 @@ def object_in_model(
         what: What to call it in messages.
         repair: As ``object_body``.
         strict: As ``object_body``.
+        frozen: Ids of further bodies that are part of it, and where they are in its frame: as if
+            their joints were fixed there.
+        hulls: Whether meshes are their convex hulls, as MuJoCo lets them collide.
 
     Raises:
         NotFoundError, ObjectError: As ``object_body``.
@@ -84,34 +94,44 @@ def object_in_model(
     if body < 0:
         names = [model.body(i).name for i in range(1, model.nbody)]
         raise NotFoundError("body", name, [n for n in names if n])
-    own = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) == body]
+    where = {body: SE3.Identity(), **frozen}
+    own = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in where]
     colliding = [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
     geoms = colliding or own  # a body that is only drawn is what is drawn
     if not geoms:
         raise ObjectError(f"{what} has no geom; name a body that carries one")
     if len(geoms) == 1 and int(model.geom_type[geoms[0]]) in _PRIMITIVES:
         g = geoms[0]
-        pose = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
         shape = _PRIMITIVES[int(model.geom_type[g])](*(float(v) for v in model.geom_size[g]))
-        return _placed(model, body, shape, pose)
-    parts = [_triangles(model, g, what) for g in geoms]
+        return _placed(model, where, shape, _in_body(model, g, where))
+    parts = [_triangles(model, g, what, _in_body(model, g, where), hulls) for g in geoms]
     try:
         mesh = _united(what, parts, repair, strict)
     except ObjectError:
         if len(parts) == 1:
             raise
         mesh = _united(what, [(_grown(v), f) for v, f in parts], repair, strict)
-    return _placed(model, body, mesh, SE3(np.eye(3), mesh.offset))
+    return _placed(model, where, mesh, SE3(np.eye(3), mesh.offset))
 
 
-def _placed(model: Any, body: int, shape: Shape, T_body_object: SE3) -> ObjectBody:
-    """A shape with the mass and the centre of mass that its body has in the model."""
+def _placed(model: Any, where: Mapping[int, SE3], shape: Shape, T_body_object: SE3) -> ObjectBody:
+    """A shape with the mass and the centre of mass that its bodies have in the model."""
+    masses = model.body_mass[list(where)]
+    mass = float(masses.sum())
+    shares = masses / mass if mass else np.full(len(where), 1 / len(where))
+    centers = np.array([pose.act(model.body_ipos[body]) for body, pose in where.items()])
     return ObjectBody(
         shape=shape,
-        mass=float(model.body_mass[body]),
+        mass=mass,
         T_body_object=T_body_object,
-        center=T_body_object.inverse().act(model.body_ipos[body]),
+        center=T_body_object.inverse().act(shares @ centers),
     )
+
+
+def _in_body(model: Any, g: int, where: Mapping[int, SE3]) -> SE3:
+    """Pose of a geom in the frame of the object's body."""
+    pose = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
+    return where[int(model.geom_bodyid[g])] * pose
 
 
 _TYPE = mujoco.mjtGeom
@@ -124,14 +144,19 @@ _PRIMITIVES: dict[int, Callable[[float, float, float], Shape]] = {
 }
 
 
-def _triangles(model: Any, g: int, what: str) -> tuple[FloatArray, IntArray]:
-    """Vertices (n, 3), m, in the body's frame, and faces (m, 3) of one geom."""
+def _triangles(
+    model: Any, g: int, what: str, pose: SE3, hulls: bool
+) -> tuple[FloatArray, IntArray]:
+    """Vertices (n, 3), m, in the body's frame, and faces (m, 3) of one geom at a pose in it."""
     import trimesh
 
     kind = int(model.geom_type[g])
     a, b, c = (float(v) for v in model.geom_size[g])
     if kind in (int(_TYPE.mjGEOM_MESH), int(_TYPE.mjGEOM_SDF)):
         vertices, faces = mesh_triangles(model, g)
+        if hulls:
+            hull = trimesh.Trimesh(vertices, faces, process=False).convex_hull
+            vertices, faces = np.array(hull.vertices), np.array(hull.faces)
     else:
         if kind == int(_TYPE.mjGEOM_BOX):
             made = trimesh.creation.box((2 * a, 2 * b, 2 * c))
@@ -146,7 +171,6 @@ def _triangles(model: Any, g: int, what: str) -> tuple[FloatArray, IntArray]:
         else:
             raise ObjectError(f"{what} has a plane or a height field, which is no solid; use a box")
         vertices, faces = np.array(made.vertices), np.array(made.faces)
-    pose = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
     return vertices @ pose.rotation.T + pose.translation, faces
 
 

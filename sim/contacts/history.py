@@ -11,7 +11,7 @@ forces turned, by a few calls for all; a ``ContactSet`` is made of the moments t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -262,15 +262,25 @@ class _Noted:
 class ContactHistory:
     """Contacts of a model over time."""
 
-    def __init__(self, model: Any, object_body: int, finger_of_geom: Mapping[int, str]) -> None:
+    def __init__(
+        self,
+        model: Any,
+        object_body: int,
+        finger_of_geom: Mapping[int, str],
+        object_geoms: Collection[int] | None = None,
+    ) -> None:
         """Start empty.
 
         Args:
             model: ``mujoco.MjModel``.
             object_body: Body id of the object, whose centre of mass torques are about.
             finger_of_geom: Geom ids of the hand, with the finger each belongs to ("" for none).
+            object_geoms: Ids of the object's geoms, if it has more bodies; of that body if None.
         """
         self._model, self._object = model, object_body
+        self._own = model.geom_bodyid == object_body
+        if object_geoms is not None:
+            self._own = np.isin(np.arange(model.ngeom), list(object_geoms))
         self._names = tuple(dict.fromkeys((*finger_of_geom.values(), "")))
         self._finger = np.full(model.ngeom, -1, dtype=np.int64)
         for geom, name in finger_of_geom.items():
@@ -283,7 +293,7 @@ class ContactHistory:
     @classmethod
     def of(cls, scene: Scene) -> ContactHistory:
         """An empty one of a scene."""
-        return cls(scene.model, scene.object_body, scene.finger_of_geom)
+        return cls(scene.model, scene.object_body, scene.finger_of_geom, scene.object_geoms)
 
     def note(self, data: Any) -> None:
         """Note the contacts of ``mujoco.MjData`` after a step."""
@@ -359,7 +369,7 @@ class ContactHistory:
 
     def _of_object(self, geoms: IntArray) -> Any:
         """Which geoms (K, 2) belong to the object."""
-        return self._model.geom_bodyid[geoms] == self._object
+        return self._own[geoms]
 
     def _noted(self) -> _Noted:
         """All moments one after the other."""
@@ -391,6 +401,7 @@ def contacts_from_mujoco(
     *,
     object_body: int,
     finger_of_geom: Mapping[int, str],
+    object_geoms: Collection[int] | None = None,
     with_unloaded: bool = False,
 ) -> ContactSet:
     """Contacts between a hand and an object, in the world, with the forces on the object.
@@ -400,12 +411,13 @@ def contacts_from_mujoco(
         data: ``mujoco.MjData`` after a step.
         object_body: Body id of the object; its centre of mass becomes the set's centre.
         finger_of_geom: Geom ids of the hand, with the finger each belongs to ("" for none).
+        object_geoms: Ids of the object's geoms, if it has more bodies; of that body if None.
         with_unloaded: Also contacts without force, which lie inside the margin.
 
     Returns:
         The contacts in MuJoCo's order, not merged.
     """
-    history = ContactHistory(model, object_body, finger_of_geom)
+    history = ContactHistory(model, object_body, finger_of_geom, object_geoms)
     history.note(data)
     return history.read(with_unloaded=with_unloaded).at(0)
 
@@ -417,6 +429,7 @@ def hand_contacts(scene: Scene, data: Any) -> ContactSet:
         data,
         object_body=scene.object_body,
         finger_of_geom=scene.finger_of_geom,
+        object_geoms=scene.object_geoms,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -18,7 +19,7 @@ from planner.hand_loading import load_hand
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.objects import GraspObject, NeededWrench, Region, TouchRegion
-from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import DEFAULT_MU
 from sim.scene.build import Scene
@@ -77,7 +78,8 @@ class ForeignScene:
         data: The ``mujoco.MjData`` that its owner steps.
         hand: The hand in it, read from its model.
         object: The object: axes of its body, origin at the centre of mass of a uniform solid.
-        object_body: Body id of the object.
+        object_body: Body id of the object: the free one.
+        parts: Ids of its bodies: that one and those below it.
         T_body_object: Pose of the object in its body.
         center: Centre of mass (3,) of the object in the model, object frame, m.
     """
@@ -101,7 +103,8 @@ class ForeignScene:
             data: Its ``mujoco.MjData``, with its kinematics computed.
             hand: The hand, or its ``hand.toml``: that of the model that was attached to the scene,
                 or of the scene itself (``opposable hands SCENE --base-body PALM --describe``).
-            object: Name of the free body to grasp.
+            object: Name of the free body to grasp. Bodies below it are part of the object, as if
+                their joints were fixed where they are now.
             table: Name of the plane or box that carries it, or of a body which that is the only
                 colliding geom of; None for none.
             obstacles: Names of boxes that hand and object must not touch; as of the table.
@@ -110,17 +113,24 @@ class ForeignScene:
 
         Raises:
             NotFoundError: The scene has no such body, geom, joint or actuator.
-            TaskError: The object is not free or has bodies below it, the hand is another than the
-                scene's, or the kinematics are not computed.
+            TaskError: The object is not free, the hand is another than the scene's, or the
+                kinematics are not computed.
             PlannerError: Hand or object cannot be read.
         """
         self.model, self.data, self._prefix = model, data, prefix
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand)
         what = f"body {object!r} of the scene"
-        read = object_in_model(model, object, what)
-        self.object_body = int(model.body(object).id)
+        self.object_body = body = _id(model, "body", object)
         self._check_free(what)
-        self._check_alone(what)
+        if not data.xmat[body].any():
+            raise TaskError(
+                "the kinematics of the scene are not computed; call mujoco.mj_forward(model, data)"
+            )
+        self.parts = np.flatnonzero(model.body_rootid == model.body_rootid[body])
+        here = self.pose(body)
+        below = [part for part in self.parts.tolist() if part != body]
+        frozen = {part: here.actInv(self.pose(part)) for part in below}
+        read = object_in_model(model, object, what, frozen=frozen, hulls=True)
         self.T_body_object, self.center = read.T_body_object, read.center
         region = None
         if touch:
@@ -307,17 +317,6 @@ class ForeignScene:
                 "independent axes; name the body that moves freely"
             )
 
-    def _check_alone(self, what: str) -> None:
-        """Refuse an object that bodies hang on: they would be missing in its shape and mass."""
-        model, body = self.model, self.object_body
-        below = np.flatnonzero(model.body_rootid == model.body_rootid[body])
-        for child in below[below != body].tolist():
-            if model.body_geomnum[child] or model.body_mass[child] > 0.0:
-                raise TaskError(
-                    f"{model.body(child).name or child!r} hangs on {what}; an object is one body: "
-                    "give its geoms to that"
-                )
-
     def _posed(self) -> Any:
         """The hand's own model as its joints are now, with its kinematics computed."""
         own = self.hand.mj_model
@@ -331,10 +330,6 @@ class ForeignScene:
         """Refuse a hand whose links, axes or actuators are other than the scene's."""
         own, name = self.hand.mj_model, self.hand.name
         again = "describe the hand of this scene (opposable hands SCENE --describe)"
-        if not self.data.xmat[self._base].any():
-            raise TaskError(
-                "the kinematics of the scene are not computed; call mujoco.mj_forward(model, data)"
-            )
         for part in self.hand.actuation.names:
             there = self.model.actuator(self._prefix + part)
             for key in ACTUATOR_PARTS:
@@ -368,7 +363,7 @@ class ForeignScene:
         """Least sliding friction (-) between the object and a fingertip."""
         bodies = self.tips(tuple(self.hand.fingers.values()))
         of_body = self.model.geom_bodyid
-        a, b = of_body == self.object_body, np.isin(of_body, bodies)
+        a, b = np.isin(of_body, self.parts), np.isin(of_body, bodies)
         first, second = self.model.geom_priority[a][:, None], self.model.geom_priority[b]
         mine, other = self.model.geom_friction[a, :1], self.model.geom_friction[b, 0]
         weaker = np.where(first > second, mine, np.where(first < second, other, np.inf))
@@ -377,10 +372,9 @@ class ForeignScene:
     def _bounds(self, name: str) -> Region:
         """The box, in the object's axes, around a geom of the object."""
         model, geom = self.model, _id(self.model, "geom", name)
-        if model.geom_bodyid[geom] != self.object_body:
+        if model.geom_bodyid[geom] not in self.parts:
             raise TaskError(f"geom {name!r} does not belong to the object; name geoms of its body")
-        pose = pose_from_wxyz(model.geom_pos[geom], model.geom_quat[geom])
-        pose = self.T_body_object.inverse() * pose
+        pose = self.T_world_object.actInv(_pose(self.data.geom(geom)))
         local, half = np.split(model.geom_aabb[geom], 2)
         middle, reach = pose.act(local), np.abs(pose.rotation) @ half + EDGE
         return Region(name=name, lower=tuple(middle - reach), upper=tuple(middle + reach))
@@ -421,6 +415,12 @@ class _Seen(Scene):
     """A foreign scene through the index maps of ours."""
 
     foreign: ForeignScene
+
+    @cached_property
+    def object_geoms(self) -> frozenset[int]:
+        """Ids of the geoms of all its bodies."""
+        own = np.isin(self.model.geom_bodyid, self.foreign.parts)
+        return frozenset(np.flatnonzero(own).tolist())
 
     @property
     def subject(self) -> Subject:
