@@ -296,7 +296,13 @@ class Simulation:
             read_contacts=partial(hand_contacts, scene, data),
             read_pads=partial(read_pads, scene, data, fingers),
             read_touch=partial(_read_touch, scene, data, fingers),
+            read_planned=partial(self.planned_base, phase, share),
         )
+
+    def planned_base(self, phase: Phase, share: float) -> SE3 | None:
+        """Where the carrier should have brought the hand's base; None if it does not say."""
+        planned = getattr(self.carrier, "planned_base", None)
+        return None if planned is None else planned(phase, share)
 
     def sensed(self, truth: Observation) -> Observation:
         """What a controller sees of the truth: by sensors with errors, then by ``estimator``.
