@@ -56,7 +56,7 @@ from sim.controllers.impedance import (
 )
 from sim.controllers.monitors import ContactSchedule, InfeasibilityMonitor, SlipDetector
 from sim.controllers.torques import HoldingTorques, twist_of
-from sim.controllers.two_hands import ObjectPath, check_two_hands
+from sim.controllers.two_hands import ObjectPath, check_two_hands, with_soft_palms
 
 MAX_NORMAL = 40.0
 """Largest normal force (N) that a pad is asked for; the actuators usually end far below."""
@@ -183,7 +183,6 @@ class ObjectImpedance:
         self.calibration = self._opening.calibration
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
-        self._soft = "soft" in plan.contacts.models
         self._stops = StopCorrection(task.hand.actuation, plan.q)
         self._correction = EstimateCorrection()
         self._calibrated = self._moved = False
@@ -198,7 +197,8 @@ class ObjectImpedance:
             self._grip_share = task.least_normals / task.grip_force
         self._faces = np.array([finger.is_link for finger in task.fingers])
         self._planned = plan.contacts_in_object
-        self._contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+        self._contacts = with_soft_palms(task, plan.contacts.transformed(plan.T_world_base.inverse()))
+        self._soft = "soft" in self._contacts.models
         self._points = np.array(self._contacts.positions)
         self._frames = np.array(self._contacts.frames)
         self._loop = self._make_loop()

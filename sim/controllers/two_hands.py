@@ -20,9 +20,12 @@ and acceleration in the world are planned, and a base that sways is made up for 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 
+from planner.contacts import ContactSet
 from planner.errors import TaskError
 from planner.spatial import SE3, FloatArray, skew
 from planner.task import GraspTask
@@ -56,6 +59,24 @@ def check_two_hands(task: GraspTask) -> None:
             f"the closed loop takes both palms or none, and {touching[0]} touches alone; plan with "
             "--type palms or fingertip, or use the controller feedforward"
         )
+
+
+PALM_TORSION = 0.005
+"""Torsional friction (m) that a palm is believed to have: (2/3) mu r of a patch of even pressure with
+the radius r = 15 mm. Without it only fingers keep the object from turning about the line between
+both palms."""
+
+
+def with_soft_palms(task: GraspTask, contacts: ContactSet) -> ContactSet:
+    """Contacts with torsional friction where both palms of two hands lie on the object."""
+    palms = carried_palms(task)
+    if not palms:
+        return contacts
+    models, torsion = list(contacts.models), np.array(contacts.mu_torsion)
+    for i in palms:
+        models[i], torsion[i] = "soft", max(torsion[i], PALM_TORSION)
+    forces = np.nan_to_num(contacts.forces)
+    return replace(contacts, models=tuple(models), mu_torsion=torsion, forces=forces)
 
 
 class PalmSprings:
