@@ -343,7 +343,15 @@ class ObjectImpedance:
         return self._torques.commands(
             *(forces, normals, holding, self.schedule.searching, corrected, read),
             moments=self.forces[:, 3] if self._soft else None,
+            further=self._palm_moments(missed),
         )
+
+    def _palm_moments(self, missed: FloatArray) -> FloatArray | None:
+        """Joint torques (nq,) of palms for the torque of a wrench (6,) that forces miss."""
+        springs = self._torques.springs
+        if springs is None or not missed[3:].any():
+            return None
+        return springs.moment(-missed[3:], self.forces[list(springs.palms), 0])
 
     def _turn_load(self, turn: FloatArray) -> None:
         """Keep the learned load where it is in the world while the wrist turns.

@@ -81,6 +81,7 @@ class HoldingTorques:
         jacobians: (n, 3, nq), of the pads' material points at the contacts.
         turning: (n, 3, nq), of the pads' angular velocity, base axes, through which the torsional
             moment of a soft contact acts.
+        springs: Between the palms of two hands that both take part; None else.
         own_torque: (nq,), N m, what holds the hand itself, and moves it against its joints' drag.
     """
 
@@ -89,7 +90,7 @@ class HoldingTorques:
         self._hand, self._fingers = plan.task.hand, plan.task.fingers
         self._loads = HandLoads(self._hand, self._fingers)
         self._pads = [(f.pad.joint_id, f.pad.center) for f in self._fingers]
-        self._springs = PalmSprings(plan.task) if carried_palms(plan.task) else None
+        self.springs = PalmSprings(plan.task) if carried_palms(plan.task) else None
         self._between = np.zeros(self._hand.nq)  # torques of these springs
         n, nq = len(self._fingers), self._hand.nq
         self.T_base_palm = SE3.Identity()
@@ -130,8 +131,8 @@ class HoldingTorques:
         self.own_torque = self._loads.move(q, gravity)
         if not self._hand.pair:
             self.T_base_palm = self._loads.T_base_palm
-        if self._springs is not None:
-            self._springs.move(self._loads)
+        if self.springs is not None:
+            self.springs.move(self._loads)
         self._v_ref = np.zeros(self._hand.nq)
         for i, (joint, center) in enumerate(self._pads):
             self.centers[i] = self._loads.at(joint, center)
@@ -146,8 +147,8 @@ class HoldingTorques:
             kept = self._driven | wrist
             self._q_ref = np.where(kept, self._q, self._q_ref)
             self._tips = self._in_palm(self.centers)
-            if self._springs is not None:
-                self._springs.latch()
+            if self.springs is not None:
+                self.springs.latch()
             return
         own = self._own[finger]
         self._q_ref[own] = self._q[own]
@@ -191,9 +192,9 @@ class HoldingTorques:
         rigid = np.linalg.solve(grasp @ grasp.T + _RANK, grasp @ moved)
         rest = held - (rigid[:, 1] @ grasp).reshape(-1, 3)
         self._tip_forces[:] = np.where(mask, TIP_STIFFNESS * rest, 0.0)
-        if self._springs is None:
+        if self.springs is None:
             return np.asarray(rigid[:, 0])
-        self._between, common = self._springs.pull(center, self._v)
+        self._between, common = self.springs.pull(center, self._v)
         return common
 
     def commands(
@@ -205,6 +206,7 @@ class HoldingTorques:
         corrected: FloatArray | None = None,
         read: FloatArray | None = None,
         moments: FloatArray | None = None,
+        further: FloatArray | None = None,
     ) -> FloatArray:
         """Commands (nu,) that press.
 
@@ -218,9 +220,10 @@ class HoldingTorques:
             read: (nq,), joints as the servos' encoders have them; those of ``move`` if None.
             moments: (n,), torsional moments of soft contacts on the object about their normals,
                 N m, of the fingers that hold; none if None.
+            further: Joint torques (nq,) beside, N m.
         """
         torque = self._tip_torque(forces, normals, holding, searching) + self._posture_torque()
-        torque = torque + self._between
+        torque += self._between if further is None else self._between + further
         if moments is not None:
             about = np.where(holding, moments, 0.0)[:, None] * normals
             torque += about.ravel() @ self.turning.reshape(-1, len(self._q))

@@ -67,6 +67,11 @@ the radius r = 15 mm. Without it only fingers keep the object from turning about
 both palms."""
 
 
+PATCH, TINY = 0.02, 1e-9
+"""Radius (m) of what a palm lies on, by which its force may be off its planned point; a torque (N m)
+that is none."""
+
+
 def with_soft_palms(task: GraspTask, contacts: ContactSet) -> ContactSet:
     """Contacts with torsional friction where both palms of two hands lie on the object."""
     palms = carried_palms(task)
@@ -80,11 +85,16 @@ def with_soft_palms(task: GraspTask, contacts: ContactSet) -> ContactSet:
 
 
 class PalmSprings:
-    """Springs between two palms that are moved by torque."""
+    """Springs between two palms that are moved by torque.
+
+    Attributes:
+        palms: Numbers of the contacts that are the palms.
+    """
 
     def __init__(self, task: GraspTask) -> None:
         """Take stiffness and damping of the carriages' servos."""
-        fingers = [task.fingers[i] for i in carried_palms(task)]
+        self.palms = carried_palms(task)
+        fingers = [task.fingers[i] for i in self.palms]
         self._joints = [f.pad.joint_id for f in fingers]
         self._index = [f.q_index for f in fingers]
         actuation = task.hand.actuation
@@ -93,7 +103,8 @@ class PalmSprings:
         self._gains = np.repeat(both.reshape(2, 2, 3).mean(axis=2), 3, axis=1)
         self._poses = [SE3.Identity() for _ in fingers]
         self._latched = [SE3.Identity() for _ in fingers]
-        self._jacobians = np.zeros((len(fingers), 6, task.hand.nq))
+        self._nq = task.hand.nq
+        self._jacobians = np.zeros((len(fingers), 6, self._nq))
 
     def move(self, loads: HandLoads) -> None:
         """Go to where the hand is now."""
@@ -107,6 +118,21 @@ class PalmSprings:
     def latch(self) -> None:
         """Keep the palms to each other as they are now."""
         self._latched = list(self._poses)
+
+    def moment(self, missed: FloatArray, pressed: FloatArray) -> FloatArray:
+        """Joint torques (nq,) by which the palms exert a torque that no contact points give.
+
+        A palm that lies on the object turns it by how its pressure is spread. Each gives half, as
+        far as its force reaches: ``PATCH`` times that.
+
+        Args:
+            missed: Torque on the object (3,), N m, base axes.
+            pressed: Normal forces (2,) of the palms, N.
+        """
+        half = missed / len(self._joints)
+        size = max(float(np.linalg.norm(half)), TINY)
+        shares = np.minimum(1.0, PATCH * pressed / size)
+        return np.asarray((shares[:, None] * half).ravel() @ self._jacobians[:, 3:].reshape(-1, self._nq))
 
     def pull(self, center: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Joint torques (nq,) of springs and dampers, and the palms' common twist (6,).
