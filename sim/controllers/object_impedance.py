@@ -328,7 +328,7 @@ class ObjectImpedance:
         wrench = self.law.wrench(wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
         if self._path is not None:
-            wrench += self._path.inertial
+            wrench += self._path.inertial + self.law.damped_by(self._torques.brake, twist)
         # where it only holds, a wrench that is in doubt is no reason to press less
         eases = follows or observation.uncertainty is None
         missed = self._distribute(
@@ -431,6 +431,8 @@ class ObjectImpedance:
     def _calibrate(self, observation: Observation) -> None:
         """Compare the joints with the contacts, once the squeeze is over."""
         self._calibrated = True
+        if self._torques.springs is not None:
+            self._torques.springs.latch()  # where they press as they should
         before = self.calibration.offset
         if self.calibration.learn(observation):
             self._stops.remove_offset(self.calibration.offset - before)

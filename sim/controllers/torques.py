@@ -82,6 +82,7 @@ class HoldingTorques:
         turning: (n, 3, nq), of the pads' angular velocity, base axes, through which the torsional
             moment of a soft contact acts.
         springs: Between the palms of two hands that both take part; None else.
+        brake: (6,), wrench on the object, N and N m, by the dampers of the servos of two palms.
         own_torque: (nq,), N m, what holds the hand itself, and moves it against its joints' drag.
     """
 
@@ -92,6 +93,7 @@ class HoldingTorques:
         self._pads = [(f.pad.joint_id, f.pad.center) for f in self._fingers]
         self.springs = PalmSprings(plan.task) if carried_palms(plan.task) else None
         self._between = np.zeros(self._hand.nq)  # torques of these springs
+        self.brake = np.zeros(6)
         n, nq = len(self._fingers), self._hand.nq
         self.T_base_palm = SE3.Identity()
         self.centers = np.zeros((n, 3))
@@ -108,6 +110,9 @@ class HoldingTorques:
         self._driven = np.zeros(nq, dtype=bool)
         for finger in self._hand.fingers.values():
             self._driven[finger.q_index] = True
+        self._undamped = self._moving.copy()  # joints whose servos' own dampers are made up for
+        if self.springs is not None:
+            self._undamped[self._hand.carriage_index] = False
         self._stiffness, self._damping = motor_servo(self._hand, plan.q)
         self._stiffness[self._moving] = 0.0
         self._damping[self._moving] = JOINT_DAMPING
@@ -194,7 +199,7 @@ class HoldingTorques:
         self._tip_forces[:] = np.where(mask, TIP_STIFFNESS * rest, 0.0)
         if self.springs is None:
             return np.asarray(rigid[:, 0])
-        self._between, common = self.springs.pull(center, self._v)
+        self._between, common, self.brake = self.springs.pull(center, self._v)
         return common
 
     def commands(
@@ -238,7 +243,8 @@ class HoldingTorques:
             encoders = self._law_q + (read - self._q)
         if corrected is not None and corrected is not self._q:
             self._law_q = np.where(self._moving, corrected, self._q_ref)
-        return servo_commands(self._hand.actuation, encoders, self._law_q, self._v_moving, torque)
+        law_v = np.where(self._undamped, self._v, 0.0)
+        return servo_commands(self._hand.actuation, encoders, self._law_q, law_v, torque)
 
     def _tip_torque(
         self,

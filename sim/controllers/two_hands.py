@@ -10,8 +10,8 @@ only that counts which no common motion xi of both palms explains:
     w_i = K (e_i - A_i xi),    xi = (sum_i A_i' K A_i)^-1 sum_i A_i' K e_i
 
 with A_i the twist of palm i in a common motion about the object's centre. Then sum_i A_i' w_i = 0:
-the springs do not move the object. Rates likewise, with the dampers. K and D are those that the
-carriages' own servos have.
+the springs do not move the object. K is that of the carriages' own servos. Their dampers stay as
+they are, stable within a time step; the impedance adds what its own damping is beyond theirs.
 
 ``ObjectPath``: where the object should be, from where the carrier should have brought the hands.
 Called by ``ObjectImpedance``. The object keeps its pose in the planned base; so its pose, velocity
@@ -134,12 +134,18 @@ class PalmSprings:
         shares = np.minimum(1.0, PATCH * pressed / size)
         return np.asarray((shares[:, None] * half).ravel() @ self._jacobians[:, 3:].reshape(-1, self._nq))
 
-    def pull(self, center: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Joint torques (nq,) of springs and dampers, and the palms' common twist (6,).
+    def pull(
+        self, center: FloatArray, v: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of the springs the joint torques (nq,), N m; of the dampers the wrench on the object.
 
         Args:
             center: Of the object (3,), m.
             v: Rates of the joints (nq,).
+
+        Returns:
+            The torques; the palms' common twist (6,), m/s and rad/s; and by what the servos' dampers
+            brake it (6,), N and N m, about the centre.
         """
         arms = np.array([pose.translation for pose in self._poses]) - center
         common = np.tile(np.eye(6), (len(arms), 1, 1))
@@ -150,10 +156,11 @@ class PalmSprings:
         ]
         stiffness, damping = self._gains
         spring, _ = _apart(common, np.array(errors), stiffness)
-        damper, twist = _apart(common, self._jacobians @ v, damping)
-        wrenches = stiffness * spring - damping * damper
-        torque = np.einsum("iwj,iw->j", self._jacobians, wrenches)
-        return torque, twist
+        motions = self._jacobians @ v
+        _, twist = _apart(common, motions, damping)
+        torque = np.einsum("iwj,iw->j", self._jacobians, stiffness * spring)
+        brake = -np.einsum("iwj,iw->j", common, damping * motions)
+        return torque, twist, brake
 
 
 def _apart(
