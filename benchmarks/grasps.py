@@ -20,6 +20,7 @@ from planner.synthesis.problem import problems_for
 from planner.task import GraspTask
 from sim.cli.execution import error_model_of, physics_of
 from sim.cli.options import (
+    ControllerOption,
     ErrorModelOption,
     MassOption,
     PhysicsOption,
@@ -47,6 +48,7 @@ class Options(HandOptions):
     error_model: ErrorModelOption = "ideal"
     type: TypeOption = None
     mass: MassOption = None
+    controller: ControllerOption = "feedforward"
     carry: Annotated[
         bool,
         flag("--carry", "Lift by 0.2 m, turn by 45 degrees, tilt by 20, and hold for 5 s."),
@@ -75,6 +77,7 @@ def cases(options: Options) -> Iterator[Row]:
         "physics": physics,
         "timeline": CARRIED if options.carry else Timeline(),
         "handover": options.handover,
+        "controller": options.controller,
     }
     for cell in cells_of(options.hand_names, options.objects):
         for seed in range(options.seed, options.seed + options.n):
@@ -99,7 +102,11 @@ def measure(case: Row) -> Row:
         return row | {"attempts": len(error.attempts), "cpu_s": cpu_s, "reason": str(error)}
     error_model = case["error_model"].seeded(case["seed"])
     report = simulate(
-        plan, physics=case["physics"], error_model=error_model, timeline=case["timeline"]
+        plan,
+        physics=case["physics"],
+        error_model=error_model,
+        timeline=case["timeline"],
+        controller=case["controller"],
     )
     row |= {"attempts": plan.record.attempts, "cpu_s": plan.record.cpu_s}
     return row | _told(report) | {"epsilon": plan.quality.epsilon}
@@ -122,7 +129,10 @@ def _told(report: TrialReport) -> Row:
     """What a trial tells of a grasp that was found."""
     slip_mm, slip_deg = report.largest_slip
     off = report.comparison  # a finger that lost its contact has no error
-    return {
+    path = {}
+    if report.path is not None:
+        path = dict(zip(("path_mm", "path_deg", "tilt_deg"), report.path.largest, strict=True))
+    return path | {
         "found": True,
         "held": report.success,
         "reason": report.reason,
@@ -142,6 +152,8 @@ def _columns(small: str, large: str) -> Columns:
         "CPU s": of("cpu_s", small, 3, where="found"),
         "slip mm": of("slip_mm", small, 2, where="held"),
         "slip deg": of("slip_deg", small, 2, where="held"),
+        "path mm": of("path_mm", small, 2, where="held"),
+        "path deg": of("path_deg", small, 2, where="held"),
         "off mm": of("off_mm", small, 2, where="held"),
         "force %": of("force_off", small, 1, where="held"),
         "epsilon": of("epsilon", large, 3, where="found"),

@@ -81,6 +81,7 @@ class Simulation:
         estimator: What tells the controller where the object is; None if it reads the sensors.
         told: The truth and what the estimator told of it, of the last time step; None without one.
         phase: The phase that it is in.
+        share: How much of it had passed when the last time step began, in [0, 1].
         seen: What the controller saw in the last time step; None if it was the truth.
         steps: Time steps made so far.
         stopped: Why the caller ended it, "" if not.
@@ -176,6 +177,7 @@ class Simulation:
             self.error_model.attach_touch(self.scene, self.data, plan)
         self.carrier: Carrier = carrier or carrier_of(plan, self.scene, timeline or Timeline())
         self.phase: Phase = PHASES[0]
+        self.share = 0.0
         self.steps = 0
         self.seen: Observation | None = None
         self._told: Observation | None = None
@@ -262,6 +264,7 @@ class Simulation:
             TaskError: The controller's commands have the wrong shape.
         """
         scene, data = self.scene, self.data
+        self.share = share
         observation = self.observe(phase, share)
         told = self.sensed(observation)
         self._told, self.seen = told, None if told is observation else told

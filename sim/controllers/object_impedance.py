@@ -197,7 +197,9 @@ class ObjectImpedance:
             self._grip_share = task.least_normals / task.grip_force
         self._faces = np.array([finger.is_link for finger in task.fingers])
         self._planned = plan.contacts_in_object
-        self._contacts = with_soft_palms(task, plan.contacts.transformed(plan.T_world_base.inverse()))
+        self._contacts = with_soft_palms(
+            task, plan.contacts.transformed(plan.T_world_base.inverse())
+        )
         self._soft = "soft" in self._contacts.models
         self._points = np.array(self._contacts.positions)
         self._frames = np.array(self._contacts.frames)
@@ -499,9 +501,8 @@ class ObjectImpedance:
             jacobians=loaded,
             q=q,
             gravity_torque=self._torques.own_torque,
-            min_normal=np.minimum(
-                scale * (grip * self._grip_share + held_back), self._max_normal
-            ) * share,
+            min_normal=np.minimum(scale * (grip * self._grip_share + held_back), self._max_normal)
+            * share,
             max_normal=self._max_normal * share,
             previous=self.forces,
         )

@@ -9,9 +9,9 @@ The spring on the fingertips acts on what their displacements p* - p have beyond
 body: f = K (1 - G^T (G G^T)^-1 G) (p* - p), so that G f = 0. The velocity of that rigid body is
 what the joints know of the object's in the palm, as long as the contacts stick. Joints of fingers
 that take no part are held by their servos' own stiffness, at their latched posture or, during a
-motion, at the planned one, clear of the others. Wrist and arm stay where they were. The palms of two
-hands that both take part move with the object, and are kept to each other by springs of their own
-(``sim.controllers.two_hands``).
+motion, at the planned one, clear of the others. Wrist and arm stay where they were. The palms of
+two hands that both take part move with the object, and are kept to each other by springs of their
+own (``sim.controllers.two_hands``).
 All of it is in the axes of the hand's base.
 """
 
@@ -106,11 +106,11 @@ class HoldingTorques:
         self._own = np.zeros((n, nq), dtype=bool)
         for row, finger in zip(self._own, self._fingers, strict=True):
             row[finger.q_index] = True
-        self._moving = self._own.any(axis=0)
+        self._moving: NDArray[np.bool_] = self._own.any(axis=0)
         self._driven = np.zeros(nq, dtype=bool)
         for finger in self._hand.fingers.values():
             self._driven[finger.q_index] = True
-        self._undamped = self._moving.copy()  # joints whose servos' own dampers are made up for
+        self._undamped = np.array(self._moving)  # joints whose servos' own dampers are made up for
         if self.springs is not None:
             self._undamped[self._hand.carriage_index] = False
         self._stiffness, self._damping = motor_servo(self._hand, plan.q)

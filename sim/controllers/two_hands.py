@@ -62,14 +62,14 @@ def check_two_hands(task: GraspTask) -> None:
 
 
 PALM_TORSION = 0.005
-"""Torsional friction (m) that a palm is believed to have: (2/3) mu r of a patch of even pressure with
-the radius r = 15 mm. Without it only fingers keep the object from turning about the line between
-both palms."""
+"""Torsional friction (m) that a palm is believed to have: (2/3) mu r of a patch of even pressure
+with the radius r = 15 mm. Without it only fingers keep the object from turning about the line
+between both palms."""
 
 
 PATCH, TINY = 0.02, 1e-9
-"""Radius (m) of what a palm lies on, by which its force may be off its planned point; a torque (N m)
-that is none."""
+"""Radius (m) of what a palm lies on, by which its force may be off its planned point; a torque
+(N m) that is none."""
 
 
 def with_soft_palms(task: GraspTask, contacts: ContactSet) -> ContactSet:
@@ -98,7 +98,7 @@ class PalmSprings:
         self._joints = [f.pad.joint_id for f in fingers]
         self._index = [f.q_index for f in fingers]
         actuation = task.hand.actuation
-        gains = -actuation.bias[:, 1:] .T @ actuation.moment**2  # (2, nq)
+        gains = -actuation.bias[:, 1:].T @ actuation.moment**2  # (2, nq)
         both = np.mean([gains[:, k] for k in self._index], axis=0)  # (2, 6)
         self._gains = np.repeat(both.reshape(2, 2, 3).mean(axis=2), 3, axis=1)
         self._poses = [SE3.Identity() for _ in fingers]
@@ -132,11 +132,11 @@ class PalmSprings:
         half = missed / len(self._joints)
         size = max(float(np.linalg.norm(half)), TINY)
         shares = np.minimum(1.0, PATCH * pressed / size)
-        return np.asarray((shares[:, None] * half).ravel() @ self._jacobians[:, 3:].reshape(-1, self._nq))
+        return np.asarray(
+            (shares[:, None] * half).ravel() @ self._jacobians[:, 3:].reshape(-1, self._nq)
+        )
 
-    def pull(
-        self, center: FloatArray, v: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def pull(self, center: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Of the springs the joint torques (nq,), N m; of the dampers the wrench on the object.
 
         Args:
@@ -144,8 +144,8 @@ class PalmSprings:
             v: Rates of the joints (nq,).
 
         Returns:
-            The torques; the palms' common twist (6,), m/s and rad/s; and by what the servos' dampers
-            brake it (6,), N and N m, about the centre.
+            The torques; the palms' common twist (6,), m/s and rad/s; and by what the servos'
+            dampers brake it (6,), N and N m, about the centre.
         """
         arms = np.array([pose.translation for pose in self._poses]) - center
         common = np.tile(np.eye(6), (len(arms), 1, 1))
