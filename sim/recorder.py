@@ -186,9 +186,7 @@ class Recorder(SampleRecorder):
     def _planned_base(self) -> SE3 | None:
         """Where the base of two hands should be now; None of one hand."""
         simulation = self._simulation
-        if not simulation.plan.task.hand.pair:
-            return None
-        return simulation.planned_base(simulation.phase, simulation.share)
+        return simulation.planned_base() if simulation.plan.task.hand.pair else None
 
     def path_errors(self) -> PathRecord | None:
         """How far the object is from its planned path; None of one hand, or without a lift."""

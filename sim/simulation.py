@@ -81,7 +81,6 @@ class Simulation:
         estimator: What tells the controller where the object is; None if it reads the sensors.
         told: The truth and what the estimator told of it, of the last time step; None without one.
         phase: The phase that it is in.
-        share: How much of it had passed when the last time step began, in [0, 1].
         seen: What the controller saw in the last time step; None if it was the truth.
         steps: Time steps made so far.
         stopped: Why the caller ended it, "" if not.
@@ -177,7 +176,7 @@ class Simulation:
             self.error_model.attach_touch(self.scene, self.data, plan)
         self.carrier: Carrier = carrier or carrier_of(plan, self.scene, timeline or Timeline())
         self.phase: Phase = PHASES[0]
-        self.share = 0.0
+        self._began: tuple[Phase, float] = self.phase, 0.0  # phase and share of the last step
         self.steps = 0
         self.seen: Observation | None = None
         self._told: Observation | None = None
@@ -264,8 +263,8 @@ class Simulation:
             TaskError: The controller's commands have the wrong shape.
         """
         scene, data = self.scene, self.data
-        self.share = share
         observation = self.observe(phase, share)
+        self._began = phase, share
         told = self.sensed(observation)
         self._told, self.seen = told, None if told is observation else told
         commands = self._commands(told)
@@ -299,13 +298,19 @@ class Simulation:
             read_contacts=partial(hand_contacts, scene, data),
             read_pads=partial(read_pads, scene, data, fingers),
             read_touch=partial(_read_touch, scene, data, fingers),
-            read_planned=partial(self.planned_base, phase, share),
+            read_planned=partial(self.planned_base, *self._began),
         )
 
-    def planned_base(self, phase: Phase, share: float) -> SE3 | None:
-        """Where the carrier should have brought the hand's base; None if it does not say."""
+    def planned_base(self, phase: Phase | None = None, share: float = 0.0) -> SE3 | None:
+        """Where the carrier should have brought the hand's base; None if it does not say.
+
+        Of a share of a phase; of the last time step's beginning, which poses are of, if None.
+        """
         planned = getattr(self.carrier, "planned_base", None)
-        return None if planned is None else planned(phase, share)
+        if planned is None:
+            return None
+        made: SE3 = planned(*self._began) if phase is None else planned(phase, share)
+        return made
 
     def sensed(self, truth: Observation) -> Observation:
         """What a controller sees of the truth: by sensors with errors, then by ``estimator``.
