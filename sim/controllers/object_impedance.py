@@ -10,6 +10,9 @@ phases ``REFERENCE_PHASES`` a ``Reference`` may move the targets of object and f
     ctrl     joint torques for these forces (``sim.controllers.torques``), through motors, servos
              or tendons, and for the joints' dry friction (``sim.controllers.hand_dynamics``)
 
+Between two hands the object follows its planned path in the world, and palms that touch are
+commanded through their carriages (``sim.controllers.two_hands``).
+
 What it notices and what it does then:
     contact lost    the forces are planned over the others at once; the finger searches along its
                     last normal, and takes its share again when it feels the object
@@ -112,8 +115,8 @@ class ObjectImpedance:
         plan: What is executed.
         law: The impedance, with its gains and the learned load.
         schedule: Which fingers hold, from the squeeze on.
-        T_palm_wanted: Where the object is to be kept, in the palm; None before the squeeze. May be
-            set.
+        T_palm_wanted: Where the object is to be kept, in the palm, or in the planned base of two
+            hands; None before the squeeze. May be set.
         turning_time: Time (s) for which the base counts as turning after a turn by ``SWAYED``:
             nothing is learned meanwhile.
         reference: Targets of object and fingers in ``REFERENCE_PHASES``; None keeps them.
