@@ -53,7 +53,7 @@ def palm_wrenches(plan: GraspPlan, q: FloatArray, torque: FloatArray) -> list[Fl
     for side in plan.task.hand.sides:
         joint = plan.task.hand.contact_parts[side.palm_body].pad.joint_id
         jacobian = state.point_jacobian(joint, state.joint_pose(joint).translation)
-        out.append(np.linalg.solve(jacobian[:, side.carriage].T, torque[side.carriage]))
+        out.append(np.asarray(np.linalg.solve(jacobian[:, side.carriage].T, torque[side.carriage])))
     return out
 
 

@@ -106,7 +106,7 @@ class HoldingTorques:
         self._own = np.zeros((n, nq), dtype=bool)
         for row, finger in zip(self._own, self._fingers, strict=True):
             row[finger.q_index] = True
-        self._moving: NDArray[np.bool_] = self._own.any(axis=0)
+        self._moving: NDArray[np.bool_] = np.asarray(self._own.any(axis=0))
         self._driven = np.zeros(nq, dtype=bool)
         for finger in self._hand.fingers.values():
             self._driven[finger.q_index] = True
