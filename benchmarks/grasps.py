@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -20,21 +20,27 @@ from planner.synthesis.problem import problems_for
 from planner.task import GraspTask
 from sim.cli.execution import error_model_of, physics_of
 from sim.cli.options import (
+    ControllerOption,
     ErrorModelOption,
     MassOption,
     PhysicsOption,
     SimMuOption,
     TypeOption,
     flag,
+    option,
 )
 from sim.handover import hand_over
 from sim.report import TrialReport
 from sim.scene.carrier import Timeline
+from sim.simulation import Simulation
 from sim.tables import Row
 from sim.trial import simulate
 
 CARRIED = Timeline(lift_height=0.2, hold=5.0, turn=np.deg2rad(45.0), tilt=np.deg2rad(20.0))
 """What is asked of an object between two hands."""
+
+PUSHES, PUSH_EVERY, PUSH_S = 4, 0.6, 0.3
+"""Pushes during a hold, the time from one to the next and how long each lasts, s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +53,7 @@ class Options(HandOptions):
     error_model: ErrorModelOption = "ideal"
     type: TypeOption = None
     mass: MassOption = None
+    controller: ControllerOption = "feedforward"
     carry: Annotated[
         bool,
         flag("--carry", "Lift by 0.2 m, turn by 45 degrees, tilt by 20, and hold for 5 s."),
@@ -54,6 +61,10 @@ class Options(HandOptions):
     handover: Annotated[
         bool, flag("--handover", "The first of two hands hands each object to the second.")
     ] = False
+    push: Annotated[
+        float,
+        option("Push the held object by so much, four times, in random directions.", "N"),
+    ] = 0.0
     floating: Annotated[
         bool, flag("--floating", "No table: each object is held until it is lifted.")
     ] = False
@@ -75,6 +86,8 @@ def cases(options: Options) -> Iterator[Row]:
         "physics": physics,
         "timeline": CARRIED if options.carry else Timeline(),
         "handover": options.handover,
+        "controller": options.controller,
+        "push": options.push,
     }
     for cell in cells_of(options.hand_names, options.objects):
         for seed in range(options.seed, options.seed + options.n):
@@ -99,10 +112,33 @@ def measure(case: Row) -> Row:
         return row | {"attempts": len(error.attempts), "cpu_s": cpu_s, "reason": str(error)}
     error_model = case["error_model"].seeded(case["seed"])
     report = simulate(
-        plan, physics=case["physics"], error_model=error_model, timeline=case["timeline"]
+        plan,
+        physics=case["physics"],
+        error_model=error_model,
+        timeline=case["timeline"],
+        controller=case["controller"],
+        on_step=pushing(case["push"], case["seed"]) if case["push"] else None,
     )
     row |= {"attempts": plan.record.attempts, "cpu_s": plan.record.cpu_s}
     return row | _told(report) | {"epsilon": plan.quality.epsilon}
+
+
+def pushing(newton: float, seed: int) -> Callable[[Simulation], None]:
+    """Pushes the object at its centre while it is held: what a trial does after every step."""
+    ways = np.random.default_rng(seed).normal(size=(PUSHES, 3))
+    ways *= newton / np.linalg.norm(ways, axis=1, keepdims=True)
+    begun: list[float] = []
+
+    def push(simulation: Simulation) -> None:
+        if simulation.phase != "hold":
+            return
+        if not begun:
+            begun.append(simulation.time)
+        k, since = divmod(simulation.time - begun[0], PUSH_EVERY)
+        force = ways[int(k)] if k < PUSHES and since < PUSH_S else np.zeros(3)
+        simulation.data.xfrc_applied[simulation.scene.object_body, :3] = force
+
+    return push
 
 
 def _handed_over(task: GraspTask, case: Row) -> Row:
@@ -122,7 +158,10 @@ def _told(report: TrialReport) -> Row:
     """What a trial tells of a grasp that was found."""
     slip_mm, slip_deg = report.largest_slip
     off = report.comparison  # a finger that lost its contact has no error
-    return {
+    path = {}
+    if report.path is not None:
+        path = dict(zip(("path_mm", "path_deg", "tilt_deg"), report.path.largest, strict=True))
+    return path | {
         "found": True,
         "held": report.success,
         "reason": report.reason,
@@ -142,6 +181,8 @@ def _columns(small: str, large: str) -> Columns:
         "CPU s": of("cpu_s", small, 3, where="found"),
         "slip mm": of("slip_mm", small, 2, where="held"),
         "slip deg": of("slip_deg", small, 2, where="held"),
+        "path mm": of("path_mm", small, 2, where="held"),
+        "path deg": of("path_deg", small, 2, where="held"),
         "off mm": of("off_mm", small, 2, where="held"),
         "force %": of("force_off", small, 1, where="held"),
         "epsilon": of("epsilon", large, 3, where="found"),

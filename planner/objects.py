@@ -4,6 +4,7 @@
     mug:RADIUSxHEIGHT   lbracket:LENGTHxHEIGHTxWIDTHxTHICKNESS   torus:RINGxTUBE
     hammer:LENGTHxHEADxRADIUS   superquadric:XxYxZxE1xE2   knot:RADIUSxTUBE
     cup, teacup, bowl, pan, plate, tube:RADIUSxHEIGHTxWALL   channel:LENGTHxHEIGHTxWIDTHxTHICKNESS
+    tray:LENGTHxWIDTHxHEIGHTxTHICKNESS
     FILE.stl   FILE.obj*SCALE   FILE.xml#BODY
 
 All in metres; X, Y, Z and HEIGHT are full lengths, end to end. A name alone has default sizes; mug

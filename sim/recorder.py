@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from planner.arrays import finite
 from planner.kinematics import HandState
 from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, pose_change, pose_to_wxyz
@@ -24,6 +25,7 @@ from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import ContactHistory, ContactRows
 from sim.recording import PALM, Recording, Samples
 from sim.report import FingerComparison
+from sim.report_file import PathRecord
 from sim.simulation import Simulation
 
 __all__ = ["Recorder", "SampleRecorder"]
@@ -172,6 +174,33 @@ class Recorder(SampleRecorder):
         self._samples: Samples | None = None
         self._poses: list[SE3] = []  # of the object
         self._in_palm: list[tuple[SE3 | None, SE3]] = []  # its reference, and where it is
+        self._carried: list[SE3 | None] = []  # pose of the base that is planned for these times
+        self._in_base: SE3 | None = None  # pose of the object there that is kept
+
+    def mark_reference(self) -> None:
+        """From now on movement counts from how the object lies in palm and planned base now."""
+        super().mark_reference()
+        base = self._planned_base()
+        self._in_base = None if base is None else base.inverse() * self._simulation.T_world_object
+
+    def _planned_base(self) -> SE3 | None:
+        """Where the base of two hands should be now; None of one hand."""
+        simulation = self._simulation
+        return simulation.planned_base() if simulation.plan.task.hand.pair else None
+
+    def path_errors(self) -> PathRecord | None:
+        """How far the object is from its planned path; None of one hand, or without a lift."""
+        if self._in_base is None:
+            return None
+        out = np.full((len(self._rows), 3), NAN)
+        for i, (row, base) in enumerate(zip(self._rows, self._carried, strict=True)):
+            if base is not None and row["phase"] in ("lift", "hold"):
+                wanted, pose = base * self._in_base, self._poses[i]
+                aside = np.cross(wanted.rotation[2], pose.rotation[2])
+                tilt = np.rad2deg(np.arcsin(min(1.0, float(np.linalg.norm(aside)))))
+                out[i] = (*pose_change(wanted, pose), tilt)
+        off, turned, tilted = finite(out.T)
+        return PathRecord(off_mm=off, turned_deg=turned, tilted_deg=tilted)
 
     def record(self) -> None:
         """Take a sample of now: all of it, also where Ctrl-C comes meanwhile."""
@@ -185,6 +214,7 @@ class Recorder(SampleRecorder):
             self._take(phase, row)
             self._poses.append(simulation.T_world_object)
             self._in_palm.append((self._reference, self._held_at()))
+            self._carried.append(self._planned_base())
             self._samples = None
 
     def _phase(self) -> str:

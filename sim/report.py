@@ -25,7 +25,7 @@ from planner.spatial import FloatArray
 from planner.system.package import written_by
 from sim.controllers.base import Event
 from sim.recording import Recording, SampleData, Samples
-from sim.report_file import ComparisonData, ExecutionFile, ReportFile, UseRecord
+from sim.report_file import ComparisonData, ExecutionFile, PathRecord, ReportFile, UseRecord
 from sim.screen import Report, error_lines
 from sim.tables import table
 from sim.verdict import Reason, Thresholds, Verdict, largest
@@ -206,6 +206,8 @@ class TrialReport(ExecutionReport):
         tries: Of a ``CloudPlan``, how each try ended; the report is of the last.
         use: Of a tool: what it is, what was done, and what was measured at the times of the
             samples, as plain data of ``sim.report_file.UseRecord``; None of other trials.
+        path: Of two hands: how far the object is from its planned path, at the times of the
+            samples; None of one hand.
     """
 
     verdict: Verdict
@@ -226,6 +228,7 @@ class TrialReport(ExecutionReport):
     picture: Path | None = None
     tries: tuple[str, ...] = ()
     use: dict[str, Any] | None = None
+    path: PathRecord | None = None
 
     @property
     def quality_planned(self) -> QualityReport:
@@ -280,6 +283,8 @@ class TrialReport(ExecutionReport):
             "not held": f"[bold red]not held, {self.reason}[/]: {escape(self.verdict.detail)}",
         }[self.verdict.outcome]
         yield Text.from_markup(f"{escape(self.hand)}, {escape(self.object)}: {line}")
+        if self.path is not None and self.success:
+            yield Text(str(self.path))
         for number, told in enumerate(self.tries if len(self.tries) > 1 else (), 1):
             yield Text(f"try {number}: {told}")
         if self.use is not None:
@@ -380,4 +385,5 @@ class TrialReport(ExecutionReport):
             tries=list(self.tries),
             samples=SampleData.model_validate(self.samples.to_dict()),
             use=None if self.use is None else UseRecord(**finite(self.use)),
+            path=self.path,
         )

@@ -6,6 +6,7 @@ A report is a JSON file, or a page (HTML) that holds the same JSON.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -25,6 +26,7 @@ __all__ = [
     "ComparisonData",
     "EventData",
     "ExecutionFile",
+    "PathRecord",
     "ReportFile",
     "UseRecord",
     "check_lengths",
@@ -34,6 +36,8 @@ __all__ = [
     "write_report",
     "write_report_of",
 ]
+
+NAN = float("nan")
 
 REPORT_VERSION: Literal[4] = 4
 """Version of ``ReportFile``; another number means another schema. Version 1 had no states, versions
@@ -124,6 +128,35 @@ class UseRecord(StrictData):
         return self
 
 
+class PathRecord(StrictData):
+    """How far an object between two hands is from its planned path; null before the lift.
+
+    ``tilted_deg`` is the part of ``turned_deg`` that is not about the vertical: what a tray is not
+    to have.
+    """
+
+    off_mm: list[float | None]
+    turned_deg: list[float | None]
+    tilted_deg: list[float | None]
+
+    @property
+    def largest(self) -> tuple[float, float, float]:
+        """Of distance (mm), rotation and tilt (degrees) the largest; NaN where none is known."""
+        found = (self.off_mm, self.turned_deg, self.tilted_deg)
+        off, turned, tilted = (max((v for v in c if v is not None), default=NAN) for c in found)
+        return off, turned, tilted
+
+    def __str__(self) -> str:
+        """In words; "" before the lift."""
+        off, turned, tilted = self.largest
+        if math.isnan(off):
+            return ""
+        return (
+            f"the object stayed on its planned path to {off:.2f} mm and {turned:.2f} degrees, "
+            f"level to {tilted:.2f} degrees"
+        )
+
+
 class ReportFile(ExecutionFile):
     """A trial report as JSON.
 
@@ -154,18 +187,22 @@ class ReportFile(ExecutionFile):
     tries: list[str] = Field(default_factory=list)
     samples: SampleData
     use: UseRecord | None = None
+    path: PathRecord | None = None
 
     @model_validator(mode="after")
-    def _use_of_one_length(self) -> Self:
-        check_lengths(self.samples, None, {} if self.use is None else self.use.channels)
+    def _further_of_one_length(self) -> Self:
+        channels = {} if self.use is None else self.use.channels
+        path = {} if self.path is None else self.path.model_dump()
+        check_lengths(self.samples, None, channels | path)
         return self
 
     @model_serializer(mode="wrap")
-    def _without_absent_use(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """All fields; reports of trials that use no tool stay as they were."""
+    def _without_what_is_absent(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """All fields; reports of trials of one hand that use no tool stay as they were."""
         data: dict[str, Any] = handler(self)
-        if self.use is None:
-            del data["use"]
+        for name in ("use", "path"):
+            if getattr(self, name) is None:
+                del data[name]
         return data
 
 

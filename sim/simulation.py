@@ -176,6 +176,7 @@ class Simulation:
             self.error_model.attach_touch(self.scene, self.data, plan)
         self.carrier: Carrier = carrier or carrier_of(plan, self.scene, timeline or Timeline())
         self.phase: Phase = PHASES[0]
+        self._began: tuple[Phase, float] = self.phase, 0.0  # phase and share of the last step
         self.steps = 0
         self.seen: Observation | None = None
         self._told: Observation | None = None
@@ -263,6 +264,7 @@ class Simulation:
         """
         scene, data = self.scene, self.data
         observation = self.observe(phase, share)
+        self._began = phase, share
         told = self.sensed(observation)
         self._told, self.seen = told, None if told is observation else told
         commands = self._commands(told)
@@ -296,7 +298,19 @@ class Simulation:
             read_contacts=partial(hand_contacts, scene, data),
             read_pads=partial(read_pads, scene, data, fingers),
             read_touch=partial(_read_touch, scene, data, fingers),
+            read_planned=partial(self.planned_base, *self._began),
         )
+
+    def planned_base(self, phase: Phase | None = None, share: float = 0.0) -> SE3 | None:
+        """Where the carrier should have brought the hand's base; None if it does not say.
+
+        Of a share of a phase; of the last time step's beginning, which poses are of, if None.
+        """
+        planned = getattr(self.carrier, "planned_base", None)
+        if planned is None:
+            return None
+        made: SE3 = planned(*self._began) if phase is None else planned(phase, share)
+        return made
 
     def sensed(self, truth: Observation) -> Observation:
         """What a controller sees of the truth: by sensors with errors, then by ``estimator``.

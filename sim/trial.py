@@ -353,6 +353,7 @@ class Trial:
             controller=type(simulation.controller).__name__,
             events=simulation.events,
             error_model=simulation.senses(),
+            path=self.recorder.path_errors(),
         )
 
     def _remedies(self, verdict: Verdict) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from planner.kinematics import HandState
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.search.grasp import attempts
-from planner.shapes import Bowl, Channel, Cup, Mesh, Pan, Plate, Teacup, Tube
+from planner.shapes import Bowl, Channel, Cup, Mesh, Pan, Plate, Teacup, Tray, Tube
 from planner.shapes.meshes.soundness import bodies_of, faults_of
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import SKIN, surface_of
@@ -99,9 +99,24 @@ def test_a_channel_is_a_web_with_two_flanges() -> None:
     np.testing.assert_allclose(np.subtract(*mesh.bounds[::-1]), [0.06, 0.08, 0.05])
 
 
+def test_a_tray_is_a_floor_with_four_walls() -> None:
+    length, width, height, wall = 0.4, 0.3, 0.1, 0.01
+    mesh = Tray(length, width, height, wall)
+    inside = (length - 2 * wall) * (width - 2 * wall) * (height - wall)
+    assert mesh.volume == pytest.approx(length * width * height - inside)
+    up = mesh.closest_point(np.array([[0.0, 0.0, 0.0]]))[1][0]  # above the floor
+    assert up == pytest.approx([0.0, 0.0, 1.0])
+
+
 @pytest.mark.parametrize(
     "spec",
-    ["cup:0.03x0.09x0.01", "bowl:0.1x0.02x0.004", "teacup:0.04x0.03x0.002", "channel:1x1x1x1"],
+    [
+        "cup:0.03x0.09x0.01",
+        "bowl:0.1x0.02x0.004",
+        "teacup:0.04x0.03x0.002",
+        "channel:1x1x1x1",
+        "tray:1x1x1x1",
+    ],
 )
 def test_walls_too_thick_for_their_vessel_are_refused(spec: str) -> None:
     with pytest.raises(ObjectError, match=f"{spec.split(':')[0]}: .* give a"):

@@ -16,7 +16,16 @@ from planner.shapes.registry import (
 from planner.system.package import lazy_names
 
 if TYPE_CHECKING:
-    from planner.shapes.made import Channel, Hammer, Knot, LBracket, Mug, Superquadric, Torus
+    from planner.shapes.made import (
+        Channel,
+        Hammer,
+        Knot,
+        LBracket,
+        Mug,
+        Superquadric,
+        Torus,
+        Tray,
+    )
     from planner.shapes.round import Capsule, Cylinder, Ellipsoid, Sphere
     from planner.shapes.vessels import Bowl, Cup, Pan, Plate, Teacup, Tube
 
@@ -42,6 +51,7 @@ __all__ = [
     "Superquadric",
     "Teacup",
     "Torus",
+    "Tray",
     "Tube",
     "register_shape",
     "shape_from_dict",
@@ -66,6 +76,7 @@ _HOMES = {
     "Superquadric": "planner.shapes.made",
     "Teacup": "planner.shapes.vessels",
     "Torus": "planner.shapes.made",
+    "Tray": "planner.shapes.made",
     "Tube": "planner.shapes.vessels",
 }
 """Shapes that few tasks have -> the module that defines them."""

@@ -163,6 +163,45 @@ class Channel(Made):
         return _extruded(outline, fan, self.width)
 
 
+@dataclass(frozen=True, eq=False)
+class Tray(Made):
+    """A floor in the plane of x and y with upright walls around it, open at the top.
+
+    Attributes:
+        length: Extent along x, m.
+        width: Extent along y, m.
+        height: Extent along z, m.
+        thickness: Of floor and walls, m.
+    """
+
+    kind: ClassVar[str] = "tray"
+    length: float = 0.4
+    width: float = 0.3
+    height: float = 0.1
+    thickness: float = 0.01
+
+    def _check(self) -> None:
+        if self.thickness >= 0.49 * min(self.length, self.width, 2 * self.height):
+            raise ObjectError(
+                f"tray: thickness {self.thickness} m leaves no inside in {self.length} x "
+                f"{self.width} x {self.height} m; give a smaller thickness"
+            )
+
+    def _triangles(self) -> tuple[FloatArray, IntArray]:
+        t, top = self.thickness, self.height
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
+        outer, inner = (corners * [self.length - off, self.width - off] for off in (0.0, 2 * t))
+        rings = np.array(
+            [
+                np.insert(ring, 2, z, axis=1)
+                for ring, z in ((outer, 0.0), (outer, top), (inner, top), (inner, t))
+            ]
+        )
+        floor = np.array([[0, 1, 2], [0, 2, 3]])
+        faces = np.concatenate([stacked(rings), floor[:, ::-1], floor + 12])
+        return rings.reshape(-1, 3), faces
+
+
 def _extruded(outline: FloatArray, fan: IntArray, width: float) -> tuple[FloatArray, IntArray]:
     """Vertices and faces of a polygon (n, 2) in x and z, filled by triangles, and moved along y.
 

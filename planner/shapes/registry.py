@@ -84,6 +84,7 @@ _OURS = {
     "plate": "vessels:Plate",
     "channel": "made:Channel",
     "tube": "vessels:Tube",
+    "tray": "made:Tray",
 }
 """Kind -> its module here and its class, which is imported when an object of the kind is met."""
 

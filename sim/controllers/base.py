@@ -347,6 +347,10 @@ Sense: TypeAlias = Literal["touch", "object_pose", "object_twist", "pads", "cont
 ``object_twist``, ``pads``, ``contacts`` of an ``Observation``. A simulation has all of them."""
 
 
+def _nothing() -> None:
+    """What is read where there is nothing to read."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Observation:
     """What a controller knows at one time step.
@@ -371,6 +375,7 @@ class Observation:
             ``T_world_object`` is one of now.
         uncertainty: How well an estimator knows ``T_world_object``; None of a pose that was read.
         read_touch: Reads ``touch``: raw images of taxels, where there are any.
+        read_planned: Reads ``T_world_base_planned``.
     """
 
     time: float
@@ -387,6 +392,7 @@ class Observation:
     measured_pose: MeasuredPose | None = None
     uncertainty: PoseUncertainty | None = None
     read_touch: Callable[[], TouchReading] = TouchReading.nothing
+    read_planned: Callable[[], SE3 | None] = _nothing
 
     @property
     def reads_pads(self) -> bool:
@@ -416,6 +422,11 @@ class Observation:
     def pads(self) -> PadReading:
         """What tactile pads feel, per finger that takes part; read when first asked for."""
         return self.read_pads()
+
+    @cached_property
+    def T_world_base_planned(self) -> SE3 | None:
+        """Where what carries the hand should have brought its base; None where nobody says."""
+        return self.read_planned()
 
     @cached_property
     def touch(self) -> TouchReading:

@@ -71,6 +71,10 @@ class HandLoads:
         """Pose of the palm's body in the base."""
         return SE3(pin.updateFramePlacement(self._model, self._data, self._palm))
 
+    def pose(self, joint_id: int) -> SE3:
+        """Pose of a joint's frame in the base."""
+        return SE3(self._data.oMi[joint_id])
+
     def at(self, joint_id: int, point: FloatArray) -> FloatArray:
         """A point (3,) of a joint's frame in the base, m."""
         placed: FloatArray = self._data.oMi[joint_id].act(point)

@@ -193,6 +193,18 @@ class ImpedanceLaw:
         self._spring = self._stiffness * error
         return np.asarray(self._spring - self._damping * twist + self.load)
 
+    def damped_by(self, brake: FloatArray, twist: FloatArray) -> FloatArray:
+        """Wrench (6,) to be added to ``wrench`` where something else damps already.
+
+        Each component of the damping is asked for as far as it is beyond the other's.
+
+        Args:
+            brake: (6,), N and N m, by which it is damped.
+            twist: (6,), as for ``wrench``.
+        """
+        own = -self._damping * twist
+        return np.asarray(np.clip(-brake, *np.sort([-own, np.zeros(6)], axis=0)))
+
     def learn(self, elapsed: float, missed: FloatArray) -> None:
         """Move the spring's wrench over to the load.
 

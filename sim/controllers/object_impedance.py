@@ -10,6 +10,9 @@ phases ``REFERENCE_PHASES`` a ``Reference`` may move the targets of object and f
     ctrl     joint torques for these forces (``sim.controllers.torques``), through motors, servos
              or tendons, and for the joints' dry friction (``sim.controllers.hand_dynamics``)
 
+Between two hands the object follows its planned path in the world, and palms that touch are
+commanded through their carriages (``sim.controllers.two_hands``).
+
 What it notices and what it does then:
     contact lost    the forces are planned over the others at once; the finger searches along its
                     last normal, and takes its share again when it feels the object
@@ -56,9 +59,14 @@ from sim.controllers.impedance import (
 )
 from sim.controllers.monitors import ContactSchedule, InfeasibilityMonitor, SlipDetector
 from sim.controllers.torques import HoldingTorques, twist_of
+from sim.controllers.two_hands import ObjectPath, check_two_hands, with_soft_palms
 
 MAX_NORMAL = 40.0
 """Largest normal force (N) that a pad is asked for; the actuators usually end far below."""
+
+MOST_OF_PLANNED = 2.0
+"""Times (-) its planned force that a contact of two hands is asked for at most, if that is more
+than ``MAX_NORMAL``: palms press with what carries kilograms."""
 
 CHANGE_COST = 2.0
 """Cost of a squared change of force relative to a squared force (-): smooths internal forces, which
@@ -107,8 +115,8 @@ class ObjectImpedance:
         plan: What is executed.
         law: The impedance, with its gains and the learned load.
         schedule: Which fingers hold, from the squeeze on.
-        T_palm_wanted: Where the object is to be kept, in the palm; None before the squeeze. May be
-            set.
+        T_palm_wanted: Where the object is to be kept, in the palm, or in the planned base of two
+            hands; None before the squeeze. May be set.
         turning_time: Time (s) for which the base counts as turning after a turn by ``SWAYED``:
             nothing is learned meanwhile.
         reference: Targets of object and fingers in ``REFERENCE_PHASES``; None keeps them.
@@ -156,8 +164,13 @@ class ObjectImpedance:
         ):
             if not (np.isfinite(value) and value > 0):
                 raise TaskError(f"the {name} is {value}; give a number > 0{unit}")
-        self._max_normal, self._costs = max_normal, tuple(costs)
-        task.require_fingertips("the closed loop")
+        planned = plan.contacts.forces[:, 0]
+        self._max_normal = np.maximum(max_normal, MOST_OF_PLANNED * planned * bool(task.hand.pair))
+        self._costs = tuple(costs)
+        if task.hand.pair:
+            check_two_hands(task)
+        else:
+            task.require_fingertips("the closed loop")
         n = len(task.fingers)
         if gains is None:
             felt_mass, inertia = effective_inertia(plan, self._mass)
@@ -173,7 +186,6 @@ class ObjectImpedance:
         self.calibration = self._opening.calibration
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
-        self._soft = "soft" in plan.contacts.models
         self._stops = StopCorrection(task.hand.actuation, plan.q)
         self._correction = EstimateCorrection()
         self._calibrated = self._moved = False
@@ -182,7 +194,16 @@ class ObjectImpedance:
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
         self._grip = 1.0
-        self._contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+        self._path = ObjectPath(task, self._mass) if task.hand.pair else None
+        self._grip_share = np.ones(n)
+        if task.hand.pair and task.grip_force > 0:
+            self._grip_share = task.least_normals / task.grip_force
+        self._faces = np.array([finger.is_link for finger in task.fingers])
+        self._planned = plan.contacts_in_object
+        self._contacts = with_soft_palms(
+            task, plan.contacts.transformed(plan.T_world_base.inverse())
+        )
+        self._soft = "soft" in self._contacts.models
         self._points = np.array(self._contacts.positions)
         self._frames = np.array(self._contacts.frames)
         self._loop = self._make_loop()
@@ -253,7 +274,8 @@ class ObjectImpedance:
         pads = observation.pads
         T_base_world = observation.T_world_base.inverse()
         gravity = T_base_world.rotation @ self.plan.task.gravity
-        self._torques.move(observation.q, observation.v, gravity)
+        felt_gravity = gravity if self._path is None else gravity - self._path.acceleration
+        self._torques.move(observation.q, observation.v, felt_gravity)
         T_base_palm = self._torques.T_base_palm
         in_palm = T_base_palm.actInv(T_base_world * observation.T_world_object)
         if self._moved:
@@ -269,7 +291,15 @@ class ObjectImpedance:
         follows = observation.phase in REFERENCE_PHASES and self.reference is not None
         if self.reference is not None and follows:
             wanted_twist = self._follow(self.reference, elapsed, in_palm, observation.q)
-        self._feel(elapsed, pads, T_base_world)
+        if self._path is not None:
+            self._path.follow(
+                elapsed,
+                self.T_palm_wanted,
+                observation.T_world_base,
+                observation.T_world_base_planned,
+            )
+            wanted_twist = wanted_twist + self._path.twist
+        self._feel(elapsed, pads, T_base_world, in_palm)
         corrected = self._stops.corrected(observation.q)
         carries = observation.phase in CARRYING
         if carries and not self.gave_up:
@@ -297,8 +327,13 @@ class ObjectImpedance:
         if self._stops.acts:
             self._feel_stops(elapsed, observation, pads.force @ T_base_world.rotation.T)
         self._turn_load(T_base_world.rotation)
-        wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
+        wanted = T_base_palm * self.T_palm_wanted
+        if self._path is not None:
+            wanted = self._path.T_base_wanted
+        wrench = self.law.wrench(wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
+        if self._path is not None:
+            wrench += self._path.inertial + self.law.damped_by(self._torques.brake, twist)
         # where it only holds, a wrench that is in doubt is no reason to press less
         eases = follows or observation.uncertainty is None
         missed = self._distribute(
@@ -313,7 +348,15 @@ class ObjectImpedance:
         return self._torques.commands(
             *(forces, normals, holding, self.schedule.searching, corrected, read),
             moments=self.forces[:, 3] if self._soft else None,
+            further=self._palm_moments(missed),
         )
+
+    def _palm_moments(self, missed: FloatArray) -> FloatArray | None:
+        """Joint torques (nq,) of palms for the torque of a wrench (6,) that forces miss."""
+        springs = self._torques.springs
+        if springs is None or not missed[3:].any():
+            return None
+        return springs.moment(-missed[3:], self.forces[list(springs.palms), 0])
 
     def _turn_load(self, turn: FloatArray) -> None:
         """Keep the learned load where it is in the world while the wrist turns.
@@ -365,13 +408,23 @@ class ObjectImpedance:
         turn = self._torques.T_base_palm.rotation
         return np.concatenate([turn @ target.twist[:3], turn @ target.twist[3:]])
 
-    def _feel(self, elapsed: float, pads: PadReading, T_base_world: SE3) -> None:
-        """Take over where and how the fingers touch, and note what has changed."""
-        felt = (pads.normal_force > 0)[:, None]
+    def _feel(
+        self, elapsed: float, pads: PadReading, T_base_world: SE3, T_base_object: SE3
+    ) -> None:
+        """Take over where and how the fingers touch, and note what has changed.
+
+        Of faces and lines only whether they touch: where the force acts on them moves with the
+        moment that they exert, so a force that was aimed there would drive it on.
+        """
+        felt = ((pads.normal_force > 0) & ~self._faces)[:, None]
         turn = T_base_world.rotation
         points = pads.position @ turn.T + T_base_world.translation
         self._points = np.where(felt, points, self._torques.centers)
         normals = np.where(felt, pads.normal @ turn.T, self._frames[:, :, 0])
+        if self._faces.any():
+            there, face = self._planned.transformed(T_base_object), self._faces[:, None]
+            self._points = np.where(face, there.positions, self._points)
+            normals = np.where(face, there.normals, normals)
         self._frames = turned_frames(self._frames, normals)
         lost, found = self.schedule.step(elapsed, pads.normal_force)
         for i in np.flatnonzero(lost).tolist() if lost.any() else ():
@@ -383,6 +436,8 @@ class ObjectImpedance:
     def _calibrate(self, observation: Observation) -> None:
         """Compare the joints with the contacts, once the squeeze is over."""
         self._calibrated = True
+        if self._torques.springs is not None:
+            self._torques.springs.latch()  # where they press as they should
         before = self.calibration.offset
         if self.calibration.learn(observation):
             self._stops.remove_offset(self.calibration.offset - before)
@@ -449,7 +504,8 @@ class ObjectImpedance:
             jacobians=loaded,
             q=q,
             gravity_torque=self._torques.own_torque,
-            min_normal=np.minimum(scale * (grip + held_back), self._max_normal) * share,
+            min_normal=np.minimum(scale * (grip * self._grip_share + held_back), self._max_normal)
+            * share,
             max_normal=self._max_normal * share,
             previous=self.forces,
         )

@@ -9,7 +9,9 @@ The spring on the fingertips acts on what their displacements p* - p have beyond
 body: f = K (1 - G^T (G G^T)^-1 G) (p* - p), so that G f = 0. The velocity of that rigid body is
 what the joints know of the object's in the palm, as long as the contacts stick. Joints of fingers
 that take no part are held by their servos' own stiffness, at their latched posture or, during a
-motion, at the planned one, clear of the others. Wrist and arm stay where they were.
+motion, at the planned one, clear of the others. Wrist and arm stay where they were. The palms of
+two hands that both take part move with the object, and are kept to each other by springs of their
+own (``sim.controllers.two_hands``).
 All of it is in the axes of the hand's base.
 """
 
@@ -23,6 +25,7 @@ from planner.spatial import SE3, FloatArray, skew
 from sim.controllers.calibration import servo_commands
 from sim.controllers.grasp import saturated
 from sim.controllers.hand_dynamics import FULL_FRICTION_RATE, HandLoads, joint_drag, motor_servo
+from sim.controllers.two_hands import PalmSprings, carried_palms
 
 TIP_STIFFNESS = 150.0
 """Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
@@ -73,11 +76,13 @@ class HoldingTorques:
     """Kinematics of the fingers that take part, and the commands for wanted contact forces.
 
     Attributes:
-        T_base_palm: Pose of the palm.
+        T_base_palm: Pose of the palm; of two hands, whose palms move apart, of their base.
         centers: (n, 3), centres of the pads, m.
         jacobians: (n, 3, nq), of the pads' material points at the contacts.
         turning: (n, 3, nq), of the pads' angular velocity, base axes, through which the torsional
             moment of a soft contact acts.
+        springs: Between the palms of two hands that both take part; None else.
+        brake: (6,), wrench on the object, N and N m, by the dampers of the servos of two palms.
         own_torque: (nq,), N m, what holds the hand itself, and moves it against its joints' drag.
     """
 
@@ -86,6 +91,9 @@ class HoldingTorques:
         self._hand, self._fingers = plan.task.hand, plan.task.fingers
         self._loads = HandLoads(self._hand, self._fingers)
         self._pads = [(f.pad.joint_id, f.pad.center) for f in self._fingers]
+        self.springs = PalmSprings(plan.task) if carried_palms(plan.task) else None
+        self._between = np.zeros(self._hand.nq)  # torques of these springs
+        self.brake = np.zeros(6)
         n, nq = len(self._fingers), self._hand.nq
         self.T_base_palm = SE3.Identity()
         self.centers = np.zeros((n, 3))
@@ -98,10 +106,13 @@ class HoldingTorques:
         self._own = np.zeros((n, nq), dtype=bool)
         for row, finger in zip(self._own, self._fingers, strict=True):
             row[finger.q_index] = True
-        self._moving = self._own.any(axis=0)
+        self._moving: NDArray[np.bool_] = np.asarray(self._own.any(axis=0))
         self._driven = np.zeros(nq, dtype=bool)
         for finger in self._hand.fingers.values():
             self._driven[finger.q_index] = True
+        self._undamped = np.array(self._moving)  # joints whose servos' own dampers are made up for
+        if self.springs is not None:
+            self._undamped[self._hand.carriage_index] = False
         self._stiffness, self._damping = motor_servo(self._hand, plan.q)
         self._stiffness[self._moving] = 0.0
         self._damping[self._moving] = JOINT_DAMPING
@@ -123,7 +134,10 @@ class HoldingTorques:
         self._q, self._v = q, v
         self._v_moving = np.where(self._moving, v, 0.0)
         self.own_torque = self._loads.move(q, gravity)
-        self.T_base_palm = self._loads.T_base_palm
+        if not self._hand.pair:
+            self.T_base_palm = self._loads.T_base_palm
+        if self.springs is not None:
+            self.springs.move(self._loads)
         self._v_ref = np.zeros(self._hand.nq)
         for i, (joint, center) in enumerate(self._pads):
             self.centers[i] = self._loads.at(joint, center)
@@ -138,6 +152,8 @@ class HoldingTorques:
             kept = self._driven | wrist
             self._q_ref = np.where(kept, self._q, self._q_ref)
             self._tips = self._in_palm(self.centers)
+            if self.springs is not None:
+                self.springs.latch()
             return
         own = self._own[finger]
         self._q_ref[own] = self._q[own]
@@ -167,7 +183,7 @@ class HoldingTorques:
 
         Returns:
             Twist (6,) of the body that the holding fingertips move like, relative to the palm,
-            about ``center``.
+            about ``center``; between two palms the twist that these have in common.
         """
         self._apart = self._latched() - self.centers
         full = np.where(self._loads.moved_by[:, None], self._loads.jacobian, 0.0)
@@ -181,7 +197,10 @@ class HoldingTorques:
         rigid = np.linalg.solve(grasp @ grasp.T + _RANK, grasp @ moved)
         rest = held - (rigid[:, 1] @ grasp).reshape(-1, 3)
         self._tip_forces[:] = np.where(mask, TIP_STIFFNESS * rest, 0.0)
-        return np.asarray(rigid[:, 0])
+        if self.springs is None:
+            return np.asarray(rigid[:, 0])
+        self._between, common, self.brake = self.springs.pull(center, self._v)
+        return common
 
     def commands(
         self,
@@ -192,6 +211,7 @@ class HoldingTorques:
         corrected: FloatArray | None = None,
         read: FloatArray | None = None,
         moments: FloatArray | None = None,
+        further: FloatArray | None = None,
     ) -> FloatArray:
         """Commands (nu,) that press.
 
@@ -205,8 +225,10 @@ class HoldingTorques:
             read: (nq,), joints as the servos' encoders have them; those of ``move`` if None.
             moments: (n,), torsional moments of soft contacts on the object about their normals,
                 N m, of the fingers that hold; none if None.
+            further: Joint torques (nq,) beside, N m.
         """
         torque = self._tip_torque(forces, normals, holding, searching) + self._posture_torque()
+        torque += self._between if further is None else self._between + further
         if moments is not None:
             about = np.where(holding, moments, 0.0)[:, None] * normals
             torque += about.ravel() @ self.turning.reshape(-1, len(self._q))
@@ -221,7 +243,8 @@ class HoldingTorques:
             encoders = self._law_q + (read - self._q)
         if corrected is not None and corrected is not self._q:
             self._law_q = np.where(self._moving, corrected, self._q_ref)
-        return servo_commands(self._hand.actuation, encoders, self._law_q, self._v_moving, torque)
+        law_v = np.where(self._undamped, self._v, 0.0)
+        return servo_commands(self._hand.actuation, encoders, self._law_q, law_v, torque)
 
     def _tip_torque(
         self,

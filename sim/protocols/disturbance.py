@@ -23,7 +23,7 @@ import numpy as np
 from planner.arrays import check_fields, checked_number, finite_array
 from planner.errors import TaskError
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray
+from planner.spatial import SE3, FloatArray
 from sim.controllers import AnyController, Phase
 from sim.controllers.monitors import SLIP_SPEED
 from sim.protocols.outcome import Case, Conditions, Outcome
@@ -295,6 +295,11 @@ class _Still:
         """Command the pose of the grasp."""
         del phase, share
         self._carrier.drive(data, "settle", 0.0)
+
+    def planned_base(self, phase: Phase, share: float) -> SE3 | None:
+        """The pose of the grasp, of a carrier that says it."""
+        planned = getattr(self._carrier, "planned_base", None)
+        return None if planned is None else planned("settle", 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ from planner.arrays import check_fields
 from planner.collision.arm_path import ArmPath, lift_height
 from planner.errors import TaskError
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray, minimum_jerk
+from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import PHASES, Phase
 from sim.controllers.hand_dynamics import motor_servo
 from sim.scene.build import Scene
@@ -132,6 +132,10 @@ class GantryCarrier:
             self._approached = self._timeline.profile(share)[0]
         target, velocity = self.motion(phase, share)
         data.ctrl[self._gantry.ctrl] = self._gantry.command(data, target, velocity)
+
+    def planned_base(self, phase: Phase, share: float) -> SE3:
+        """Where the hand's base should be at a share in [0, 1] of a phase."""
+        return self._gantry.pose(self.motion(phase, share)[0])
 
     def motion(self, phase: Phase, share: float) -> tuple[FloatArray, FloatArray]:
         """Gantry joints (6,) and their rates at a share in [0, 1] of a phase; at rest at its ends.

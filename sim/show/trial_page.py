@@ -31,7 +31,7 @@ from planner.pages.scene import Contacts, Line, Mark, Plot, Scene
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.recording import Recording
-from sim.report_file import ReportFile, UseRecord
+from sim.report_file import PathRecord, ReportFile, UseRecord
 from sim.show.parts import (
     NO_STATES,
     Moving,
@@ -247,6 +247,8 @@ def _plots(
         _slip_plot("moved", "mm", samples["object_in_palm_moved_mm"], limits["slip_mm"]),
         _slip_plot("turned", "degrees", samples["object_in_palm_turned_deg"], limits["slip_deg"]),
     ]
+    if report.path is not None:
+        plots = [*_path_plots(report.path), *plots]
     if report.use is not None:
         plots = [*_use_plots(report.use), *plots]
     commands = None
@@ -264,6 +266,23 @@ def _use_plots(use: UseRecord) -> list[Plot]:
             lines=(Line(name=use.tool, values=column(values)),),
         )
         for name, values in use.channels.items()
+    ]
+
+
+def _path_plots(path: PathRecord) -> list[Plot]:
+    """How well two hands keep the object on its planned path."""
+    turns = (("turned", path.turned_deg), ("tilted", path.tilted_deg))
+    return [
+        Plot(
+            title="Object off its planned path",
+            unit="mm",
+            lines=(Line(name="distance", values=column(path.off_mm)),),
+        ),
+        Plot(
+            title="Object turned off its planned path",
+            unit="degrees",
+            lines=tuple(Line(name=name, values=column(values)) for name, values in turns),
+        ),
     ]
 
 
@@ -310,6 +329,8 @@ def _summary(report: ReportFile, plan: PlanFile | None, stage: Moving | None) ->
     blocks: list[Block] = []
     if report.use is not None:
         blocks.append(Sentence(text=f"Use: {report.use.summary}."))
+    if report.path is not None and (said := str(report.path)):
+        blocks.append(Sentence(text=f"{said[0].upper()}{said[1:]}."))
     if report.recording is None:
         blocks.append(Sentence(text=NO_STATES, kind="warning"))
     elif stage is None and report.recording.time_s:
