@@ -235,7 +235,7 @@ class GraspStiffness:
 
 
 def _tips(task: GraspTask, T_world_base: SE3, q: FloatArray, tangents: FloatArray) -> FloatArray:
-    """Curvature (n, 2, 2), 1/m, of the pads along two tangents (n, 3, 2), world; none along reach."""
+    """Curvature (n, 2, 2), 1/m, of the pads along two tangents (n, 3, 2), world; 0 along reach."""
     data = task.hand.pin_model.createData()
     pin.forwardKinematics(task.hand.pin_model, data, q)
     out = []

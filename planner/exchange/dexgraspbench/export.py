@@ -245,9 +245,7 @@ def _pressing(
             yield plan_forces(*given, friction_scale=LAST_SHARE, min_normal=palms)
 
 
-def _bearing(
-    task: GraspTask, forces: ForceSolution
-) -> Iterator[tuple[GraspTask, ForceSolution]]:
+def _bearing(task: GraspTask, forces: ForceSolution) -> Iterator[tuple[GraspTask, ForceSolution]]:
     """Task and forces with all contacts, and with those alone that press with the grip.
 
     A link or palm that only lies against the object is let go by the first load that draws it away:
@@ -257,9 +255,10 @@ def _bearing(
     light = (task.least_normals == 0.0) & (forces.forces[:, 0] < task.grip_force)
     if not light.any() or len(light) - light.sum() < task.fingers_needed:
         return
-    contacts = [c for c, away in zip(forces.contacts, light, strict=True) if not away]
+    contacts = [forces.contacts[int(i)] for i in np.flatnonzero(~light)]
+    names = [n for n, away in zip(task.finger_names, light, strict=True) if not away]
     yield (
-        task.with_fingers([n for n, away in zip(task.finger_names, light, strict=True) if not away]),
+        task.with_fingers(names),
         replace(
             forces,
             contacts=ContactSet.from_contacts(contacts, center=forces.contacts.center),
@@ -309,9 +308,7 @@ def _least_factor(
     return min(zip(uses, tried, strict=True), default=(float("inf"), 1.0))
 
 
-def _use(
-    stiffness: GraspStiffness, factor: float, loads: FloatArray, slides: FloatArray
-) -> float:
+def _use(stiffness: GraspStiffness, factor: float, loads: FloatArray, slides: FloatArray) -> float:
     """Largest share (-) of a contact's normal force, or of ``TURNED``, that any load needs."""
     m, n = len(loads), len(stiffness.forces)
     wrenches = np.hstack([loads, np.zeros_like(loads)])

@@ -42,7 +42,7 @@ EXACT = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PairModel:
-    """A model with two hands on arms of six joints.
+    """A model with two hands on arms of six joints; names of its parts may lack the pair's prefix.
 
     Attributes:
         names: Its joints, in their order.
@@ -75,25 +75,28 @@ class PairModel:
             ModelError: Its arms are not three slides and three hinges about x, y and z.
         """
         if not hand.pair:
-            raise TaskError(f"{hand.name} is one hand; plan with two that have the joints of {path}")
+            raise TaskError(f"{hand.name} is one hand; plan with two, of the joints of {path}")
         model = compile_spec(load_spec(path), str(path))
         pin_model = pinocchio_from_mujoco(model)
         names = tuple(pin_model.names[1:])
         palms, arms = [], []
         for side in hand.sides:
-            palm = side.palm_body.removeprefix(side.called(""))
+            alone = side.palm_body.removeprefix(side.called(""))
+            palm = side.palm_body if pin_model.existBodyName(side.palm_body) else alone
             if not pin_model.existBodyName(palm):
                 raise TaskError(f"{path} has no body {palm!r}, the palm of {side.name} in the pair")
             frame = pin_model.getBodyId(palm)
             palms.append(frame)
-            arms.append([j - 1 for j in pin_model.supports[pin_model.frames[frame].parentJoint]][1:])
+            above = pin_model.supports[pin_model.frames[frame].parentJoint]
+            arms.append([int(j) - 1 for j in above if j > 0])
         if any(len(arm) != len(hand.sides[0].carriage) for arm in arms):
             raise ModelError(f"the arms of {path} have not six joints each: {arms}")
         pairs = []
         for side in hand.sides:
             for k, name in enumerate(hand.joint_names):
                 if name.startswith(side.called("")) and k not in side.carriage:
-                    if (here := name.removeprefix(side.called(""))) not in names:
+                    here = name if name in names else name.removeprefix(side.called(""))
+                    if here not in names:
                         raise TaskError(f"{path} has no joint {here!r}, which {side.name} has")
                     pairs.append((k, names.index(here)))
         return cls(
@@ -118,13 +121,14 @@ class PairModel:
         """
         out = np.zeros(len(self.names))
         out[self.fingers[:, 1]] = q[self.fingers[:, 0]]
-        wanted = [T_world_base * pose for pose in _frames(self.hand.pin_model, q, _palms(self.hand))]
+        palms = _frames(self.hand.pin_model, q, _palms(self.hand))
+        wanted = [T_world_base * pose for pose in palms]
         rest = self.pin_model.createData()
         pin.framesForwardKinematics(self.pin_model, rest, np.zeros(len(self.names)))
         for arm, palm, pose in zip(self.arms, self.palms, wanted, strict=True):
             wrist = rest.oMi[int(arm[-1]) + 1]
-            moved = pose * (wrist.inverse() * rest.oMf[int(palm)]).inverse()
-            out[arm] = carriage_joints(SE3(moved.rotation, moved.translation - wrist.translation))
+            there = pose * (wrist.inverse() * rest.oMf[int(palm)]).inverse()
+            out[arm] = carriage_joints(wrist.inverse() * there)
         for pose, found in zip(wanted, _frames(self.pin_model, out, self.palms), strict=True):
             if not found.isApprox(pose, EXACT):
                 raise ModelError(
