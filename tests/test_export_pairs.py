@@ -7,18 +7,18 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from planner import GraspTask, load_hand, plan_grasp
 from planner.errors import ModelError, TaskError
 from planner.exchange.dexgraspbench.pairs import PairModel, pair_dict, pair_squeeze
 from planner.hands.hand import Hand
+from planner.hands.two_hands import AXES
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.spatial import SE3
+from planner.spatial import SE3, FloatArray
 
-MASS = 2.0
+MASS, GRAVITY = 2.0, 9.81
 
 
 @pytest.fixture(scope="module")
@@ -50,33 +50,43 @@ def test_in_the_pairs_own_model_nothing_changes(plan: GraspPlan, file: Path) -> 
     np.testing.assert_allclose(commanded, squeeze.posture(plan.task, plan.q), atol=1e-9)
 
 
+def pressing(data: mujoco.MjData, side: str) -> tuple[FloatArray, FloatArray]:
+    """Force and moment of a carriage's servos on the palm, in world axes."""
+    model = data.model
+    mujoco.mj_forward(model, data)
+    jac = np.zeros((6, model.nv))
+    mujoco.mj_jacBody(model, data, jac[:3], jac[3:], model.body(f"{side}/palm").id)
+    dofs = [int(model.joint(f"{side}/carriage_{a}").dofadr[0]) for a in AXES]
+    wrench = np.linalg.solve(jac[:, dofs].T, data.qfrc_actuator[dofs])
+    return wrench[:3], wrench[3:]
+
+
 def test_a_grasp_stands_turned_as_a_whole_and_presses_the_same(
     plan: GraspPlan, file: Path, tmp_path: Path
 ) -> None:
-    """Palms and fingertips are at the object where they were planned, by MuJoCo's kinematics."""
-    hand = plan.task.hand
-    made = pair_dict(plan, pair_squeeze(plan, MASS), PairModel.of(file, hand), tmp_path)
+    """By MuJoCo: palms and fingertips are where they were planned, and servos press as planned."""
+    hand, squeeze = plan.task.hand, pair_squeeze(plan, MASS)
+    made = pair_dict(plan, squeeze, PairModel.of(file, hand), tmp_path)
     model = mujoco.MjModel.from_xml_path(str(file))
-    data = mujoco.MjData(model)
-    seen = []
-    for joints in (made["grasp_qpos"], made["squeeze_qpos"]):
-        for name, value in zip(made["joint_names"], joints, strict=True):
-            data.joint(name).qpos[0] = value
-        mujoco.mj_kinematics(model, data)
-        seen.append({n: data.body(n).xpos.copy() for n in ("right/palm", "left/index_distal")})
-    at, quaternion = made["obj_pose"][:3], made["obj_pose"][3:]
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, quaternion)
-    frames = hand.pin_model.createData()
-    pin.framesForwardKinematics(hand.pin_model, frames, plan.q)
-    to_object = plan.task.T_world_object.inverse() * plan.T_world_base
-    for name, there in seen[0].items():
-        planned = to_object * frames.oMf[hand.pin_model.getBodyId(name)]
-        found = turn.reshape(3, 3).T @ (there - at)
-        np.testing.assert_allclose(found, planned.translation, atol=1e-9)
-    # commanded, the right palm is deeper in the ball
-    deeper = [np.linalg.norm(where["right/palm"] - at) for where in seen]
-    assert deeper[1] < deeper[0] - 1e-4
+    here, there = mujoco.MjData(model), mujoco.MjData(model)
+    here.qpos[:], here.ctrl[:] = plan.q, squeeze.ctrl
+    for k, name in enumerate(made["joint_names"]):
+        there.joint(name).qpos[0] = made["grasp_qpos"][k]
+    commanded = dict(zip(made["joint_names"], made["squeeze_qpos"], strict=True))
+    there.ctrl[:] = [commanded[model.joint(j).name] for j in model.actuator_trnid[:, 0]]
+    frame = np.zeros(9)
+    mujoco.mju_quat2Mat(frame, made["obj_pose"][3:])
+    place = SE3(frame.reshape(3, 3), made["obj_pose"][:3])
+    moved = place * plan.task.T_world_object.inverse() * plan.T_world_base
+    for side in ("right", "left"):
+        planned, found = pressing(here, side), pressing(there, side)
+        np.testing.assert_allclose(found[0], moved.rotation @ planned[0], atol=1e-6)
+        np.testing.assert_allclose(found[1], moved.rotation @ planned[1], atol=1e-6)
+        assert np.linalg.norm(planned[0]) > GRAVITY
+    for name in ("right/palm", "left/index_distal"):
+        np.testing.assert_allclose(
+            there.body(name).xpos, moved.act(here.body(name).xpos), rtol=0, atol=1e-9
+        )
     middle = [k for k, n in enumerate(made["joint_names"]) if n.endswith("carriage_ry")]
     assert np.abs(made["grasp_qpos"][middle]).max() < 0.5
 
@@ -87,7 +97,7 @@ def test_models_that_are_no_such_arms_are_refused(pair: Hand, file: Path, tmp_pa
     with pytest.raises(TaskError, match="has no joint 'index_0'"):
         PairModel.of(_edited(file, tmp_path, '"right/index_0"', '"x"', count=-1), pair)
     name = 'name="right/carriage_ry"'
-    turned = _edited(file, tmp_path, name, f'{name} pos="0 0.1 0"')
+    turned = _edited(file, tmp_path, name, f'{name} pos="0.1 0 0"')
     with pytest.raises(ModelError, match="three slides and three hinges"):
         PairModel.of(turned, pair).joints(SE3.Identity(), pair.neutral + 0.3)
 

@@ -162,16 +162,19 @@ class PairModel:
         return out
 
     def stance(self, T_object_base: SE3, q: FloatArray, seed: int) -> FloatArray:
-        """Orientation (3, 3) of the object in which the arms are farthest from singular."""
+        """Orientation (3, 3) of the object within the arms' range, the farthest from singular."""
         rng = np.random.default_rng(seed)
         quaternions = rng.normal(size=(STANCES, 4))
         quaternions /= np.linalg.norm(quaternions, axis=1)[:, None]
         tried = [pose_from_wxyz(np.zeros(3), one).rotation for one in quaternions]
         middle = self.arms[:, 4]
 
-        def worst(turn: FloatArray) -> float:
+        low, high = self.pin_model.lowerPositionLimit, self.pin_model.upperPositionLimit
+
+        def worst(turn: FloatArray) -> tuple[float, float]:
             there = self.joints(SE3(turn, np.zeros(3)) * T_object_base, q)
-            return float(np.abs(there[middle]).max())
+            beyond = np.maximum(low - there, there - high)[self.arms]
+            return max(float(beyond.max()), 0.0), float(np.abs(there[middle]).max())
 
         return min(tried, key=worst)
 
