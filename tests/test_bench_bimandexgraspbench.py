@@ -20,7 +20,8 @@ SIDE = """<body name="{0}a_slide"><joint name="{0}a_x" type="slide" axis="1 0 0"
 
 MODEL = f"""<mujoco><compiler angle="radian"/><asset/><worldbody>{SIDE.format("r")}
 {SIDE.format("l")}</worldbody><contact><exclude body1="rh_palm" body2="rh_ff"/></contact><actuator>
-<position joint="ra_x"/><position joint="rh_FFJ1"/><position joint="lh_FFJ1"/></actuator></mujoco>"""
+<position joint="ra_x"/><position joint="rh_FFJ1"/><position joint="lh_FFJ1"/></actuator>
+</mujoco>"""
 
 
 @pytest.mark.parametrize(("prefix", "excludes"), [("rh", 1), ("lh", 0)])
