@@ -38,6 +38,7 @@ NAMES = (
     "physics",
     "touch",
     "dexgraspbench",
+    "bimandexgraspbench",
     "exports",
     "drake",
     "zoo",

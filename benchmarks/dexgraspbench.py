@@ -57,6 +57,9 @@ REQUIREMENTS = (
 ``dexgraspbench_launch.ABSENT``). The two versions are its own; its scipy is the newest for that
 numpy, and 1.14 is the first with the ``scalar_first`` that it uses."""
 
+UNCHANGED = ("src", "config", "assets/hand")
+"""Folders of a checkout in which nothing may differ from the commit."""
+
 LAUNCH = Path(__file__).with_name("dexgraspbench_launch.py")
 """Script for the environment's Python."""
 
@@ -111,14 +114,17 @@ class Installed:
         return [str(self.python), "-I", str(LAUNCH), *arguments]
 
 
-def install(home: Path, benchmark: str, meshes: str | None) -> Installed:
-    """Make what is missing: ``HOME/env``, ``HOME/checkout`` at ``COMMIT``, the meshes.
+def install(
+    home: Path, benchmark: str, meshes: str | None = None, *, commit: str | None = None
+) -> Installed:
+    """Make what is missing: ``HOME/env``, ``HOME/checkout`` at a commit, the meshes.
 
     Args:
         home: Folder for all of it.
         benchmark: Path or URL of a git repository with the benchmark.
         meshes: Path or URL of MuJoCo Menagerie, or a folder laid out as it is; None if no hand of
             the benchmark is used, or they are there.
+        commit: Of the benchmark; ``COMMIT`` if None.
 
     Raises:
         TaskError: git, pip or a download fails; says what they said.
@@ -132,8 +138,11 @@ def install(home: Path, benchmark: str, meshes: str | None) -> Installed:
         if not (checkout / "src" / "main.py").exists():
             shutil.rmtree(checkout, ignore_errors=True)
             _clone(benchmark, checkout)
-        command(["git", "-C", str(checkout), "checkout", "-q", "--detach", COMMIT], "git checkout")
-        changed = ["git", "-C", str(checkout), "status", "--porcelain", "--", "src", "config"]
+        command(
+            ["git", "-C", str(checkout), "checkout", "-q", "--detach", commit or COMMIT],
+            "git checkout",
+        )
+        changed = ["git", "-C", str(checkout), "status", "--porcelain", "--", *UNCHANGED]
         if text := command(changed, "git status"):
             raise TaskError(
                 f"{checkout} was changed: {' '.join(text.split())}; remove that folder, and the "
@@ -253,8 +262,10 @@ def cases(options: Options) -> Iterator[Row]:
         for reason, n in done.left_out.items():
             say(err, escape(f"{done.hand}: {n} grasps left out: {reason}"))
         model = installed.opened(home / "export" / "hand" / done.hand / f"{done.hand}.xml")
+        told = ["--config-dir", str(home / "export"), f"hand={done.hand}"]
         rows = {
-            name: _evaluated(installed, home, done.hand, name, options.workers) for name in settings
+            name: evaluated(installed, home, done.hand, name, [*told, f"setting={name}"], options)
+            for name in settings
         }
         for label in batch.labels:
             for number, row in batch.found(label):
@@ -285,42 +296,57 @@ def measure(case: Row) -> Row:
     return {"ours": held, "same": held == case["fc"] if "fc" in case else None}
 
 
-def _evaluated(
-    installed: Installed, home: Path, hand: str, setting: str, workers: int
+def evaluated(
+    installed: Installed,
+    home: Path,
+    hand: str,
+    name: str,
+    arguments: Sequence[str],
+    options: Shared,
 ) -> dict[str, Row]:
-    """The benchmark's rows of an export by file, OBJECT/K.npy; those that are there are kept."""
-    export = home / "export"
-    out = home / "evaluation" / setting / hand
-    note, stamp = out / "export.sha256", _digest(export, hand)
+    """The benchmark's rows of ``HOME/export`` by file, OBJECT/K.npy; those that are there are kept.
+
+    Args:
+        installed: The benchmark.
+        home: Folder of export and evaluations.
+        hand: Its grasps are in ``HOME/export/graspdata/HAND``.
+        name: Of this evaluation.
+        arguments: What the benchmark is told beside folders: hand, setting.
+        options: Tell the number of processes.
+
+    Raises:
+        TaskError: The benchmark fails, or leaves grasps out.
+    """
+    grasps = home / "export" / "graspdata" / hand
+    out = home / "evaluation" / name / hand
+    note, stamp = out / "export.sha256", _digest(home / "export", hand)
     if not (note.is_file() and note.read_text(encoding="utf-8") == stamp):
         shutil.rmtree(out, ignore_errors=True)
         out.mkdir(parents=True)
         note.write_text(stamp, encoding="utf-8")
-    there = len(list((export / "graspdata" / hand).glob("*/*.npy")))
+    there = len(list(grasps.glob("*/*.npy")))
     rows = {row["file"]: row for row in installed.results(out)}
     if len(rows) == there:
         return rows
+    log = home / "evaluation" / "log" / name / hand
     installed.evaluate(
         [
-            "--config-dir",
-            str(export),
+            *arguments,
             "task=eval",
-            f"hand={hand}",
-            f"setting={setting}",
-            f"n_worker={workers}",
+            f"n_worker={options.workers}",
             "skip=True",  # grasps with a result in eval_dir
             "task.analytic_fc_metrics=null",
-            f"grasp_dir={export / 'graspdata' / hand}",
+            f"grasp_dir={grasps}",
             f"eval_dir={out}",
-            f"succ_dir={home / 'evaluation' / 'success' / setting / hand}",
-            f"log_dir={home / 'evaluation' / 'log' / setting / hand}",
+            f"succ_dir={home / 'evaluation' / 'success' / name / hand}",
+            f"log_dir={log}",
         ]
     )
     rows = {row["file"]: row for row in installed.results(out)}
     if len(rows) != there:
         raise TaskError(
-            f"DexGraspBench evaluated {len(rows)} of {there} grasps by {hand} in its setting "
-            f"{setting}; its log is in {home / 'evaluation' / 'log' / setting / hand}"
+            f"{installed.checkout} evaluated {len(rows)} of {there} grasps by {hand} as {name}; "
+            f"its log is in {log}"
         )
     return rows
 
@@ -332,7 +358,8 @@ def _digest(export: Path, hand: str) -> str:
     folders += [export / "object" / item.name for item in grasps.iterdir()]
     files = sorted(path for folder in folders for path in folder.rglob("*") if path.is_file())
     whole = hashlib.sha256()
-    for path in [export / "hand" / f"{hand}.yaml", *files]:
+    described = export / "hand" / f"{hand}.yaml"
+    for path in [*filter(Path.is_file, [described]), *files]:
         whole.update(f"{path.relative_to(export)}\n".encode() + path.read_bytes())
     return whole.hexdigest()
 

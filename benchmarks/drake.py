@@ -17,12 +17,12 @@ from typing import Annotated
 import typer
 
 from benchmarks.bench import HandOptions, ObjectsOption
-from benchmarks.common import PRIMITIVES, cells_of, task_of
+from benchmarks.common import PRIMITIVES, Setting, cells_of, task_of
 from benchmarks.summary import Columns, of, share, summary
 from planner.errors import TaskError
 from planner.search.grasp import plan_grasp
 from sim.cli.execution import physics_of
-from sim.cli.options import PhysicsOption, SimMuOption
+from sim.cli.options import MassOption, PhysicsOption, SimMuOption, TypeOption
 from sim.protocols.drake import drake_cases, holds_in_drake
 from sim.protocols.drake_scene import drake_missing
 from sim.scene.export import export_scene
@@ -37,6 +37,8 @@ class Options(HandOptions):
     objects: ObjectsOption = PRIMITIVES
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
+    type: TypeOption = None
+    mass: MassOption = None
     pushes: Annotated[
         bool, typer.Option("--pushes", help="Also push from six sides; 7 times the time.")
     ] = False
@@ -51,16 +53,18 @@ def cases(options: Options) -> Iterator[Row]:
     if reason := drake_missing():
         raise TaskError(reason)
     physics = physics_of(options.physics, options.sim_mu)
+    setting = Setting(grasp_type=options.type, mass=options.mass)
     for cell in cells_of(options.hand_names, options.objects):
         for k in range(options.n):
             seed = options.seed + k
-            yield {**cell, "seed": seed, "physics": physics, "pushes": options.pushes}
+            told = {"seed": seed, "physics": physics, "pushes": options.pushes}
+            yield {**cell, **told, "setting": setting}
 
 
 def measure(case: Row) -> Row:
     """Plan, export and hold one seed in both engines; the worst of its holds counts."""
     begin = time.process_time()
-    plan = plan_grasp(task_of(case["hand"], case["spec"]), seed=case["seed"])
+    plan = plan_grasp(task_of(case["hand"], case["spec"], case["setting"]), seed=case["seed"])
     planned = time.process_time()
     tests = drake_cases() if case["pushes"] else drake_cases()[:1]
     with tempfile.TemporaryDirectory() as made:

@@ -261,7 +261,14 @@ def test_a_grasp_that_cannot_press_is_left_out_and_counted(
     grasps: GraspSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     none = np.zeros(0)
-    weak = Squeeze(reason="too weak; a detail", ctrl=none, factor=np.nan, use=np.nan, forces=none)
+    weak = Squeeze(
+        reason="too weak; a detail",
+        ctrl=none,
+        factor=np.nan,
+        use=np.nan,
+        forces=none,
+        torques=none,
+    )
     true = export.row_squeeze
 
     def some(task: GraspTask, row: Any) -> Squeeze:

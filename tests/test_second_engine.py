@@ -7,6 +7,7 @@ import itertools
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,6 +20,7 @@ from scipy.spatial import ConvexHull
 
 from planner.errors import FileFormatError, TaskError
 from planner.files import write_plan
+from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search.grasp import plan_grasp
 from planner.spatial import FloatArray
@@ -85,6 +87,29 @@ def test_drake_has_the_mass_matrix_of_mujoco(plan: GraspPlan, folder: Path) -> N
     mujoco.mj_fullM(model, data, whole)
     dofs = [int(model.joint(name).dofadr[0]) for name in scene.joints]
     np.testing.assert_allclose(theirs, whole[np.ix_(dofs, dofs)], rtol=0, atol=1e-9)
+
+
+def test_a_body_with_several_joints_stands_where_mujoco_has_it(tmp_path: Path) -> None:
+    """The carriages of two hands, in a posture of all joints."""
+    need_drake()
+    ball = replace(parse_object("sphere:0.12"), mass=1.0)
+    export_scene(plan_grasp(GraspTask.create("two_allegro_hands", ball), seed=0), tmp_path / "two")
+    scene = load_drake_scene(tmp_path / "two")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "two" / "scene.xml"))
+    data = mujoco.MjData(model)
+    context = scene.plant.CreateDefaultContext()
+    q = scene.plant.GetPositions(context)
+    posture = np.random.default_rng(0).uniform(-0.5, 0.5, len(scene.joints))
+    q[scene.q_index] = posture
+    data.qpos[[int(model.joint(name).qposadr[0]) for name in scene.joints]] = posture
+    scene.plant.SetPositions(context, q)
+    mujoco.mj_kinematics(model, data)
+    for name in ("right/carriage", "right/palm", "left/palm", "left/thumb_distal"):
+        body = scene.plant.GetBodyByName(f"hand/{name}")
+        theirs = scene.plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4()
+        ours = data.body(f"hand/{name}")
+        np.testing.assert_allclose(theirs[:3, 3], ours.xpos, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(theirs[:3, :3], ours.xmat.reshape(3, 3), rtol=0, atol=1e-9)
 
 
 def test_drake_makes_the_torques_of_the_servos(plan: GraspPlan, folder: Path) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
-from planner.certify.stiffness import GraspStiffness
+from planner.certify.stiffness import GraspStiffness, _tips
 from planner.contacts import ContactSet
 from planner.exchange.dexgraspbench import export, plan_squeeze
 from planner.hand_loading import load_hand
@@ -284,7 +286,10 @@ def test_creeping_relaxes_friction_on_flat_faces_alone(
     tangential = stiffness.forces.copy()
     tangential[:, 1] = 0.2 * PRESS  # as where two fingers are not quite opposite
     bent = replace(stiffness, forces=tangential)
-    still, much = (export._use(bent, 0.5, np.tile([c, c, 0.0], (2, 1))) for c in (1e-7, 3e-3))
+    loads = export.MASS * export.LOADS
+    still, much = (
+        export._use(bent, 0.5, loads, np.tile([c, c, 0.0], (2, 1))) for c in (1e-7, 3e-3)
+    )
     assert abs(much - still) > 0.05 * still
     assert (much > still) == worse
 
@@ -294,3 +299,30 @@ def test_small_objects_are_pressed_enough_for_the_benchmark(allegro: Hand) -> No
     task = GraspTask.create(allegro, "ellipsoid:0.025x0.035x0.045")
     plan = plan_grasp(task, seed=0)
     assert all(case.run(plan).held for case in dexgraspbench_cases())
+
+
+def test_a_pad_is_flat_along_its_reach(tongs: Hand) -> None:
+    finger = tongs.fingers["left"]
+    straight = replace(finger, pad=replace(finger.pad, reach=np.array([[0.0, 0.03, 0.0]])))
+    task: Any = SimpleNamespace(hand=tongs, fingers=[finger, straight])
+    tangents = np.tile(np.eye(3)[:, 1:], (2, 1, 1))  # along y and z
+    ball, line = _tips(task, SE3.Identity(), POSTURE, tangents)
+    np.testing.assert_allclose(ball, np.eye(2) / TIP, atol=1e-9)
+    np.testing.assert_allclose(line, np.diag([0.0, 1.0 / TIP]), atol=1e-9)
+
+
+def test_contacts_that_hardly_press_may_be_let_go(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "cylinder:0.03x0.08", grasp_type="power", table_height=None)
+    plan = plan_grasp(task, seed=0)
+    palm = plan.task.finger_names.index("palm")
+    pressed = plan.forces.forces.copy()
+    pressed[:, 0] = np.maximum(pressed[:, 0], plan.task.grip_force)
+    pressed[palm] = 0.0
+    all_of_them, without = export._bearing(plan.task, replace(plan.forces, forces=pressed))
+    assert all_of_them[0] is plan.task
+    kept = [k for k in range(len(pressed)) if k != palm]
+    assert without[0].finger_names == tuple(plan.task.finger_names[k] for k in kept)
+    np.testing.assert_array_equal(without[1].forces, pressed[kept])
+    np.testing.assert_array_equal(
+        without[1].contacts.positions, plan.forces.contacts.positions[kept]
+    )

@@ -34,7 +34,6 @@ from planner.system.package import models_dir
 from planner.verification import GAP_TOL, project_onto_surface
 from sim import Timeline, simulate
 from sim.protocols.dexgraspbench import unsuitable_for_dexgraspbench
-from sim.protocols.drake import unsuitable_for_drake
 
 pytestmark = pytest.mark.usefixtures("coarse_steps")
 
@@ -316,7 +315,6 @@ def test_what_two_hands_cannot_do_is_refused_by_name(pair: Hand, plan: GraspPlan
     with refused("a trial with sensor errors takes one hand"):
         simulate(plan, error_model="lab")
     assert "is two" in unsuitable_for_dexgraspbench(pair)
-    assert "is two" in unsuitable_for_drake(pair)
 
 
 Change = Callable[[str], str]

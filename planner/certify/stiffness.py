@@ -28,6 +28,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 from scipy.linalg import block_diag, eigh, expm
 
 from planner.errors import PlannerError
@@ -119,12 +120,13 @@ class GraspStiffness:
             contacts.positions @ to_object.rotation.T + to_object.translation,
             to_object.rotation @ contacts.frames[:, :, 1:],
         )
-        compliance = _rolling(task, curved, contacts.frames)
+        tips = _tips(task, T_world_base, q, contacts.frames[:, :, 1:])
+        compliance = _rolling(curved + tips, contacts.frames)
         slips, tilts, tilted = np.zeros((n, 2, 6 + nq)), np.zeros((n, 2, 6 + nq)), []
         for i, f in enumerate(pushes):
             tangents, normal = contacts.frames[i, :, 1:], contacts.normals[i]
             ways = tangents.T @ compliance[i] @ tangents  # A in the tangent plane
-            over, under = ways / task.fingers[i].pad.radius, ways @ curved[i]
+            over, under = ways @ tips[i], ways @ curved[i]
             slips[i, :, 3:6] = -(tangents @ over).T @ skew(f)
             slips[i, :, 6:] = -(tangents @ under).T @ skew(f) @ angular[i]
             tilts[i, :, 3:6] = np.cross(normal, tangents, axis=0).T
@@ -232,10 +234,23 @@ class GraspStiffness:
         return changes.reshape(len(moved), n, 4), moved[:, 3:6]
 
 
-def _rolling(task: GraspTask, curved: FloatArray, frames: FloatArray) -> FloatArray:
-    """A (n, 3, 3) of the module, m, world axes."""
-    tips = np.array([1.0 / finger.pad.radius for finger in task.fingers])
-    size, along = np.linalg.eigh(curved + tips[:, None, None] * np.eye(2))
+def _tips(task: GraspTask, T_world_base: SE3, q: FloatArray, tangents: FloatArray) -> FloatArray:
+    """Curvature (n, 2, 2), 1/m, of the pads along two tangents (n, 3, 2), world; 0 along reach."""
+    data = task.hand.pin_model.createData()
+    pin.forwardKinematics(task.hand.pin_model, data, q)
+    out = []
+    for finger, plane in zip(task.fingers, tangents, strict=True):
+        turn = T_world_base.rotation @ data.oMi[finger.pad.joint_id].rotation
+        across = np.eye(3) / finger.pad.radius
+        for way in finger.pad.reach @ turn.T:
+            across -= np.outer(way, way) / (way @ way * finger.pad.radius)
+        out.append(plane.T @ across @ plane)
+    return np.array(out)
+
+
+def _rolling(curved: FloatArray, frames: FloatArray) -> FloatArray:
+    """A (n, 3, 3) of the module, m, world axes, for both curvatures (n, 2, 2) together."""
+    size, along = np.linalg.eigh(curved)
     out = frames[:, :, 1:] @ along
     return np.asarray((out / np.maximum(size, FLATTEST)[:, None, :]) @ out.transpose(0, 2, 1))
 

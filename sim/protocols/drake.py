@@ -92,8 +92,6 @@ def drake_cases() -> tuple[DrakeCase, ...]:
 
 def unsuitable_for_drake(hand: Hand) -> str:
     """Why a hand cannot be tested by this protocol; "" if it can."""
-    if hand.pair:
-        return f"protocol drake holds one hand, and {hand.name} is two; use the protocol hold"
     if reason := without_servos(hand):
         return f"protocol drake commands positions, and {reason}; use the protocol forces"
     return ""

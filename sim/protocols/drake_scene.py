@@ -10,6 +10,9 @@ its torque. So these come from ``physics.json``:
 - Couplings of two joints: Drake's coupler, of others: stiff springs.
 - Reflected inertia of every joint, and which geoms may touch.
 
+Several joints of one body, as a carriage of two hands has, it moves in another way than MuJoCo
+does (hands stood up to 0.2 m from their place): such a body becomes a chain (``_chained``).
+
 Dry friction of joints has no place in Drake and is left out.
 
 Contacts are Drake's compliant hydroelastic patches: pressure fields inside of both bodies, whose
@@ -57,6 +60,9 @@ grasp a finger moves until the meshes touch: by 3 to over 10 mm at 20 mm (Drake'
 GRID = 1e-5
 """Step (m) to which vertices are rounded where Drake cannot fill a mesh: every face has at least
 half of its square then, and the error is far below that of ``RESOLUTION``."""
+
+LIGHT = {"pos": "0 0 0", "mass": "1e-6", "diaginertia": "1e-9 1e-9 1e-9"}
+"""Mass (kg) and inertia (kg m2) of a body between two joints."""
 
 STOP_STIFFNESS, STOP_DAMPING = 20.0, 0.1
 """Of a stop or tie between joints, N m/rad and N m s/rad: 0.2 N m, the torque of a firm grip, bends
@@ -160,11 +166,12 @@ def load_drake_scene(folder: Path) -> DrakeScene:
     """
     if reason := drake_missing():
         raise TaskError(f"{folder} is not executed: {reason}")
-    try:
-        return _loaded(folder)
-    except RuntimeError:  # of Drake: one of its tetrahedra is degenerate
-        with TemporaryDirectory() as made:
-            copy = _rounded(folder, Path(made) / "scene")
+    with TemporaryDirectory() as made:
+        chained = _chained(folder, Path(made) / "chained")
+        try:
+            return _loaded(chained)
+        except RuntimeError:  # of Drake: one of its tetrahedra is degenerate
+            copy = _rounded(chained, Path(made) / "scene")
             try:
                 return _loaded(copy)
             except RuntimeError as error:
@@ -229,6 +236,36 @@ def _loaded(folder: Path) -> DrakeScene:
         explicit=explicit,
         check=told["check"],
     )
+
+
+def _chained(folder: Path, copy: Path) -> Path:
+    """A copy of an export in which every body has one joint; the folder itself if all have.
+
+    A body with several becomes a chain of bodies that weigh next to nothing, one below the other in
+    the order of its joints, as MuJoCo moves it.
+    """
+    try:
+        tree = ET.parse(folder / "scene.xml")
+    except (OSError, ET.ParseError):
+        return folder  # the reader says what is wrong
+    many = [body for body in tree.iter("body") if len(body.findall("joint")) > 1]
+    if not many:
+        return folder
+    for body in many:
+        name, joints = body.attrib["name"], body.findall("joint")
+        rest = [child for child in body if child.tag != "joint"]
+        body[:], last = [], body
+        for k, joint in enumerate(joints):
+            last.set("name", f"{name}/{k}")
+            last.append(joint)
+            if k + 1 < len(joints):
+                ET.SubElement(last, "inertial", LIGHT)
+                last = ET.SubElement(last, "body")
+        last.set("name", name)
+        last.extend(rest)
+    shutil.copytree(folder, copy)
+    tree.write(copy / "scene.xml", encoding="utf-8")
+    return copy
 
 
 def _rounded(folder: Path, copy: Path) -> Path:

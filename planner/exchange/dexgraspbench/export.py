@@ -41,7 +41,7 @@ import os
 import secrets
 import shutil
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -80,13 +80,14 @@ JERK = 25.0
 """Acceleration (m/s2) of a lift in the benchmark: the hand's target jumps by 10 mm, and the weld
 that draws it there has the time constant 20 ms: 10 mm / (20 ms)^2 (``tabletop_mocap.py``)."""
 
+PUSHES = 6
+"""Number of these directions."""
+
 LOADS = np.vstack(
-    [
-        PUSH * MASS * np.vstack([np.eye(3), -np.eye(3)]),
-        (PUSH + JERK) * MASS * np.array([[0.0, 0.0, -1.0]]),
-    ]
+    [PUSH * np.vstack([np.eye(3), -np.eye(3)]), (PUSH + JERK) * np.array([[0.0, 0.0, -1.0]])]
 )
-"""Forces (7, 3), N, in world axes, on the object's centre of mass."""
+"""Forces over mass (7, 3), m/s2, in world axes, on the object's centre of mass; the last is the
+lift's."""
 
 FRICTION = 0.6
 """Friction coefficient of the benchmark (-) (``config/task/eval.yaml``)."""
@@ -97,7 +98,11 @@ TORSION = 0.02
 FRICTION_SHARES = (0.3, 0.5, 0.8)
 """Shares of the planned friction coefficient (-) with which pressing forces are tried: with little
 friction in use, more is left to the loads, but balanced forces may be very unequal. The set that
-leaves most friction is taken, and of those with enough the gentlest."""
+leaves most friction is taken, and of those with enough the gentlest; ``LAST_SHARE`` if there is
+none with these."""
+
+LAST_SHARE = 1.0
+"""Of the friction in planning, which is below the benchmark's."""
 
 SPARE = 0.3
 """Share of normal forces (-) that a squeeze leaves under every load: small changes alone are
@@ -122,6 +127,9 @@ CREEP = 1.9e-5
 is a damper: with impedance d 0.97, damping b 165 /s and impratio 10 it is (1 - d) / (d b impratio).
 Two noslip iterations stop two contacts, but hardly the coupled ones of a hand."""
 
+TINY = 1e-9
+"""Least normal force, N, by which is divided."""
+
 MISPLACED = 0.001
 """Distance (m) between a contact and its plan: the servos lag by different times, so that the first
 finger to touch pushes the object before the last one does."""
@@ -139,6 +147,7 @@ class Squeeze:
             most (-); above 1 they may win. NaN without one.
         forces: Normal forces (n,) at the grasp, N, but for what actuators that stand at their limit
             lack; empty without one.
+        torques: Of the joints (nq,), which make these forces, N m; empty without one.
     """
 
     reason: str = ""
@@ -146,6 +155,7 @@ class Squeeze:
     factor: float
     use: float
     forces: FloatArray
+    torques: FloatArray
 
     def posture(self, task: GraspTask, q: FloatArray) -> FloatArray:
         """Joints (nq,) whose lengths R q are the commands, the nearest to q (nq,).
@@ -172,7 +182,13 @@ def without_servos(hand: Hand) -> str:
 
 
 def plan_squeeze(
-    task: GraspTask, contacts: ContactSet, T_world_base: SE3, q: FloatArray
+    task: GraspTask,
+    contacts: ContactSet,
+    T_world_base: SE3,
+    q: FloatArray,
+    *,
+    mass: float = MASS,
+    lifted: bool = True,
 ) -> Squeeze:
     """The squeeze of a grasp.
 
@@ -181,38 +197,81 @@ def plan_squeeze(
         contacts: One contact per finger of the task, world.
         T_world_base: Base pose.
         q: Joints (nq,).
+        mass: Of the object there, kg.
+        lifted: Whether it is lifted there, too.
     """
+    none = np.zeros(0)
     floating = replace(task, gravity=np.zeros(3))
-    slides = _slides(task)
     best: tuple[float, float, float, ForceSolution] | None = None
-    for share in FRICTION_SHARES:
-        forces = plan_forces(floating, contacts, T_world_base, q, friction_scale=share)
-        if forces.found:
-            stiffness = GraspStiffness.of(floating, forces, T_world_base, q)
-            use, factor = _least_factor(task, stiffness, forces, q, slides)
+    for forces in _pressing(floating, contacts, T_world_base, q):
+        for bearing, pressed in _bearing(floating, forces) if forces.found else ():
+            stiffness = GraspStiffness.of(bearing, pressed, T_world_base, q)
+            held = mass * LOADS[: None if lifted else PUSHES], _slides(bearing, mass)
+            use, factor = _least_factor(task, stiffness, forces, q, *held)
             found = max(use, 1.0 - SPARE), factor * forces.forces[:, 0].max(), factor, forces
             if best is None or found[:2] < best[:2]:
                 best = found
+    nothing = Squeeze(
+        reason=forces.reason, ctrl=none, factor=math.nan, use=math.nan, forces=none, torques=none
+    )
     if best is None:
-        none = np.zeros(0)
-        return Squeeze(
-            reason=forces.reason, ctrl=none, factor=float("nan"), use=float("nan"), forces=none
-        )
+        return nothing
     use, _, factor, forces = best
     if not np.isfinite(use):
-        none = np.zeros(0)
         reason = "no squeeze is within the actuators' limits and below buckling"
-        return Squeeze(reason=reason, ctrl=none, factor=float("nan"), use=use, forces=none)
-    torque = factor * forces.joint_torques
-    ctrl, _ = task.hand.actuation.ctrl_for_torque(q, np.zeros_like(q), torque)
-    return Squeeze(ctrl=ctrl, factor=factor, use=use, forces=factor * forces.forces[:, 0])
+        return replace(nothing, reason=reason, use=use)
+    torques = factor * forces.joint_torques
+    ctrl, _ = task.hand.actuation.ctrl_for_torque(q, np.zeros_like(q), torques)
+    normals = factor * forces.forces[:, 0]
+    return Squeeze(ctrl=ctrl, factor=factor, use=use, forces=normals, torques=torques)
 
 
-def _slides(task: GraspTask) -> FloatArray:
+def _pressing(
+    task: GraspTask, contacts: ContactSet, T_world_base: SE3, q: FloatArray
+) -> Iterator[ForceSolution]:
+    """Forces that balance without a load, at several shares of friction.
+
+    If there are none: with all of the friction, then with fingers of a pair that need not press
+    beside its palms.
+    """
+    given = task, contacts, T_world_base, q
+    tried = [plan_forces(*given, friction_scale=share) for share in FRICTION_SHARES]
+    yield from tried
+    if not any(forces.found for forces in tried):
+        last = plan_forces(*given, friction_scale=LAST_SHARE)
+        yield last
+        if not last.found and task.hand.pair:
+            palms = np.where(task.least_normals < task.grip_force, 0.0, task.least_normals)
+            yield plan_forces(*given, friction_scale=LAST_SHARE, min_normal=palms)
+
+
+def _bearing(task: GraspTask, forces: ForceSolution) -> Iterator[tuple[GraspTask, ForceSolution]]:
+    """Task and forces with all contacts, and with those alone that press with the grip.
+
+    A link or palm that only lies against the object is let go by the first load that draws it away:
+    what then holds are the others.
+    """
+    yield task, forces
+    light = (task.least_normals == 0.0) & (forces.forces[:, 0] < task.grip_force)
+    if not light.any() or len(light) - light.sum() < task.fingers_needed:
+        return
+    contacts = [forces.contacts[int(i)] for i in np.flatnonzero(~light)]
+    names = [n for n, away in zip(task.finger_names, light, strict=True) if not away]
+    yield (
+        task.with_fingers(names),
+        replace(
+            forces,
+            contacts=ContactSet.from_contacts(contacts, center=forces.contacts.center),
+            forces=forces.forces[~light],
+        ),
+    )
+
+
+def _slides(task: GraspTask, mass: float) -> FloatArray:
     """How far contacts creep while the benchmark holds (n, 3), m/N and rad/(N m)."""
     model = task.hand.mj_model
     bodies = [int(model.geom(finger.pad.geom).bodyid[0]) for finger in task.fingers]
-    inverse = 1.0 / MASS + model.body_invweight0[bodies, 0]
+    inverse = 1.0 / mass + model.body_invweight0[bodies, 0]
     spin = (FRICTION / TORSION) ** 2  # MuJoCo scales impedances of an elliptic cone so
     return np.asarray(HOLD * CREEP * inverse[:, None] * [1.0, 1.0, spin])
 
@@ -222,6 +281,7 @@ def _least_factor(
     stiffness: GraspStiffness,
     forces: ForceSolution,
     q: FloatArray,
+    loads: FloatArray,
     slides: FloatArray,
 ) -> tuple[float, float]:
     """Share of the friction in use, and the factor of the forces; see the module."""
@@ -238,7 +298,7 @@ def _least_factor(
             middle = (low + high) / 2
             low, high = (middle, high) if allowed(middle) else (low, middle)
         tried.append(low)
-    uses = [_use(stiffness, factor, slides) for factor in tried]
+    uses = [_use(stiffness, factor, loads, slides) for factor in tried]
     for i, (use, factor) in enumerate(zip(uses, tried, strict=True)):
         if factor >= 1.0 and use <= 1.0 - SPARE:
             if factor == 1.0 or i == 0 or uses[i - 1] <= 1.0 - SPARE:
@@ -248,10 +308,10 @@ def _least_factor(
     return min(zip(uses, tried, strict=True), default=(float("inf"), 1.0))
 
 
-def _use(stiffness: GraspStiffness, factor: float, slides: FloatArray) -> float:
+def _use(stiffness: GraspStiffness, factor: float, loads: FloatArray, slides: FloatArray) -> float:
     """Largest share (-) of a contact's normal force, or of ``TURNED``, that any load needs."""
-    m, n = len(LOADS), len(stiffness.forces)
-    wrenches = np.hstack([LOADS, np.zeros_like(LOADS)])
+    m, n = len(loads), len(stiffness.forces)
+    wrenches = np.hstack([loads, np.zeros_like(loads)])
     changes, turned = stiffness.crept(factor, wrenches, MISPLACED, slides)
     alone, changes = changes[0], changes[1:]
     # a finger out of place presses on all others, and the object settles between them
@@ -259,9 +319,9 @@ def _use(stiffness: GraspStiffness, factor: float, slides: FloatArray) -> float:
     force = factor * stiffness.forces + alone + changes[:m]
     sliding = np.linalg.norm(force[:, :, 1:3], axis=2) / FRICTION
     needed = np.hypot(sliding, force[:, :, 3] / TORSION) + lost - alone[:, 0] - changes[:m, :, 0]
-    slips = float((needed / (factor * stiffness.forces[:, 0])).max())
+    slips = float((needed / np.maximum(factor * stiffness.forces[:, 0], TINY)).max())
     # the lift is over before contacts have crept
-    most = np.linalg.norm(turned[0] + turned[1:m], axis=1).max()
+    most = np.linalg.norm(turned[0] + turned[1 : 1 + PUSHES], axis=1).max()
     return max(slips, float(most + np.linalg.norm(turned[1 + m :])) / TURNED)
 
 
