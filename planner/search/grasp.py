@@ -76,7 +76,7 @@ ten milliseconds."""
 ONE_CAUSE = 0.8
 """Share of the attempts (-) that fail for one cause from which its meaning is told."""
 
-SHARE_AFTER = 8
+SHARE_AFTER = 2
 """Attempts after which a weak hand's palm counts in the default grip: strong ones have found theirs
 by then, and half the grip bears less of a push."""
 
@@ -468,7 +468,8 @@ class _GraspContext:
     def _solved(self, start: Start, margins: SynthesisOptions) -> Candidate:
         """Where the solver comes to from a start with margins; true links keep theirs."""
         problem = self.grasp_problem
-        parameters = problem.parameters(self.task, start, self.seeder.posture, margins)
+        pressed = (self.task.sharing_palm if self.shares else None) or self.task
+        parameters = problem.parameters(pressed, start, self.seeder.posture, margins)
         return optimize_grasp(problem, self.task, start, parameters, self.options, self.links)
 
     def verified(self, candidate: Candidate) -> GraspPlan | Failure:
@@ -477,8 +478,7 @@ class _GraspContext:
         found = finished(problem, self.task, candidate, options)
         if not (self.shares and shared and isinstance(found, Failure) and found.kind == NO_FORCES):
             return found
-        again = finished(problem, shared, candidate, options)
-        return found if isinstance(again, Failure) else again
+        return finished(problem, shared, candidate, options)
 
 
 @made_once(16)
