@@ -131,7 +131,7 @@ def describe_finger(
 
 
 def palm_body(structure: ModelStructure, tree: HandTree, notes: Notes) -> str:
-    """Of the bodies of the palm's link the one with most of the fingers on it, else the heaviest."""
+    """Of the bodies of the palm's link the one that most fingers are on, else the heaviest."""
     candidates = [b for b in structure.bodies_of(tree.palm) if b]
     moving = [b.parent for i, b in enumerate(structure.bodies) if b.link == i]
     chosen = max(candidates, key=lambda b: (moving.count(b), structure.bodies[b].mass))

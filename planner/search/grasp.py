@@ -77,8 +77,8 @@ ONE_CAUSE = 0.8
 """Share of the attempts (-) that fail for one cause from which its meaning is told."""
 
 SHARE_AFTER = 2
-"""Attempts after which a weak hand's palm counts in the default grip: strong ones have found theirs
-by then, and half the grip bears less of a push."""
+"""Attempts after which a weak hand's palm counts in the default grip: half the grip bears less of a
+push, but a hand that has not the grip with two sets of contacts seldom has it with others."""
 
 SPARE_AFTER = 5
 """Attempts after which every other one is made with three fingers alone, if the choice of fingers
@@ -468,7 +468,7 @@ class _GraspContext:
     def _solved(self, start: Start, margins: SynthesisOptions) -> Candidate:
         """Where the solver comes to from a start with margins; true links keep theirs."""
         problem = self.grasp_problem
-        pressed = (self.task.sharing_palm if self.shares else None) or self.task
+        pressed = (self.task.sharing_palm if self.shares else None) or self.task  # what is asked
         parameters = problem.parameters(pressed, start, self.seeder.posture, margins)
         return optimize_grasp(problem, self.task, start, parameters, self.options, self.links)
 

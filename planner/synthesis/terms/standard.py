@@ -245,7 +245,7 @@ CLOSURE = "force closure and the force programme"
 
 BALANCE = Term(
     name="balance",
-    meaning="sum f_i and sum p_i x f_i / length: an internal force",
+    meaning="sum f_i and sum p_i x f_i / length: an internal force; with links the weight too",
     role=Role.EQUALITY,
     unit="-",
     weight=20.0,
@@ -288,7 +288,7 @@ CONE = Term(
 
 PRESS = Term(
     name="press",
-    meaning=f"fn_i - {PRESS_MIN:g}: every finger presses",
+    meaning=f"fn_i - {PRESS_MIN:g}, of inner links and palm - {TOUCH_MIN:g}: every finger presses",
     role=Role.INEQUALITY,
     unit="-",
     weight=20.0,
