@@ -454,7 +454,7 @@ class GraspTask:
     @cached_property
     def outermost(self) -> tuple[int, ...]:
         """Numbers of the contacts beyond which no other is on their finger; the palm's is none."""
-        return _outermost(self.fingers)
+        return outermost(self.fingers)
 
     def require_fingertips(self, what: str) -> None:
         """Refuse what nobody has worked out for inner links and the palm, or for two hands.
@@ -542,7 +542,7 @@ def _sets_of(hand: Hand, grasp_type: str) -> tuple[tuple[str, ...], ...]:
     return () if grasp_type == FINGERTIP else contact_sets(hand, grasp_type)
 
 
-def _outermost(fingers: Sequence[Finger]) -> tuple[int, ...]:
+def outermost(fingers: Sequence[Finger]) -> tuple[int, ...]:
     """Numbers of the contacts beyond which no other is on their finger."""
     ends: dict[int, int] = {}
     for i, finger in enumerate(fingers):
@@ -561,7 +561,7 @@ def _carried_palms(hand: Hand, fingers: Sequence[Finger]) -> tuple[int, ...]:
 
 def _pressing(hand: Hand, fingers: Sequence[Finger]) -> int:
     """How many contacts press with the grip: the palms of two hands, or one on each finger."""
-    return max(len(_carried_palms(hand, fingers) or _outermost(fingers)), 1)
+    return max(len(_carried_palms(hand, fingers) or outermost(fingers)), 1)
 
 
 def _default_grip(

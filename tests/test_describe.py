@@ -226,6 +226,17 @@ def test_a_claw_of_three_capsule_fingers(proposed_claw: Proposal) -> None:
     assert thumb.tip is not None and thumb.tip.position == pytest.approx((0.0, 0.0, 0.03))
 
 
+def test_the_palm_is_the_body_that_most_fingers_are_on(tmp_path: Path) -> None:
+    """And not a heavier one at the wrist, however it is fixed to it."""
+    text = claw().replace(
+        '<body name="palm" pos="0 0 0.4">',
+        '<body name="flange"><geom type="cylinder" size="0.02 0.01" mass="9"/>'
+        '<body name="palm" pos="0 0 0.4">',
+    )
+    path = written(tmp_path, text.replace("</worldbody>", "</body></worldbody>"))
+    assert propose(path).description.palm_body == "palm"
+
+
 def test_the_closing_side_is_the_larger_side_of_the_range(tmp_path: Path) -> None:
     # the same fingers with their axes turned about: they close at negative angles
     path = written(tmp_path, claw(limits=(-1.4, 0.6), turns=(np.pi, 0.0, 0.0)))

@@ -190,9 +190,15 @@ def test_what_is_printed_is_what_is_solved(
     text = str(problem)
     for w in problem.terms:
         assert f"{w.term.name:14s} {len(w.rows):5d}  {w.term.role.value}" in text
-    assert set(own) | set(STANDARD) - {"arm", "stop", "coupling", "surface", "edge", "along"} <= {
-        w.term.name for w in problem.terms
-    }
+    assert set(own) | set(STANDARD) - {
+        "arm",
+        "stop",
+        "coupling",
+        "surface",
+        "edge",
+        "along",
+        "effort",
+    } <= {w.term.name for w in problem.terms}
 
 
 def test_a_plan_satisfies_it_and_one_without_it_does_not(task: GraspTask) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -33,8 +34,10 @@ from planner.plan import GraspPlan
 from planner.search.beyond import search_directions
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, minimum_jerk
-from planner.synthesis.link_spheres import link_spheres
-from planner.synthesis.problem import Start
+from planner.synthesis.link_spheres import LinkSphere, link_spheres, margin_of
+from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.problem import Start, build_problem
+from planner.synthesis.seeds import seeder_for
 from planner.synthesis.seeds.enveloping import EnvelopingSeeder
 from planner.task import Obstacle
 from planner.tolerances import TOUCH_TOL
@@ -450,7 +453,7 @@ def test_the_grip_is_shared_by_what_presses(hand: Hand) -> None:
 
 
 def test_a_weak_hand_shares_the_load_with_its_palm(hand: Hand) -> None:
-    """Half the default grip of 2 kg, after eight attempts; a grip that is given stays."""
+    """Half the default grip of 2 kg, after two attempts; a grip that is given stays."""
     item = parse_object(f"sphere:{RADIUS}", mass=2.0)
     task = GraspTask.create(hand, item, grasp_type="power")
     assert task.sharing_palm is not None and task.sharing_palm.sharing_palm is None
@@ -458,12 +461,117 @@ def test_a_weak_hand_shares_the_load_with_its_palm(hand: Hand) -> None:
     strict = replace(task, grip_force=task.grip_force + 1e-6)
     assert strict.sharing_palm is None
     plan = plan_grasp(task, seed=0)
-    assert plan.record.attempts > 8
+    assert plan.record.attempts > 2
     assert plan.task.grip_force == pytest.approx(2.0 * 2.0 * 9.81 / (0.5 * 2 * 4))
     report = simulate(plan)
     assert report.success, report.reason
     with pytest.raises(NoGraspFoundError):
         plan_grasp(strict, seed=0, max_attempts=plan.record.attempts)
+
+
+SERVO, RANGE = 0.8, 1.2
+"""Torque per error (N m/rad) and range of commands (rad) of the servos below."""
+
+
+def test_the_room_of_actuators_is_that_of_their_laws_beside_pinocchios_torques() -> None:
+    """Servos whose force ends with their range; fingers bear contacts, the wrist all the weight."""
+    hand = load_hand("shadow_hand")
+    a, n = hand.actuation, len(hand.actuation.names)
+    bias = np.tile([0.0, -SERVO, 0.0], (n, 1))
+    ends = np.tile([-RANGE, RANGE], (n, 1))
+    servos = replace(a, gain=np.full(n, SERVO), bias=bias, ctrl_range=ends)
+    hand = replace(hand, actuation=servos)
+    task = GraspTask.create(
+        hand, parse_object("sphere:0.03", mass=1.0), table_height=None, grasp_type="power"
+    )
+    problem = build_problem(hand, task.fingers, task.object.shape)
+    start = EnvelopingSeeder(task).draw(np.random.default_rng(4))
+    assert isinstance(start, Start)
+    x = problem.first(start)
+    p = problem.parameters(task, start, start.q, SynthesisOptions())
+    f = problem.formulation
+    (term,) = [t for t in problem.terms if t.term.name == "effort"]
+    room = np.array(ca.Function("r", [f.x, f.p], [term.expression])(x, p)).ravel()
+    unit = float(ca.Function("u", [f.x, f.p], [f.symbols.newtons])(x, p))
+    centers = ca.Function("c", [f.x, f.p], f.symbols.centers)(x, p)
+    outward = ca.Function("n", [f.x, f.p], f.symbols.outward)(x, p)
+    forces = unit * start.forces
+    pressed = [-forces[i] @ np.array(outward[i]).ravel() for i in task.outermost]
+    assert min(pressed) == pytest.approx(task.grip_force)
+    state, turn = HandState(hand, start.q), start.T_object_base.rotation
+    tau = np.zeros(hand.nq)
+    for finger, center, normal, force in zip(task.fingers, centers, outward, forces, strict=True):
+        point = np.array(center).ravel() - finger.pad.radius * turn.T @ np.array(normal).ravel()
+        rates = state.point_jacobian(finger.pad.joint_id, point)[:3]
+        tau[finger.q_index] += rates[:, finger.q_index].T @ (turn.T @ force)
+    down = turn.T @ task.T_world_object.rotation.T @ task.gravity
+    wrist = hand.wrist_index
+    palm = hand.contact_parts["palm"].pad.joint_id
+    held = state.point_jacobian(palm, start.T_object_base.inverse().translation)[:3]
+    tau[wrist] = (state.gravity_torque(down) - task.object.mass * down @ held)[wrist]
+    low, high = servos.torque_limits(start.q).T
+    coupled = np.flatnonzero(np.any([c.row for c in hand.couplings], axis=0))
+    moved = {int(j) for finger in task.fingers for j in finger.q_index}
+    alone = sorted((moved | set(wrist.tolist())) - set(coupled.tolist()))
+    assert len(alone) > 10
+    for j in alone:
+        for expected in (high[j] - tau[j], tau[j] - low[j]):
+            off = np.abs(room - expected / (0.05 * unit)).min()
+            assert off < 1e-6, (servos.joint_names[j], off)
+    tips = build_problem(hand, hand.choose_fingers(), task.object.shape)
+    assert "effort" not in {t.term.name for t in tips.terms}
+
+
+def test_forces_around_an_object_bear_its_weight_and_those_of_tips_cancel(hand: Hand) -> None:
+    item = parse_object("sphere:0.03", mass=1.0)
+    for grasp_type, borne in (("power", True), ("fingertip", False)):
+        task = GraspTask.create(hand, item, table_height=None, grasp_type=grasp_type)
+        problem = build_problem(hand, task.fingers, item.shape)
+        (term,) = [t for t in problem.terms if t.term.name == "balance"]
+        f = problem.formulation
+        start = seeder_for(task).draw(np.random.default_rng(0))
+        assert isinstance(start, Start)
+        p = problem.parameters(task, start, start.q, SynthesisOptions())
+        row = np.array(ca.Function("b", [f.x, f.p], [term.expression])(problem.first(start), p))
+        weight = task.T_world_object.rotation.T @ task.gravity
+        unit = float(ca.Function("u", [f.x, f.p], [f.symbols.newtons])(problem.first(start), p))
+        expected = start.forces.sum(axis=0) + borne * weight / unit
+        assert row.ravel()[:3] == pytest.approx(expected)
+
+
+def test_a_wrist_that_cannot_hold_the_object_is_turned_another_way() -> None:
+    """A palm that looks sideways has a long lever to the wrist's joints, one above it has none."""
+    hand = load_hand("shadow_hand")
+
+    def seeder(mass: float) -> EnvelopingSeeder:
+        item = parse_object("sphere:0.03", mass=mass)
+        task = GraspTask.create(hand, item, table_height=None, grasp_type="power")
+        return EnvelopingSeeder(task)
+
+    drawn = [seeder(1.0)._drawn_hand(np.random.default_rng(i)) for i in range(12)]
+    assert all(seeder(1.0)._wrist_bears(*one) for one in drawn)
+    heavy = [seeder(8.0)._wrist_bears(*one) for one in drawn]
+    assert 0 < sum(heavy) < len(heavy)
+    better = [seeder(8.0)._drawn_hand(np.random.default_rng(i)) for i in range(12)]
+    assert sum(seeder(8.0)._wrist_bears(*one) for one in better) > sum(heavy)
+
+
+def test_a_hull_beside_a_touching_pad_keeps_the_clearance_of_links(hand: Hand) -> None:
+    """Spheres fill a hull by half a millimetre less than it is; boxes and capsules they fill."""
+    link = hand.contact_parts["index_distal"]
+    sphere = LinkSphere(
+        geometry="other",
+        finger="index",
+        joint_id=link.pad.joint_id,
+        center=np.zeros(3),
+        radius=0.01,
+        is_pad=False,
+        on_tip=True,
+    )
+    assert margin_of(sphere, [link]) == "clear_tip"
+    assert margin_of(sphere, [link], frozenset(["other"])) == "clear_object"
+    assert margin_of(replace(sphere, finger=""), [link], frozenset(["other"])) == "clear_tip"
+    assert margin_of(replace(sphere, geometry=link.pad.geom), [link], frozenset()) is None
 
 
 def test_a_set_that_a_region_forbids_is_left_out(hand: Hand) -> None:

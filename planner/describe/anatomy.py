@@ -131,10 +131,13 @@ def describe_finger(
 
 
 def palm_body(structure: ModelStructure, tree: HandTree, notes: Notes) -> str:
-    """Of the bodies of the palm's link, the heaviest."""
+    """Of the bodies of the palm's link the one that most fingers are on, else the heaviest."""
     candidates = [b for b in structure.bodies_of(tree.palm) if b]
-    heaviest = max(candidates, key=lambda b: structure.bodies[b].mass)
-    name = structure.bodies[heaviest].name
+    moving = [b.parent for i, b in enumerate(structure.bodies) if b.link == i]
+    chosen = max(candidates, key=lambda b: (moving.count(b), structure.bodies[b].mass))
+    if 2 * moving.count(chosen) <= len(tree.branches):
+        chosen = max(candidates, key=lambda b: structure.bodies[b].mass)
+    name = structure.bodies[chosen].name
     notes.because(
         "palm_body",
         name,

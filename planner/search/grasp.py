@@ -76,9 +76,9 @@ ten milliseconds."""
 ONE_CAUSE = 0.8
 """Share of the attempts (-) that fail for one cause from which its meaning is told."""
 
-SHARE_AFTER = 8
-"""Attempts after which a weak hand's palm counts in the default grip: strong ones have found theirs
-by then, and half the grip bears less of a push."""
+SHARE_AFTER = 2
+"""Attempts after which a weak hand's palm counts in the default grip: half the grip bears less of a
+push, but a hand that has not the grip with two sets of contacts seldom has it with others."""
 
 SPARE_AFTER = 5
 """Attempts after which every other one is made with three fingers alone, if the choice of fingers
@@ -472,7 +472,8 @@ class _GraspContext:
     def _solved(self, start: Start, margins: SynthesisOptions) -> Candidate:
         """Where the solver comes to from a start with margins; true links keep theirs."""
         problem = self.grasp_problem
-        parameters = problem.parameters(self.task, start, self.seeder.posture, margins)
+        pressed = (self.task.sharing_palm if self.shares else None) or self.task  # what is asked
+        parameters = problem.parameters(pressed, start, self.seeder.posture, margins)
         return optimize_grasp(problem, self.task, start, parameters, self.options, self.links)
 
     def verified(self, candidate: Candidate) -> GraspPlan | Failure:
@@ -481,8 +482,7 @@ class _GraspContext:
         found = finished(problem, self.problem.asked, candidate, options)
         if not (self.shares and shared and isinstance(found, Failure) and found.kind == NO_FORCES):
             return found
-        again = finished(problem, shared, candidate, options)
-        return found if isinstance(again, Failure) else again
+        return finished(problem, shared, candidate, options)
 
 
 @made_once(16)

@@ -284,6 +284,8 @@ class GraspProblem:
                 "table": table_in_object(task),
                 "obstacles": obstacles_in_object(task),
                 "mu": task.mu,
+                "grip": task.grip_force,
+                "weight": task.object.mass * task.T_world_object.rotation.T @ task.gravity,
                 "length": shape.bounding_radius,
                 "posture": posture,
                 **options.values(),

@@ -22,7 +22,7 @@ from planner.hands.hand import Hand
 from planner.kinematics import joint_axes
 from planner.shapes.base import CODE_DIM, SIZE_DIM, Surface
 from planner.spatial import SE3, FloatArray, skew
-from planner.task import GraspTask
+from planner.task import GraspTask, outermost
 
 
 @dataclass(frozen=True)
@@ -319,6 +319,8 @@ class GraspSymbols:
         boxes: Obstacles: rotation and translation into the obstacle's frame, half extents, m.
         mu: Friction (-).
         length: Characteristic length, m.
+        grip: Normal force with which the outermost contact of each finger presses at least, N.
+        weight: Of the object (3,), N.
         posture: Preferred joints (nq,).
         option: Margins and weights by name, see ``SynthesisOptions.values``.
         own: Parameters of single terms, see ``parameter``.
@@ -362,6 +364,7 @@ class GraspSymbols:
             for _ in range(n_obstacles)
         ]
         self.mu, self.length = ca.SX.sym("mu"), ca.SX.sym("length")
+        self.grip, self.weight = ca.SX.sym("grip"), ca.SX.sym("weight", 3)
         self.posture = ca.SX.sym("posture", hand.nq)
         self.option = {name: ca.SX.sym(name) for name in options}
         self.own: dict[str, Any] = {}
@@ -395,6 +398,8 @@ class GraspSymbols:
             "table": ca.vertcat(*self.table),
             "obstacles": ca.vertcat(*[v for r, t, h in self.boxes for v in (ca.vec(r), t, h)]),
             "mu": self.mu,
+            "grip": self.grip,
+            "weight": self.weight,
             "length": self.length,
             "posture": self.posture,
             **self.option,
@@ -429,6 +434,19 @@ class GraspSymbols:
     def normal_forces(self) -> list[Any]:
         """Normal force of each finger, in units of their mean."""
         return [-ca.dot(f, n) for f, n in zip(self.forces, self.outward, strict=True)]
+
+    @property
+    def is_around(self) -> bool:
+        """Whether inner links or the palm of one hand touch: forces then bear the weight too."""
+        return not self.hand.pair and any(finger.is_link for finger in self.fingers)
+
+    @cached_property
+    def newtons(self) -> Any:
+        """What a unit of force is, N, so that no outermost contact presses less than the grip."""
+        least = ca.SX(np.inf)
+        for i in outermost(self.fingers):
+            least = ca.fmin(least, self.normal_forces[i])
+        return self.grip / ca.fmax(least, LEAST_PRESS)
 
     @cached_property
     def torque(self) -> Any:
@@ -471,6 +489,9 @@ class GraspPoint:
         """Characteristic length, m."""
         return self.task.object.shape.bounding_radius
 
+
+LEAST_PRESS = 0.25
+"""Least normal force of the outermost contacts (-) that the unit of force is reckoned from."""
 
 NO_TABLE = 10.0
 """Distance (m) at which problems put the table when there is none: beyond any hand."""

@@ -48,6 +48,9 @@ OFF_CENTER = 0.1
 HANDS = 4
 """Hands drawn and closed of which the best is taken: 10 ms each, and a solve takes 50."""
 
+WRIST_DRAWS = 8
+"""Most palm poses drawn in search of one in which the wrist bears the object."""
+
 FARTHEST = 0.03
 """Distance (m) beyond which a contact is as bad as any: the solver will not bring it back."""
 
@@ -172,8 +175,24 @@ class EnvelopingSeeder(Seeder):
             T_object_base = task.T_world_object.inverse() * task.T_world_base
         else:
             T_base_palm = SE3(state.move(q).joint_pose(self._palms[0].pad.joint_id))
-            T_object_base = self._palm_pose(rng) * T_base_palm.inverse()
+            for _ in range(WRIST_DRAWS):
+                T_object_base = self._palm_pose(rng) * T_base_palm.inverse()
+                if self._wrist_bears(T_object_base, q):
+                    break
         return T_object_base, self._closed(T_object_base, q, rng)
+
+    def _wrist_bears(self, T_object_base: SE3, q: FloatArray) -> bool:
+        """Whether the wrist's actuators hold the object, and the hand beyond them, at q (nq,)."""
+        task, state = self.task, moving_hand(self.task.hand).move(q)
+        wrist, turn = task.hand.wrist_index, (task.T_world_object.rotation @ T_object_base.rotation)
+        if not len(wrist):
+            return True
+        gravity = turn.T @ task.gravity
+        center = T_object_base.inverse().translation
+        rates = state.point_jacobian(self._palms[0].pad.joint_id, center)[:3, wrist]
+        torque = state.gravity_torque(gravity)[wrist] - task.object.mass * gravity @ rates
+        low, high = task.hand.actuation.torque_limits(q)[wrist].T
+        return bool(((torque >= low) & (torque <= high)).all())
 
     def _miss(self, T_object_base: SE3, q: FloatArray) -> float:
         """How far (m) the task's contacts are off the object, or turned away, in all."""

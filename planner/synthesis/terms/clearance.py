@@ -59,7 +59,8 @@ FASTEST = 1.1
 def _from_object(g: GraspSymbols, sphere: LinkSphere) -> tuple[Any, ...] | None:
     if g.surface.field is not None and _is_round_pad(sphere, g.fingers):
         return (sphere.radius - PRESSED,)
-    margin = margin_of(sphere, g.fingers)
+    hulls = frozenset(x.name for x in g.hand.geometries if x.kind == "mesh")
+    margin = margin_of(sphere, g.fingers, hulls)
     if margin is None:
         return None
     return (sphere.radius + g.option[margin] + g.surface.distance_error,)

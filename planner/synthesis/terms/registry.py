@@ -10,6 +10,7 @@ from __future__ import annotations
 from planner.errors import NotFoundError, TaskError, shown
 from planner.synthesis.objectives import OBJECTIVES
 from planner.synthesis.terms.clearance import OBJECT, OBSTACLE, TABLE
+from planner.synthesis.terms.effort import EFFORT
 from planner.synthesis.terms.fingers import FINGERS
 from planner.synthesis.terms.link_distance import LINKS
 from planner.synthesis.terms.resistance import RESISTANCE
@@ -44,6 +45,7 @@ _STANDARD: tuple[Term, ...] = (
     CONE,
     PRESS,
     STOP,
+    EFFORT,
     OBJECT,
     TABLE,
     OBSTACLE,

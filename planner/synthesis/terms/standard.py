@@ -15,8 +15,11 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
+from planner.joints.couplings import Coupling
+from planner.spatial import FloatArray
 from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.term import Role, Rows, Term
+from planner.task import outermost
 
 PER_METRE = 1e3
 """Weight of a length: a millimetre is one unit of residual."""
@@ -157,6 +160,9 @@ CENTER = Term(
 PRESS_MIN = 0.25
 """Smallest normal force of a finger over the mean normal force (-)."""
 
+TOUCH_MIN = 0.05
+"""The same of an inner link or the palm, onto which others press (-)."""
+
 LEVER = 0.05
 """Typical lever arm of a fingertip force, m; makes stop torques comparable to unit forces."""
 
@@ -167,7 +173,8 @@ ALIGNED_TOL = 1e-9
 def _balance(g: GraspSymbols) -> Iterator[Rows]:
     pairs = zip(g.points, g.forces, strict=True)
     torque = sum((ca.cross(p, f) for p, f in pairs), ca.SX.zeros(3))
-    yield Rows(expression=sum(g.forces[1:], g.forces[0]))
+    total = sum(g.forces[1:], g.forces[0])
+    yield Rows(expression=total + g.weight / g.newtons if g.is_around else total)
     yield Rows(expression=torque / g.length)
 
 
@@ -184,8 +191,24 @@ def _cone(g: GraspSymbols) -> Iterator[Rows]:
 
 
 def _press(g: GraspSymbols) -> Iterator[Rows]:
-    for finger, normal in zip(g.fingers, g.normal_forces, strict=True):
-        yield Rows(expression=normal - PRESS_MIN, about=(finger.name,))
+    pressing = outermost(g.fingers) if g.is_around else range(len(g.fingers))
+    for i, (finger, normal) in enumerate(zip(g.fingers, g.normal_forces, strict=True)):
+        least = PRESS_MIN if i in pressing else TOUCH_MIN
+        yield Rows(expression=normal - least, about=(finger.name,))
+
+
+def transmission(g: GraspSymbols) -> tuple[FloatArray, list[Coupling]]:
+    """What bears joint torques: columns (nq, k) of R^T, then of two-sided couplings C^T; and stops.
+
+    The stops are the one-sided couplings of the fingers that bear what those columns cannot.
+    """
+    hand = g.hand
+    moving = {int(i) for f in g.fingers for i in f.q_index}
+    firm = [c.row for c in hand.couplings if not c.one_sided]
+    drive = np.column_stack([hand.actuation.moment.T, *firm])
+    rest = np.eye(hand.nq) - drive @ np.linalg.pinv(drive)
+    stops = [c for c in hand.couplings if c.one_sided and set(np.flatnonzero(c.row)) <= moving]
+    return drive, [c for c in stops if np.linalg.norm(rest @ c.row) > ALIGNED_TOL]
 
 
 def _stop(g: GraspSymbols) -> Iterator[Rows]:
@@ -194,15 +217,11 @@ def _stop(g: GraspSymbols) -> Iterator[Rows]:
     A stop bears the torque that actuators (F) and two-sided couplings (mu) cannot; a stop in their
     range has no row.
     """
-    hand = g.hand
-    moving = {int(i): f.name for f in g.fingers for i in f.q_index}
-    firm = [c.row for c in hand.couplings if not c.one_sided]
-    drive = np.column_stack([hand.actuation.moment.T, *firm])
-    rest = np.eye(hand.nq) - drive @ np.linalg.pinv(drive)
-    stops = [c for c in hand.couplings if c.one_sided and set(np.flatnonzero(c.row)) <= set(moving)]
-    used = [c for c in stops if np.linalg.norm(rest @ c.row) > ALIGNED_TOL]
+    drive, used = transmission(g)
     if not used:
         return
+    rest = np.eye(g.hand.nq) - drive @ np.linalg.pinv(drive)
+    moving = {int(i): f.name for f in g.fingers for i in f.q_index}
     left = np.linalg.pinv(np.column_stack([rest @ c.row for c in used]))
     multipliers = ca.DM(left) @ g.torque / LEVER
     for k, stop in enumerate(used):
@@ -226,7 +245,7 @@ CLOSURE = "force closure and the force programme"
 
 BALANCE = Term(
     name="balance",
-    meaning="sum f_i and sum p_i x f_i / length: an internal force",
+    meaning="sum f_i and sum p_i x f_i / length: an internal force; with links the weight too",
     role=Role.EQUALITY,
     unit="-",
     weight=20.0,
@@ -269,7 +288,7 @@ CONE = Term(
 
 PRESS = Term(
     name="press",
-    meaning=f"fn_i - {PRESS_MIN:g}: every finger presses",
+    meaning=f"fn_i - {PRESS_MIN:g}, of inner links and palm - {TOUCH_MIN:g}: every finger presses",
     role=Role.INEQUALITY,
     unit="-",
     weight=20.0,
