@@ -62,6 +62,7 @@ def test_a_tiny_case_is_measured(name: str, asked: Row) -> None:
 
 
 EMPTY = {
+    "grasps": {"path mm", "path deg"},  # of two hands
     "synthesis": {"ratio"},  # no figure of FRoGGeR's for a sphere
     "best": {"over its"},
     "walls": {"failed attempts by reason", "wall mm"},

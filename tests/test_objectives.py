@@ -104,6 +104,8 @@ class Place:
             "table": np.zeros(self.formulation.parameters["table"].numel()),
             "obstacles": (),
             "mu": task.mu,
+            "grip": task.grip_force,
+            "weight": task.object.mass * task.gravity,
             "length": shape.bounding_radius,
             "posture": self.q,
             **SynthesisOptions().values(),
