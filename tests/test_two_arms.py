@@ -337,6 +337,11 @@ def test_what_arms_do_not_do_is_refused(
         simulate(plan, timeline=Timeline.quick(**changes))
 
 
+def test_the_closed_loop_of_two_arms_is_refused_by_name(plan: GraspPlan) -> None:
+    with pytest.raises(TaskError, match="two hands on carriages, and those of .* are on arms"):
+        simulate(plan, controller="impedance")
+
+
 @pytest.mark.parametrize(
     ("spec", "base", "message"),
     [
