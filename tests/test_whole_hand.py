@@ -472,18 +472,27 @@ def test_a_weak_hand_shares_the_load_with_its_palm(hand: Hand) -> None:
 SERVO, RANGE = 0.8, 1.2
 """Torque per error (N m/rad) and range of commands (rad) of the servos below."""
 
+SPRING, BENT = 0.05, 0.02
+"""Stiffness (N m/rad) of springs in the joints there, and their torque (N m) at zero."""
 
-def test_the_room_of_actuators_is_that_of_their_laws_beside_pinocchios_torques() -> None:
+
+@pytest.mark.parametrize("gravity", [0.0, -3.7, -9.81])
+def test_the_room_of_actuators_is_that_of_their_laws_beside_pinocchios_torques(
+    gravity: float,
+) -> None:
     """Servos whose force ends with their range; fingers bear contacts, the wrist all the weight."""
     hand = load_hand("shadow_hand")
     a, n = hand.actuation, len(hand.actuation.names)
     bias = np.tile([0.0, -SERVO, 0.0], (n, 1))
     ends = np.tile([-RANGE, RANGE], (n, 1))
-    servos = replace(a, gain=np.full(n, SERVO), bias=bias, ctrl_range=ends)
+    springs = {
+        "stiffness": a.stiffness + SPRING * np.eye(hand.nq),
+        "spring_torque": np.full(hand.nq, BENT),
+    }
+    servos = replace(a, gain=np.full(n, SERVO), bias=bias, ctrl_range=ends, **springs)
     hand = replace(hand, actuation=servos)
-    task = GraspTask.create(
-        hand, parse_object("sphere:0.03", mass=1.0), table_height=None, grasp_type="power"
-    )
+    item, down = parse_object("sphere:0.03", mass=1.0), np.array([0.0, 0.0, gravity])
+    task = GraspTask.create(hand, item, gravity=down, table_height=None, grasp_type="power")
     problem = build_problem(hand, task.fingers, task.object.shape)
     start = EnvelopingSeeder(task).draw(np.random.default_rng(4))
     assert isinstance(start, Start)
@@ -509,6 +518,7 @@ def test_the_room_of_actuators_is_that_of_their_laws_beside_pinocchios_torques()
     palm = hand.contact_parts["palm"].pad.joint_id
     held = state.point_jacobian(palm, start.T_object_base.inverse().translation)[:3]
     tau[wrist] = (state.gravity_torque(down) - task.object.mass * down @ held)[wrist]
+    tau -= servos.passive_torque(start.q)
     low, high = servos.torque_limits(start.q).T
     coupled = np.flatnonzero(np.any([c.row for c in hand.couplings], axis=0))
     moved = {int(j) for finger in task.fingers for j in finger.q_index}
