@@ -155,6 +155,12 @@ LEAST_TOLD = 0.01
 touch."""
 
 
+def tilt_deg(wanted: SE3, pose: SE3) -> float:
+    """Angle (degrees) between two poses but for what is a turn about the vertical."""
+    there, here = wanted.rotation[2], pose.rotation[2]
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(there, here)), there @ here)))
+
+
 class Recorder(SampleRecorder):
     """Samples of one trial, taken at most every so often.
 
@@ -196,9 +202,7 @@ class Recorder(SampleRecorder):
         for i, (row, base) in enumerate(zip(self._rows, self._carried, strict=True)):
             if base is not None and row["phase"] in ("lift", "hold"):
                 wanted, pose = base * self._in_base, self._poses[i]
-                aside = np.cross(wanted.rotation[2], pose.rotation[2])
-                tilt = np.rad2deg(np.arcsin(min(1.0, float(np.linalg.norm(aside)))))
-                out[i] = (*pose_change(wanted, pose), tilt)
+                out[i] = (*pose_change(wanted, pose), tilt_deg(wanted, pose))
         off, turned, tilted = finite(out.T)
         return PathRecord(off_mm=off, turned_deg=turned, tilted_deg=tilted)
 

@@ -283,8 +283,8 @@ class TrialReport(ExecutionReport):
             "not held": f"[bold red]not held, {self.reason}[/]: {escape(self.verdict.detail)}",
         }[self.verdict.outcome]
         yield Text.from_markup(f"{escape(self.hand)}, {escape(self.object)}: {line}")
-        if self.path is not None and self.success:
-            yield Text(str(self.path))
+        if self.path is not None and self.success and (said := str(self.path)):
+            yield Text(said)
         for number, told in enumerate(self.tries if len(self.tries) > 1 else (), 1):
             yield Text(f"try {number}: {told}")
         if self.use is not None:

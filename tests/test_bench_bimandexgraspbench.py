@@ -51,7 +51,10 @@ def test_masses_that_are_none_are_refused(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("words", "message"),
-    [(("--masses", "0"), "are no masses in kg"), (("nowhere",), "cannot read the manifest of a batch nowhere")],
+    [
+        (("--masses", "0"), "are no masses in kg"),
+        (("nowhere",), "cannot read the manifest of a batch nowhere"),
+    ],
 )
 def test_what_is_refused_ends_before_anything_is_installed(
     words: tuple[str, ...], message: str, tmp_path: Path

@@ -21,6 +21,7 @@ from sim import ObjectImpedance, Timeline, simulate
 from sim.controllers.hand_dynamics import HandLoads
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw
 from sim.controllers.two_hands import PATCH, ObjectPath, PalmSprings, check_two_hands
+from sim.recorder import tilt_deg
 from sim.report_file import PathRecord, read_report, write_report_of
 from sim.show.trial_page import trial_page
 from sim.simulation import Simulation
@@ -183,6 +184,15 @@ def test_a_base_without_a_plan_carries_the_object(plan: GraspPlan) -> None:
     path, kept = ObjectPath(plan.task, MASS), SE3(np.eye(3), np.array([0.0, 0.1, 0.0]))
     path.follow(STEP, kept, SE3(np.eye(3), np.ones(3)), None)
     assert path.T_base_wanted.homogeneous == pytest.approx(kept.homogeneous)
+
+
+def test_a_tilt_is_what_a_turn_leaves_beside_one_about_the_vertical() -> None:
+    wanted = SE3(pin.exp3(np.array([0.2, -0.5, 0.9])), np.zeros(3))
+    up = pin.exp3(np.array([0.0, 0.0, 0.7]))
+    for angle in (0.0, 0.3, 2.8):  # the last is beyond a right angle
+        aside = pin.exp3(angle * np.array([0.6, 0.8, 0.0]))
+        pose = SE3(up @ aside @ wanted.rotation, np.ones(3))
+        assert tilt_deg(wanted, pose) == pytest.approx(np.rad2deg(angle), abs=1e-6)
 
 
 def test_one_palm_and_inner_links_are_refused_by_name(pair: Hand, plan: GraspPlan) -> None:
