@@ -245,7 +245,7 @@ def test_arms_bear_what_they_press_with_up_to_the_limits_of_their_motors(plan: G
         assert (found is None) == holds
     assert found is not None
     assert found.kind == "arm_torque"
-    assert "arm/A_joint" in found.text
+    assert "arm/A_joint" in found.text and "beyond its limits [" in found.text
 
 
 def test_pairs_of_both_hands_are_known(task: GraspTask) -> None:

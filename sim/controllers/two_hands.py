@@ -47,8 +47,8 @@ def check_two_hands(task: GraspTask) -> None:
     """
     if task.hand.on_arm:
         raise TaskError(
-            f"the closed loop commands two hands on carriages, and {task.hand.name} is on arms; use "
-            "the controller feedforward"
+            f"the closed loop commands two hands on carriages, and {task.hand.name} is on arms; "
+            "use the controller feedforward"
         )
     palms = {side.palm_body for side in task.hand.pair}
     touching = [f.name for f in task.fingers if f.name in palms]
