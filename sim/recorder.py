@@ -190,12 +190,12 @@ class Recorder(SampleRecorder):
         self._in_base = None if base is None else base.inverse() * self._simulation.T_world_object
 
     def _planned_base(self) -> SE3 | None:
-        """Where the base of two hands should be now; None of one hand."""
+        """Where the base of two hands should be now; None of one hand, or of arms."""
         simulation = self._simulation
         return simulation.planned_base() if simulation.plan.task.hand.pair else None
 
     def path_errors(self) -> PathRecord | None:
-        """How far the object is from its planned path; None of one hand, or without a lift."""
+        """How far the object is from its planned path; None but of two hands on carriages."""
         if self._in_base is None:
             return None
         out = np.full((len(self._rows), 3), NAN)

@@ -206,8 +206,8 @@ class TrialReport(ExecutionReport):
         tries: Of a ``CloudPlan``, how each try ended; the report is of the last.
         use: Of a tool: what it is, what was done, and what was measured at the times of the
             samples, as plain data of ``sim.report_file.UseRecord``; None of other trials.
-        path: Of two hands: how far the object is from its planned path, at the times of the
-            samples; None of one hand.
+        path: Of two hands on carriages: how far the object is from its planned path, at the times
+            of the samples; None of others.
     """
 
     verdict: Verdict
