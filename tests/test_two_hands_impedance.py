@@ -20,6 +20,7 @@ from planner.spatial import SE3, FloatArray, skew
 from sim import ObjectImpedance, Timeline, simulate
 from sim.controllers.hand_dynamics import HandLoads
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw
+from sim.controllers.object_impedance import MAX_NORMAL
 from sim.controllers.two_hands import PATCH, ObjectPath, PalmSprings, check_two_hands
 from sim.recorder import tilt_deg
 from sim.report_file import PathRecord, read_report, write_report_of
@@ -243,6 +244,14 @@ def test_two_hands_keep_an_object_on_its_path_and_level(plan: GraspPlan, tmp_pat
 def test_a_push_moves_the_object_less_than_under_posture_control(plan: GraspPlan) -> None:
     posture, loop = (pushed(plan, name, 30.0).largest[0] for name in ("feedforward", "impedance"))
     assert loop < 0.7 * posture
+
+
+def test_palms_press_more_than_pads_unless_a_largest_force_is_given(plan: GraspPlan) -> None:
+    palms = [plan.task.finger_names.index(name) for name in ("right/palm", "left/palm")]
+    planned = plan.contacts.forces[palms, 0]
+    assert (planned > MAX_NORMAL / 2).all()
+    assert ObjectImpedance(plan)._max_normal[palms] == pytest.approx(2.0 * planned)
+    assert ObjectImpedance(plan, max_normal=30.0)._max_normal == pytest.approx(30.0)
 
 
 def test_the_loop_believes_torsional_friction_of_palms_alone(plan: GraspPlan) -> None:
