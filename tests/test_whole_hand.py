@@ -486,11 +486,9 @@ def test_the_room_of_actuators_is_that_of_their_laws_beside_pinocchios_torques(
     a, n = hand.actuation, len(hand.actuation.names)
     bias = np.tile([0.0, -SERVO, 0.0], (n, 1))
     ends = np.tile([-RANGE, RANGE], (n, 1))
-    springs = {
-        "stiffness": a.stiffness + SPRING * np.eye(hand.nq),
-        "spring_torque": np.full(hand.nq, BENT),
-    }
-    servos = replace(a, gain=np.full(n, SERVO), bias=bias, ctrl_range=ends, **springs)
+    springs, bent = a.stiffness + SPRING * np.eye(hand.nq), np.full(hand.nq, BENT)
+    sprung = replace(a, stiffness=springs, spring_torque=bent)
+    servos = replace(sprung, gain=np.full(n, SERVO), bias=bias, ctrl_range=ends)
     hand = replace(hand, actuation=servos)
     item, down = parse_object("sphere:0.03", mass=1.0), np.array([0.0, 0.0, gravity])
     task = GraspTask.create(hand, item, gravity=down, table_height=None, grasp_type="power")
