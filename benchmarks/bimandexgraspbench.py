@@ -100,12 +100,12 @@ def cases(options: Options) -> Iterator[Row]:
         PlannerError: A batch cannot be read or exported, or the benchmark fails.
     """
     masses = _masses(options.masses)
+    batches = {folder: GraspSet(folder) for folder in options.batches or ()}
     installed = install(options.home, options.benchmark, commit=COMMIT)
     pair = _write_pair(installed, options.home.resolve() / "pair")
-    if not options.batches:
+    if not batches:
         say(out, escape(f"plan with: opposable batch {pair} ... --type palms --table none"))
-    for folder in options.batches or ():
-        batch = GraspSet(folder)
+    for folder, batch in batches.items():
         home = options.home.resolve() / file_name(folder.resolve().name)
         made = _export(batch, installed.checkout / MODEL, home / "export")
         told = [f"hand={HAND}", "setting=fc"]

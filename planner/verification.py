@@ -383,10 +383,11 @@ def lift_torques(
         if short.any():
             k = int(np.flatnonzero(short)[0])
             force = float(hand.actuation.split_torque(joints, torque)[0][k])
+            low, high = hand.actuation.force_limits(joints)[k]
             return Failure(
                 kind="arm_torque",
                 text=f"at {share:.0%} of the lift {hand.actuation.names[k]} would have to give "
-                f"{force:.1f}, beyond its limits",
+                f"{force:.1f}, beyond its limits [{low:.1f}, {high:.1f}]",
                 numbers={"force": force},
             )
     return None

@@ -155,6 +155,12 @@ LEAST_TOLD = 0.01
 touch."""
 
 
+def tilt_deg(wanted: SE3, pose: SE3) -> float:
+    """Angle (degrees) between two poses but for what is a turn about the vertical."""
+    there, here = wanted.rotation[2], pose.rotation[2]
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(there, here)), there @ here)))
+
+
 class Recorder(SampleRecorder):
     """Samples of one trial, taken at most every so often.
 
@@ -184,21 +190,19 @@ class Recorder(SampleRecorder):
         self._in_base = None if base is None else base.inverse() * self._simulation.T_world_object
 
     def _planned_base(self) -> SE3 | None:
-        """Where the base of two hands should be now; None of one hand."""
+        """Where the base of two hands should be now; None of one hand, or of arms."""
         simulation = self._simulation
         return simulation.planned_base() if simulation.plan.task.hand.pair else None
 
     def path_errors(self) -> PathRecord | None:
-        """How far the object is from its planned path; None of one hand, or without a lift."""
+        """How far the object is from its planned path; None but of two hands on carriages."""
         if self._in_base is None:
             return None
         out = np.full((len(self._rows), 3), NAN)
         for i, (row, base) in enumerate(zip(self._rows, self._carried, strict=True)):
             if base is not None and row["phase"] in ("lift", "hold"):
                 wanted, pose = base * self._in_base, self._poses[i]
-                aside = np.cross(wanted.rotation[2], pose.rotation[2])
-                tilt = np.rad2deg(np.arcsin(min(1.0, float(np.linalg.norm(aside)))))
-                out[i] = (*pose_change(wanted, pose), tilt)
+                out[i] = (*pose_change(wanted, pose), tilt_deg(wanted, pose))
         off, turned, tilted = finite(out.T)
         return PathRecord(off_mm=off, turned_deg=turned, tilted_deg=tilted)
 

@@ -206,8 +206,8 @@ class TrialReport(ExecutionReport):
         tries: Of a ``CloudPlan``, how each try ended; the report is of the last.
         use: Of a tool: what it is, what was done, and what was measured at the times of the
             samples, as plain data of ``sim.report_file.UseRecord``; None of other trials.
-        path: Of two hands: how far the object is from its planned path, at the times of the
-            samples; None of one hand.
+        path: Of two hands on carriages: how far the object is from its planned path, at the times
+            of the samples; None of others.
     """
 
     verdict: Verdict
@@ -283,8 +283,8 @@ class TrialReport(ExecutionReport):
             "not held": f"[bold red]not held, {self.reason}[/]: {escape(self.verdict.detail)}",
         }[self.verdict.outcome]
         yield Text.from_markup(f"{escape(self.hand)}, {escape(self.object)}: {line}")
-        if self.path is not None and self.success:
-            yield Text(str(self.path))
+        if self.path is not None and self.success and (said := str(self.path)):
+            yield Text(said)
         for number, told in enumerate(self.tries if len(self.tries) > 1 else (), 1):
             yield Text(f"try {number}: {told}")
         if self.use is not None:

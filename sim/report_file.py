@@ -37,8 +37,6 @@ __all__ = [
     "write_report_of",
 ]
 
-NAN = float("nan")
-
 REPORT_VERSION: Literal[4] = 4
 """Version of ``ReportFile``; another number means another schema. Version 1 had no states, versions
 1 and 2 no error model, version 3 had it under ``reality``."""
@@ -143,7 +141,9 @@ class PathRecord(StrictData):
     def largest(self) -> tuple[float, float, float]:
         """Of distance (mm), rotation and tilt (degrees) the largest; NaN where none is known."""
         found = (self.off_mm, self.turned_deg, self.tilted_deg)
-        off, turned, tilted = (max((v for v in c if v is not None), default=NAN) for c in found)
+        off, turned, tilted = (
+            max((v for v in c if v is not None), default=math.nan) for c in found
+        )
         return off, turned, tilted
 
     def __str__(self) -> str:

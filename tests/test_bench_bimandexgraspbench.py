@@ -49,9 +49,17 @@ def test_masses_that_are_none_are_refused(text: str) -> None:
     assert _masses("0.1,3") == [0.1, 3.0]
 
 
-def test_a_refused_mass_ends_before_anything_is_installed(tmp_path: Path) -> None:
-    words = ("bench", "bimandexgraspbench", "--masses", "0", "--home", tmp_path / "home")
-    code, _, err = opposable(*words)
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--masses", "0"), "are no masses in kg"),
+        (("nowhere",), "cannot read the manifest of a batch nowhere"),
+    ],
+)
+def test_what_is_refused_ends_before_anything_is_installed(
+    words: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    code, _, err = opposable("bench", "bimandexgraspbench", *words, "--home", tmp_path / "home")
     assert code == 3
-    assert "are no masses in kg" in " ".join(err.split())
+    assert message in " ".join(err.split())
     assert not (tmp_path / "home").exists()

@@ -101,6 +101,8 @@ def test_the_arms_are_far_from_their_singular_posture(plan: GraspPlan, file: Pat
 def test_models_that_are_no_such_arms_are_refused(pair: Hand, file: Path, tmp_path: Path) -> None:
     with pytest.raises(TaskError, match="allegro_hand is one hand"):
         PairModel.of(file, load_hand("allegro_hand"))
+    with pytest.raises(TaskError, match="is on arms of its own; plan with two hands on carriages"):
+        PairModel.of(file, load_hand("allegro_on_arm7+allegro_on_arm7"))
     with pytest.raises(TaskError, match="has no joint 'index_0'"):
         PairModel.of(_edited(file, tmp_path, '"right/index_0"', '"x"', count=-1), pair)
     name = 'name="right/carriage_ry"'

@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 
 from planner import GraspTask, plan_grasp
-from planner.collision.arm_path import PAIR_LIFT_HEIGHT, lift_height, onto_arms
+from planner.collision.arm_path import PAIR_LIFT_HEIGHT, _load, lift_height, onto_arms
 from planner.collision.pair_table import PairTable
 from planner.collision.pregrasp import Approach
 from planner.collision.world import CollisionWorld
@@ -245,7 +245,23 @@ def test_arms_bear_what_they_press_with_up_to_the_limits_of_their_motors(plan: G
         assert (found is None) == holds
     assert found is not None
     assert found.kind == "arm_torque"
-    assert "arm/A_joint" in found.text
+    assert "arm/A_joint" in found.text and "beyond its limits [" in found.text
+
+
+def test_what_an_arm_uses_of_its_motors_is_mujocos(plan: GraspPlan) -> None:
+    """Its weight and the grip at its palm, as the largest share of a motor."""
+    for side in plan.task.hand.pair:
+        alone, q = side.alone, plan.q[side.joints]
+        data = mujoco.MjData(alone.mj_model)
+        data.qpos[:] = q
+        mujoco.mj_forward(data.model, data)
+        palm, rates = data.body(alone.description.palm_body), np.zeros((3, data.model.nv))
+        mujoco.mj_jac(data.model, data, rates, None, palm.xpos, palm.id)
+        press = plan.task.grip_force * palm.xmat.reshape(3, 3) @ alone.palm_normal
+        used = np.abs(data.qfrc_bias + press @ rates) / alone.actuation.torque_limits(q)[:, 1]
+        root = plan.T_world_base * side.T_base_root
+        most = used[alone.arm_index].max()
+        assert _load(plan.task, side, root, q) == pytest.approx(most, rel=1e-6)
 
 
 def test_pairs_of_both_hands_are_known(task: GraspTask) -> None:
@@ -335,6 +351,11 @@ def test_what_arms_do_not_do_is_refused(
 ) -> None:
     with pytest.raises(TaskError, match=message):
         simulate(plan, timeline=Timeline.quick(**changes))
+
+
+def test_the_closed_loop_of_two_arms_is_refused_by_name(plan: GraspPlan) -> None:
+    with pytest.raises(TaskError, match="commands two hands on carriages"):
+        simulate(plan, controller="impedance")
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,9 @@ from planner.spatial import SE3, FloatArray, skew
 from sim import ObjectImpedance, Timeline, simulate
 from sim.controllers.hand_dynamics import HandLoads
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw
+from sim.controllers.object_impedance import MAX_NORMAL
 from sim.controllers.two_hands import PATCH, ObjectPath, PalmSprings, check_two_hands
+from sim.recorder import tilt_deg
 from sim.report_file import PathRecord, read_report, write_report_of
 from sim.show.trial_page import trial_page
 from sim.simulation import Simulation
@@ -185,6 +187,15 @@ def test_a_base_without_a_plan_carries_the_object(plan: GraspPlan) -> None:
     assert path.T_base_wanted.homogeneous == pytest.approx(kept.homogeneous)
 
 
+def test_a_tilt_is_what_a_turn_leaves_beside_one_about_the_vertical() -> None:
+    wanted = SE3(pin.exp3(np.array([0.2, -0.5, 0.9])), np.zeros(3))
+    up = pin.exp3(np.array([0.0, 0.0, 0.7]))
+    for angle in (0.0, 0.3, 2.8):  # the last is beyond a right angle
+        aside = pin.exp3(angle * np.array([0.6, 0.8, 0.0]))
+        pose = SE3(up @ aside @ wanted.rotation, np.ones(3))
+        assert tilt_deg(wanted, pose) == pytest.approx(np.rad2deg(angle), abs=1e-6)
+
+
 def test_one_palm_and_inner_links_are_refused_by_name(pair: Hand, plan: GraspPlan) -> None:
     check_two_hands(plan.task)
     check_two_hands(cube(pair))
@@ -233,6 +244,14 @@ def test_two_hands_keep_an_object_on_its_path_and_level(plan: GraspPlan, tmp_pat
 def test_a_push_moves_the_object_less_than_under_posture_control(plan: GraspPlan) -> None:
     posture, loop = (pushed(plan, name, 30.0).largest[0] for name in ("feedforward", "impedance"))
     assert loop < 0.7 * posture
+
+
+def test_palms_press_more_than_pads_unless_a_largest_force_is_given(plan: GraspPlan) -> None:
+    palms = [plan.task.finger_names.index(name) for name in ("right/palm", "left/palm")]
+    planned = plan.contacts.forces[palms, 0]
+    assert (planned > MAX_NORMAL / 2).all()
+    assert ObjectImpedance(plan)._max_normal[palms] == pytest.approx(2.0 * planned)
+    assert ObjectImpedance(plan, max_normal=30.0)._max_normal == pytest.approx(30.0)
 
 
 def test_the_loop_believes_torsional_friction_of_palms_alone(plan: GraspPlan) -> None:

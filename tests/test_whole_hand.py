@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from planner.hands import fingers as link_pads
 from planner.hands.fingers import Pad
 from planner.hands.grasp_types import contact_sets
 from planner.hands.hand import Hand
-from planner.kinematics import HandState
+from planner.kinematics import HandState, moving_hand
 from planner.motion.search import check_task
 from planner.objects import Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
@@ -472,18 +473,25 @@ def test_a_weak_hand_shares_the_load_with_its_palm(hand: Hand) -> None:
 SERVO, RANGE = 0.8, 1.2
 """Torque per error (N m/rad) and range of commands (rad) of the servos below."""
 
+SPRING, BENT = 0.05, 0.02
+"""Stiffness (N m/rad) of springs in the joints there, and their torque (N m) at zero."""
 
-def test_the_room_of_actuators_is_that_of_their_laws_beside_pinocchios_torques() -> None:
+
+@pytest.mark.parametrize("gravity", [0.0, -3.7, -9.81])
+def test_the_room_of_actuators_is_that_of_their_laws_beside_pinocchios_torques(
+    gravity: float,
+) -> None:
     """Servos whose force ends with their range; fingers bear contacts, the wrist all the weight."""
     hand = load_hand("shadow_hand")
     a, n = hand.actuation, len(hand.actuation.names)
     bias = np.tile([0.0, -SERVO, 0.0], (n, 1))
     ends = np.tile([-RANGE, RANGE], (n, 1))
-    servos = replace(a, gain=np.full(n, SERVO), bias=bias, ctrl_range=ends)
+    springs, bent = a.stiffness + SPRING * np.eye(hand.nq), np.full(hand.nq, BENT)
+    sprung = replace(a, stiffness=springs, spring_torque=bent)
+    servos = replace(sprung, gain=np.full(n, SERVO), bias=bias, ctrl_range=ends)
     hand = replace(hand, actuation=servos)
-    task = GraspTask.create(
-        hand, parse_object("sphere:0.03", mass=1.0), table_height=None, grasp_type="power"
-    )
+    item, down = parse_object("sphere:0.03", mass=1.0), np.array([0.0, 0.0, gravity])
+    task = GraspTask.create(hand, item, gravity=down, table_height=None, grasp_type="power")
     problem = build_problem(hand, task.fingers, task.object.shape)
     start = EnvelopingSeeder(task).draw(np.random.default_rng(4))
     assert isinstance(start, Start)
@@ -509,6 +517,7 @@ def test_the_room_of_actuators_is_that_of_their_laws_beside_pinocchios_torques()
     palm = hand.contact_parts["palm"].pad.joint_id
     held = state.point_jacobian(palm, start.T_object_base.inverse().translation)[:3]
     tau[wrist] = (state.gravity_torque(down) - task.object.mass * down @ held)[wrist]
+    tau -= servos.passive_torque(start.q)
     low, high = servos.torque_limits(start.q).T
     coupled = np.flatnonzero(np.any([c.row for c in hand.couplings], axis=0))
     moved = {int(j) for finger in task.fingers for j in finger.q_index}
@@ -554,6 +563,45 @@ def test_a_wrist_that_cannot_hold_the_object_is_turned_another_way() -> None:
     assert 0 < sum(heavy) < len(heavy)
     better = [seeder(8.0)._drawn_hand(np.random.default_rng(i)) for i in range(12)]
     assert sum(seeder(8.0)._wrist_bears(*one) for one in better) > sum(heavy)
+
+
+WEAK = 0.15
+"""Share of their force (-) that motors have left below."""
+
+
+def test_what_a_wrist_bears_is_what_its_motors_give_by_mujoco() -> None:
+    """Of hand and object together, by motors that hardly hold the hand alone.
+
+    Where the object would lift the hand instead, several answers are others.
+    """
+    hand = load_hand("shadow_hand")
+    weak = replace(hand.actuation, force_range=WEAK * hand.actuation.force_range)
+    hand = replace(hand, actuation=weak)
+    model, wrist = copy(hand.mj_model), hand.wrist_index
+    data, differ = mujoco.MjData(model), 0
+    palm = model.body(hand.description.palm_body).id
+    for seed in range(60):
+        mass = 0.2 + 0.02 * seed
+        item = parse_object("sphere:0.03", mass=mass)
+        task = GraspTask.create(hand, item, table_height=None, grasp_type="power")
+        seeder = EnvelopingSeeder(task)
+        rng = np.random.default_rng(seed)
+        q = seeder._with_noise(seeder.open, rng)
+        in_base = SE3(moving_hand(hand).move(q).joint_pose(seeder._palms[0].pad.joint_id))
+        T_object_base = seeder._palm_pose(rng) * in_base.inverse()
+        down = T_object_base.rotation.T @ task.T_world_object.rotation.T @ task.gravity
+        model.opt.gravity[:], data.qpos[:] = down, q
+        mujoco.mj_forward(model, data)
+        rates = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, rates, None, T_object_base.inverse().translation, palm)
+        low, high = hand.actuation.torque_limits(q)[wrist].T
+        own, held = data.qfrc_bias[wrist], (mass * down @ rates)[wrist]
+        borne, apart = (
+            bool(((torque >= low) & (torque <= high)).all()) for torque in (own - held, own + held)
+        )
+        assert seeder._wrist_bears(T_object_base, q) == borne
+        differ += borne != apart
+    assert differ > 2, differ
 
 
 def test_a_hull_beside_a_touching_pad_keeps_the_clearance_of_links(hand: Hand) -> None:

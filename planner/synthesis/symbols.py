@@ -321,6 +321,7 @@ class GraspSymbols:
         length: Characteristic length, m.
         grip: Normal force with which the outermost contact of each finger presses at least, N.
         weight: Of the object (3,), N.
+        gravity: Acceleration (3,), m/s2.
         posture: Preferred joints (nq,).
         option: Margins and weights by name, see ``SynthesisOptions.values``.
         own: Parameters of single terms, see ``parameter``.
@@ -365,6 +366,7 @@ class GraspSymbols:
         ]
         self.mu, self.length = ca.SX.sym("mu"), ca.SX.sym("length")
         self.grip, self.weight = ca.SX.sym("grip"), ca.SX.sym("weight", 3)
+        self.gravity = ca.SX.sym("gravity", 3)
         self.posture = ca.SX.sym("posture", hand.nq)
         self.option = {name: ca.SX.sym(name) for name in options}
         self.own: dict[str, Any] = {}
@@ -400,6 +402,7 @@ class GraspSymbols:
             "mu": self.mu,
             "grip": self.grip,
             "weight": self.weight,
+            "gravity": self.gravity,
             "length": self.length,
             "posture": self.posture,
             **self.option,

@@ -136,7 +136,7 @@ class ObjectImpedance:
         gains: ImpedanceGains | None = None,
         mass: float | None = None,
         mu: float | None = None,
-        max_normal: float = MAX_NORMAL,
+        max_normal: float | None = None,
         costs: Sequence[QuadraticCost] = (),
     ) -> None:
         """Prepare for a plan.
@@ -146,7 +146,8 @@ class ObjectImpedance:
             gains: Of the impedance; from what moves with the object if None.
             mass: Mass that the object is believed to have, kg; the task's if None.
             mu: Friction that the contacts are believed to have (-); the task's if None.
-            max_normal: Largest normal force that a pad is asked for, N.
+            max_normal: Largest normal force that a pad is asked for, N; ``MAX_NORMAL`` if None, of
+                two hands at least ``MOST_OF_PLANNED`` times the planned one.
             costs: Costs of your own of the contact forces, in every step.
 
         Raises:
@@ -160,12 +161,14 @@ class ObjectImpedance:
         for name, value, unit in (
             ("believed mass", self._mass, " in kg"),
             ("believed mu", first_mu, ""),
-            ("largest normal force", max_normal, " in N"),
+            ("largest normal force", MAX_NORMAL if max_normal is None else max_normal, " in N"),
         ):
             if not (np.isfinite(value) and value > 0):
                 raise TaskError(f"the {name} is {value}; give a number > 0{unit}")
-        planned = plan.contacts.forces[:, 0]
-        self._max_normal = np.maximum(max_normal, MOST_OF_PLANNED * planned * bool(task.hand.pair))
+        most = np.full(len(task.fingers), MAX_NORMAL if max_normal is None else max_normal)
+        if task.hand.pair and max_normal is None:
+            most = np.maximum(most, MOST_OF_PLANNED * plan.contacts.forces[:, 0])
+        self._max_normal = most
         self._costs = tuple(costs)
         if task.hand.pair:
             check_two_hands(task)

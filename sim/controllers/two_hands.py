@@ -43,8 +43,13 @@ def check_two_hands(task: GraspTask) -> None:
     """Refuse what the closed loop cannot command: it needs both palms, or fingertips alone.
 
     Raises:
-        TaskError: Other links touch, or one palm without the other.
+        TaskError: The hands are on arms, other links touch, or one palm without the other.
     """
+    if task.hand.on_arm:
+        raise TaskError(
+            f"the closed loop commands two hands on carriages, and {task.hand.name} is on arms; "
+            "use the controller feedforward"
+        )
     palms = {side.palm_body for side in task.hand.pair}
     touching = [f.name for f in task.fingers if f.name in palms]
     outer = {task.finger_names[i] for i in task.outermost}

@@ -373,7 +373,9 @@ class ForeignScene:
         """The box, in the object's axes, around a geom of the object."""
         model, geom = self.model, _id(self.model, "geom", name)
         if model.geom_bodyid[geom] not in self.parts:
-            raise TaskError(f"geom {name!r} does not belong to the object; name geoms of its body")
+            raise TaskError(
+                f"geom {name!r} does not belong to the object; name geoms of its bodies"
+            )
         pose = self.T_world_object.actInv(_pose(self.data.geom(geom)))
         local, half = np.split(model.geom_aabb[geom], 2)
         middle, reach = pose.act(local), np.abs(pose.rotation) @ half + EDGE

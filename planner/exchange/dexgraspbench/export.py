@@ -80,14 +80,14 @@ JERK = 25.0
 """Acceleration (m/s2) of a lift in the benchmark: the hand's target jumps by 10 mm, and the weld
 that draws it there has the time constant 20 ms: 10 mm / (20 ms)^2 (``tabletop_mocap.py``)."""
 
-PUSHES = 6
-"""Number of these directions."""
-
 LOADS = np.vstack(
     [PUSH * np.vstack([np.eye(3), -np.eye(3)]), (PUSH + JERK) * np.array([[0.0, 0.0, -1.0]])]
 )
 """Forces over mass (7, 3), m/s2, in world axes, on the object's centre of mass; the last is the
 lift's."""
+
+PUSHES = len(LOADS) - 1
+"""How many of them are pushes: all but the lift."""
 
 FRICTION = 0.6
 """Friction coefficient of the benchmark (-) (``config/task/eval.yaml``)."""

@@ -71,11 +71,16 @@ class PairModel:
             hand: The pair.
 
         Raises:
-            TaskError: It is one hand, or has other bodies or joints.
+            TaskError: It is one hand, or on arms, or has other bodies or joints.
             ModelError: Its arms are not three slides and three hinges about x, y and z.
         """
         if not hand.pair:
             raise TaskError(f"{hand.name} is one hand; plan with two, of the joints of {path}")
+        if hand.on_arm:
+            raise TaskError(
+                f"{hand.name} is on arms of its own; plan with two hands on carriages, for which "
+                f"the arms of {path} stand"
+            )
         model = compile_spec(load_spec(path), str(path))
         pin_model = pinocchio_from_mujoco(model)
         names = tuple(pin_model.names[1:])

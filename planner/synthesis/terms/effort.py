@@ -46,22 +46,18 @@ def _effort(g: GraspSymbols) -> Iterator[Rows]:
 def _of_wrist(g: GraspSymbols) -> Any:
     """Torques (nq,) with which the wrist's joints bear the object and the hand beyond them."""
     out, model = ca.SX.zeros(g.hand.nq), g.hand.pin_model
-    down = g.rotation.T @ g.weight
+    weight, gravity = g.rotation.T @ g.weight, g.rotation.T @ g.gravity
     center = -g.rotation.T @ g.shift  # the object's, in the base
     for j in g.hand.wrist_index.tolist():
         name = model.names[j + 1]
-        out[j] = g.symbolic.joint_torque(name, center, -down)
-        unit = down / ca.norm_2(g.weight)
+        out[j] = g.symbolic.joint_torque(name, center, -weight)
         for k in range(1, model.njoints):
             if g.hand.moved_by[k, j]:
                 part = model.inertias[k]
                 at = g.symbolic.point(k, part.lever)
-                out[j] += g.symbolic.joint_torque(name, at, -STANDARD_GRAVITY * part.mass * unit)
+                out[j] += g.symbolic.joint_torque(name, at, -part.mass * gravity)
     return out
 
-
-STANDARD_GRAVITY = 9.81
-"""m/s2, for the hand's own weight."""
 
 EFFORT = Term(
     name="effort",
