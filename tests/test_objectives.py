@@ -106,6 +106,7 @@ class Place:
             "mu": task.mu,
             "grip": task.grip_force,
             "weight": task.object.mass * task.gravity,
+            "gravity": task.gravity,
             "length": shape.bounding_radius,
             "posture": self.q,
             **SynthesisOptions().values(),
