@@ -202,6 +202,21 @@ def test_normals_of_round_contacts_are_those_of_the_shapes(tmp_path: Path) -> No
         assert normal @ planned[finger] > np.cos(np.deg2rad(6.0))
 
 
+def test_a_power_grasp_has_its_planned_forces(tmp_path: Path) -> None:
+    """Commands of the planned posture left the palm 0.4 of 2.9 N, and the ball flew out."""
+    need_drake()
+    task = GraspTask.create("allegro_hand", "sphere:0.0264", grasp_type="power")
+    plan = plan_grasp(task, seed=29137)
+    export_scene(plan, tmp_path / "scene")
+    seen = hold_in_drake(tmp_path / "scene", seconds=0.2)
+    assert seen.held and seen.moved_mm[-1] < 1.0, seen.detail
+    pressing = np.einsum("ij,ij->i", seen.touches.forces, seen.touches.normals)
+    last = seen.touches.moment == len(seen.time) - 1
+    for part, planned in zip(plan.contacts.fingers, plan.forces.forces[:, 0], strict=True):
+        of_part = [part == plan.task.part_of_body[b[5:]] for b in seen.touches.bodies]
+        assert pressing[last & of_part].sum() == pytest.approx(planned, rel=0.25)
+
+
 def test_without_the_squeeze_the_object_falls(edited: Callable[..., Path]) -> None:
     need_drake()
 
