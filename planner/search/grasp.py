@@ -478,8 +478,8 @@ class _GraspContext:
 
     def verified(self, candidate: Candidate) -> GraspPlan | Failure:
         """Project a candidate onto the true surface and verify it."""
-        problem, options, shared = self.grasp_problem, self.options, self.task.sharing_palm
-        found = finished(problem, self.problem.asked, candidate, options)
+        problem, options, asked = self.grasp_problem, self.options, self.problem.asked
+        shared, found = asked.sharing_palm, finished(problem, asked, candidate, options)
         if not (self.shares and shared and isinstance(found, Failure) and found.kind == NO_FORCES):
             return found
         return finished(problem, shared, candidate, options)
