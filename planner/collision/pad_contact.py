@@ -112,7 +112,8 @@ class PadContactQueries:
             [len(way) > 0 and kind != "mesh" for way, kind in zip(self._reach, kinds, strict=True)]
         )
         carried = [i for i, f in enumerate(task.fingers) if f.pad.geom in _palms_of_two(hand)]
-        self._middling = carried or list(range(len(task.fingers)))
+        self.middling = carried or list(range(len(task.fingers)))
+        """Numbers of the pads next to whose middle a face or a line touches."""
         self._shares = [_shares(len(reach)) for reach in self._reach]
         self._pairs = [
             [
@@ -182,7 +183,7 @@ class PadContactQueries:
         Palms of two hands press against each other, next to the middle of both: fingers, which
         touch lightly, would draw them to the palms' ends, where wrists bear least.
         """
-        out, middle = middles.copy(), middles[self._middling].mean(axis=0)
+        out, middle = middles.copy(), middles[self.middling].mean(axis=0)
         for i in np.flatnonzero(self._lies).tolist():
             turn = base.rotation @ self._state.joint_pose(int(self._joints[i])).rotation
             at = middles[i] + self._shares[i] @ self._reach[i] @ turn.T

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from planner.collision.arm_path import lift_height
 from planner.collision.world import CollisionWorld
@@ -46,9 +45,6 @@ WITHDRAWAL, WITHDRAWALS = 0.02, 16
 """Step (m) by which a palm goes back, away from its fingers, until the arm's last link, which is
 thicker than the palm, is clear of the object; and the most places looked at."""
 
-STANDS_IN = 0.003
-"""How deep (m) a palm drawn may stand in the object or the table: the solver gets it out."""
-
 IN_THE_WAY = 0.03
 """How far (m) arms may be in something at places drawn: the search finds others beside them."""
 
@@ -83,7 +79,6 @@ class PairSeeder(EnvelopingSeeder):
         self._tips = [self._tips_of(palm) for palm in self._palms]
         self._turn: float | None = None
         self._links = [self._last_link_of(palm, at_rest) for palm in self._palms]
-        self._stiff = [self._stiff_of(palm) for palm in self._palms]
         apart = self._rest[0].translation - self._rest[1].translation
         self._from = apart / np.linalg.norm(apart)
         self._faces = self._faces_towards_hands()
@@ -209,11 +204,7 @@ class PairSeeder(EnvelopingSeeder):
         return np.asarray(noisy / np.linalg.norm(noisy))
 
     def _carriage(self, i: int, outward: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Joints (6,) of carriage i that lay its palm on the side of the object that looks so.
-
-        Of some places the first within the carriage's reach that stands in nothing, or the nearest
-        to that.
-        """
+        """Joints (6,) of carriage i that lay its palm on the side of the object that looks so."""
         hand, rest, root = self.task.hand, self._rest[i], self._roots[i]
         mine = self._palms[i].side.carriage
         low, high = hand.q_lower[mine], hand.q_upper[mine]
@@ -221,8 +212,7 @@ class PairSeeder(EnvelopingSeeder):
         for _ in range(PLACED_DRAWS):
             pose = self._drawn_pose(i, outward, rng)
             wanted = carriage_joints(root.inverse() * pose * rest.inverse() * root)
-            beyond = max(float(np.maximum(low - wanted, wanted - high).max()), 0.0)
-            beyond += max(self._depth(i, pose) - STANDS_IN, 0.0)
+            beyond = float(np.maximum(low - wanted, wanted - high).max())
             if beyond < least:
                 best, least = np.clip(wanted, low, high), beyond
             if beyond <= 0.0:
@@ -236,7 +226,7 @@ class PairSeeder(EnvelopingSeeder):
         turn = pin.exp3(outward * self._drawn_turn(i, rng)) @ onto
         far = shape.bounding_radius * (FAR * outward + rng.normal(0.0, ASIDE_NOISE, 3))
         if palm.touches:
-            gap, place = 0.0, self._on_palm(palm, rng)
+            gap, place = 0.0, self._shares(palm, rng)
         else:
             gap, place = rng.uniform(*TIPS_GAP), self._tips[i]
         centers, radii = self._links[i]
@@ -250,42 +240,6 @@ class PairSeeder(EnvelopingSeeder):
                 break
             far -= WITHDRAWAL * (onto @ palm.way)  # the last link beyond the object's edge
         return pose
-
-    def _on_palm(self, palm: Palm, rng: np.random.Generator) -> FloatArray:
-        """Where on the palm the object lies, (3,), m: anywhere if a wrist bears what it presses.
-
-        The wrist's motors bear most at the heel, where others' spheres may be in the way.
-        """
-        if not len(self.task.hand.wrist_index):
-            return self._shares(palm, rng)
-        return np.asarray(rng.uniform(-1.0, 1.0, len(palm.pad.reach)) @ palm.pad.reach)
-
-    def _depth(self, i: int, pose: SE3) -> float:
-        """How deep (m) a palm at a pose, and what is fixed to it, is in the object or table."""
-        centers, radii, firm = self._stiff[i]
-        at = centers @ pose.rotation.T + pose.translation
-        depth = float((radii[firm] - self._from_surface(at[firm])[0]).max(initial=0.0))
-        if self.task.table_height is None:
-            return depth
-        T = self.task.T_world_object
-        heights = at @ T.rotation[2] + T.translation[2] - self.task.table_height
-        return max(depth, float((radii - heights).max()))
-
-    def _stiff_of(self, palm: Palm) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Spheres of an open hand: centres (k, 3) in the palm's joint, radii (k,), m.
-
-        And which of them (k,) are fixed to the palm, or begin a finger there, but for its pad.
-        """
-        hand, state = self.task.hand, moving_hand(self.task.hand).move(self.open)
-        mine = [b for b in self._spheres if hand.moved_by[b.joint_id, palm.side.carriage].any()]
-        inverse = SE3(state.joint_pose(palm.pad.joint_id)).inverse()
-        centers = [inverse.act(state.joint_pose(b.joint_id).act(b.center)) for b in mine]
-        firm = [
-            b.geometry != palm.pad.geom
-            and (not b.finger or hand.pin_model.parents[b.joint_id] == palm.pad.joint_id)
-            for b in mine
-        ]
-        return np.array(centers), np.array([b.radius for b in mine]), np.array(firm)
 
     @property
     def _most_turn(self) -> float:
