@@ -312,12 +312,14 @@ class GraspTask:
 
     @cached_property
     def sharing_palm(self) -> GraspTask | None:
-        """The same with half the default grip, where a palm of one hand touches; None elsewhere.
+        """The same with half the default grip: where a palm of one hand touches, or two hands hold.
 
         A palm is pressed as hard as the fingers press onto it, and its friction carries as much: so
-        the weight is carried with the same reserve.
+        the weight is carried with the same reserve. Of two hands it is the reserve that is halved,
+        to what friction needs; the force programme then presses as hard as its share of it asks.
         """
-        if self.hand.pair or self.expected_load or all(f.joints for f in self.fingers):
+        alone = not self.hand.pair and all(f.joints for f in self.fingers)
+        if self.expected_load or alone:
             return None
         n = _pressing(self.hand, self.fingers)
         usual, least = (

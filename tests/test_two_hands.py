@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner import GraspTask, plan_grasp
-from planner.collision.pad_contact import pad_contacts
+from planner.collision.pad_contact import pad_contact_queries, pad_contacts
 from planner.collision.pregrasp_ik import OPENED_SHARE
 from planner.errors import HandError, PlannerError, TaskError
 from planner.failure import Failure
@@ -344,3 +344,27 @@ def test_descriptions_with_faults_are_refused(change: Change, message: str, tmp_
     path.write_text(change(text).replace("../", f"{hands}/"), encoding="utf-8")
     with pytest.raises(HandError, match=message):
         load_hand(path)
+
+
+def test_palms_touch_next_to_the_middle_of_both(plan: GraspPlan) -> None:
+    """Fingertips, which press with 1.5 N, do not draw the palms' contacts to the palms' ends."""
+    palms = {side.palm_body for side in plan.task.hand.pair}
+    middling = pad_contact_queries(plan.task).middling
+    assert {plan.task.finger_names[i] for i in middling} == palms
+
+
+def test_two_weak_hands_hold_with_half_the_reserve() -> None:
+    """A grip that tips of the Shadow-type pair lack is halved; friction still bears the weight."""
+    mass = 3.2
+    task = GraspTask.create("two_shadow_hands", heavy("box:0.368x0.328x0.404", mass))
+    found = plan_grasp(task, seed=11)
+    whole = 2 * mass * GRAVITY / (task.mu * len(found.task.finger_names))
+    assert found.task.is_of_fingertips
+    assert found.task.grip_force == pytest.approx(whole / 2)
+    normals = found.contacts.forces[:, 0]
+    assert normals.min() >= whole / 2 - 1e-6
+    assert task.mu * normals.sum() > mass * GRAVITY
+
+
+def test_two_hands_keep_the_whole_reserve_where_they_have_it(plan: GraspPlan) -> None:
+    assert plan.task.grip_force == pytest.approx(MASS * GRAVITY / plan.task.mu, rel=1e-3)

@@ -111,6 +111,9 @@ class PadContactQueries:
         self._lies = np.array(  # the box of a hull is not its surface
             [len(way) > 0 and kind != "mesh" for way, kind in zip(self._reach, kinds, strict=True)]
         )
+        carried = [i for i, f in enumerate(task.fingers) if f.pad.geom in _palms_of_two(hand)]
+        self.middling = carried or list(range(len(task.fingers)))
+        """Numbers of the pads next to whose middle a face or a line touches."""
         self._shares = [_shares(len(reach)) for reach in self._reach]
         self._pairs = [
             [
@@ -175,8 +178,12 @@ class PadContactQueries:
         return base, gaps.copy(), points.copy(), outward.copy()
 
     def _touching_centers(self, base: SE3, middles: FloatArray) -> FloatArray:
-        """Centres (n, 3) of the pads' spheres where they touch, next to the middle of all."""
-        out, middle = middles.copy(), middles.mean(axis=0)
+        """Centres (n, 3) of the pads' spheres where they touch, next to the middle of all.
+
+        Palms of two hands press against each other, next to the middle of both: fingers, which
+        touch lightly, would draw them to the palms' ends, where wrists bear least.
+        """
+        out, middle = middles.copy(), middles[self.middling].mean(axis=0)
         for i in np.flatnonzero(self._lies).tolist():
             turn = base.rotation @ self._state.joint_pose(int(self._joints[i])).rotation
             at = middles[i] + self._shares[i] @ self._reach[i] @ turn.T
@@ -203,6 +210,12 @@ class PadContactQueries:
         lifted = SE3(at.rotation, at.translation + (LIFTED + max(-gap, 0.0)) * outward)
         found = pair.query(lifted, IDENTITY)
         return gap, found.point_b, -found.normal
+
+
+def _palms_of_two(hand: Hand) -> set[str]:
+    """Geometries with which the palms of two hands touch."""
+    palms = [hand.contact_parts.get(side.palm_body) for side in hand.pair]
+    return {palm.pad.geom for palm in palms if palm is not None}
 
 
 def _shares(n: int) -> FloatArray:

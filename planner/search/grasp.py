@@ -78,7 +78,8 @@ ONE_CAUSE = 0.8
 
 SHARE_AFTER = 2
 """Attempts after which a weak hand's palm counts in the default grip: half the grip bears less of a
-push, but a hand that has not the grip with two sets of contacts seldom has it with others."""
+push, but a hand that has not the grip with two sets of contacts seldom has it with others. Two
+hands try each set so often before the reserve of theirs is halved."""
 
 SPARE_AFTER = 5
 """Attempts after which every other one is made with three fingers alone, if the choice of fingers
@@ -112,6 +113,7 @@ def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool
     """
     options = needed_options(task.needed, options)
     choices = _possible(task, options.form)
+    share_after = SHARE_AFTER * (len(choices) if task.hand.pair else 1)
 
     def context(index: int, is_found: bool) -> _GraspContext:
         task = choices[index % len(choices)]
@@ -119,7 +121,7 @@ def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool
         spares = task.may_spare_fingers and past >= 0 and past % 2 == 0 and not is_found
         problem = (_spared_problem if spares else _problem)(task, options.form)
         true_geometry(problem.task)  # this thread's own is made before the attempt's time begins
-        return _GraspContext(problem, options, shares=index >= SHARE_AFTER and not is_found)
+        return _GraspContext(problem, options, shares=index >= share_after and not is_found)
 
     return context
 
@@ -478,8 +480,8 @@ class _GraspContext:
 
     def verified(self, candidate: Candidate) -> GraspPlan | Failure:
         """Project a candidate onto the true surface and verify it."""
-        problem, options, shared = self.grasp_problem, self.options, self.task.sharing_palm
-        found = finished(problem, self.problem.asked, candidate, options)
+        problem, options, asked = self.grasp_problem, self.options, self.problem.asked
+        shared, found = asked.sharing_palm, finished(problem, asked, candidate, options)
         if not (self.shares and shared and isinstance(found, Failure) and found.kind == NO_FORCES):
             return found
         return finished(problem, shared, candidate, options)

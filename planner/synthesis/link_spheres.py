@@ -128,7 +128,11 @@ def _spheres(hand: Hand, *, corners: bool) -> list[LinkSphere]:
             if bar:
                 # beside a contact the corners matter
                 edges = span(geometry)[0]
-                centers, radii = np.vstack([centers, edges]), np.append(radii, np.zeros(len(edges)))
+            elif is_beside_palm(hand, geometry):
+                edges = np.array(list(product((-1.0, 0.0, 1.0), repeat=3))) * geometry.size
+            else:
+                edges = np.zeros((0, 3))
+            centers, radii = np.vstack([centers, edges]), np.append(radii, np.zeros(len(edges)))
         for center, radius in zip(centers, radii, strict=True):
             at = np.array(geometry.T_joint_geometry.act(center))
             out.append(_sphere(hand, geometry, name, at, float(radius)))
@@ -146,6 +150,16 @@ def is_bar(hand: Hand, geometry: LinkGeometry, finger: str) -> bool:
         return False
     _, wide, long = np.sort(geometry.size)
     return bool(long >= LONG * wide) or on_tip(hand, geometry, finger)
+
+
+def is_beside_palm(hand: Hand, geometry: LinkGeometry) -> bool:
+    """Whether it is a box of one of two palms beside the one that presses, as a heel is.
+
+    A palm that is tipped onto the edge of its pad has the edges of these in the object.
+    """
+    own = [s.palm_body for s in hand.pair if s.palm_body == geometry.body]
+    parts = [hand.contact_parts[name] for name in own if name in hand.contact_parts]
+    return geometry.kind == "box" and any(part.pad.geom != geometry.name for part in parts)
 
 
 LONG = 1.5

@@ -63,6 +63,8 @@ def _from_object(g: GraspSymbols, sphere: LinkSphere) -> tuple[Any, ...] | None:
     margin = margin_of(sphere, g.fingers, hulls)
     if margin is None:
         return None
+    if g.hand.pair and margin == "clear_tip" and not sphere.finger:
+        return (sphere.radius + g.surface.distance_error,)  # a palm's other boxes, some 0.2 mm back
     return (sphere.radius + g.option[margin] + g.surface.distance_error,)
 
 
