@@ -17,7 +17,6 @@ from scipy.optimize import least_squares
 
 from benchmarks.scenes_task import Served, Task, outcome
 from planner.errors import NoGraspFoundError, TaskError
-from planner.objects import NeededWrench
 from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray
@@ -42,13 +41,9 @@ that strong together to hold the hammer by its handle, 0.11 m from its centre of
 CLEAR_TABLE = 0.008
 """Distance (m) from the table that is asked of the links: the forearm lags by some mm."""
 
-NAIL = 1.5
-"""Force (N) on the head that a grasp is to bear with planning's margin, with the forces that are
-pressed ``HARDER`` later: of 2.5 N of dry friction."""
-
-SEARCHES = ((NAIL, 250, 1), (0.0, 400, 2))
-"""Force on the head (N), attempts, and grasps to find, of which the strongest is taken: where none
-bears the nail, the weight's moment alone is asked for."""
+ATTEMPTS, BEST_OF = 600, 3
+"""Attempts, and grasps to find, of which that which bears the most of the weight's moment is taken.
+"""
 
 HARDER = 4.0
 """How many times (-) the planned forces the fingers press with: the nail pushes the hammer."""
@@ -62,17 +57,16 @@ HEAD, FACE = np.array([-0.24, 0.0, -0.04]), np.array([0.0, 0.0, -1.0])
 OFF, TURNED = 10.0, 45.0
 """Largest offset (mm) and angle (degrees) of the face from the nail along its way in."""
 
-BEFORE, IN, BEYOND = 0.04, 0.09, 0.04
-"""Where the face begins before the nail's head, how deep the nail goes, and how far beyond that the
-face is led (m): the carrier yields to the nail, and the hammer in the hand."""
+BEFORE, IN = 0.04, 0.09
+"""Where the face begins before the nail's head, and how deep the nail goes (m). The face is led on
+beyond that: the carrier yields to the nail, and the hammer in the hand."""
 
 GOING = {"above": 16, "down": 26, "close": 18, "squeeze": 10, "lift": 30}
 """Steps of each part."""
 
 SPEED, FASTEST = 0.25, 0.03
-"""Speed (m/s) at which the face is led along the nail's way, and most (rad) that a joint of the
-carrier goes in a step of control: the hammer turns in the hand, and the way is made anew of where it
-is by then."""
+"""Speed (m/s) of the face along the nail's way, and the furthest (rad) that a joint of the carrier
+goes in a step of control: the hammer turns in the hand, so every step aims from where it is now."""
 
 LEARNS, LEARNED, STIFFER = 0.08, 0.15, 1.5
 """Share (-) of a lag that is added to the command in a step of control, at most how much (rad), and
@@ -110,23 +104,6 @@ class _Hammering:
 
     def row(self, seed: int) -> Row:
         """What came of it."""
-        for force, attempts, best_of in SEARCHES:
-            try:
-                plan = self._plan(seed, force, attempts, best_of)
-                break
-            except NoGraspFoundError as error:
-                detail = str(error)[:200]
-        else:
-            return {"done": False, "ended": "no plan", "detail": detail}
-        fingers, period = GraspController(plan), TWICE * self._served.period
-        run = ForeignRun(plan, self.scene, self._step, period=period, controller=fingers)
-        ended = self._episode(run, fingers)
-        about: dict[str, Any] = {"done": self._done, "depth_mm": 1e3 * self._depth}
-        row = outcome(run, ended=ended, steps=self._served.steps, **about)
-        return {**row, "closed": self._closed, "nail_N": force}
-
-    def _plan(self, seed: int, force: float, attempts: int, best_of: int) -> GraspPlan:
-        """A grasp that bears a force (N) on the head, or the weight alone if 0."""
         task = self.scene.task(
             T_world_base=self.scene.T_world_base,
             fingers=FINGERS,
@@ -134,11 +111,19 @@ class _Hammering:
             grip_force=GRIP,
             wrist_free=True,
             wrist_q=START,
-            needed=[self._pushing(force)] if force else [],
         )
         options = SynthesisOptions(clear_table=CLEAR_TABLE)
-        given: dict[str, Any] = {"max_attempts": attempts, "best_of": best_of}
-        return plan_use(task, self._way, seed=seed, options=options, **given)
+        given: dict[str, Any] = {"max_attempts": ATTEMPTS, "best_of": BEST_OF}
+        try:
+            plan = plan_use(task, self._way, seed=seed, options=options, **given)
+        except NoGraspFoundError as error:
+            return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
+        fingers, period = GraspController(plan), TWICE * self._served.period
+        run = ForeignRun(plan, self.scene, self._step, period=period, controller=fingers)
+        ended = self._episode(run, fingers)
+        about: dict[str, Any] = {"done": self._done, "depth_mm": 1e3 * self._depth}
+        row = outcome(run, ended=ended, steps=self._served.steps, **about)
+        return {**row, "closed": self._closed}
 
     def _episode(self, run: ForeignRun, fingers: GraspController) -> str:
         """Grasp, lift, push the nail in; where it ended."""
@@ -164,13 +149,6 @@ class _Hammering:
             if not run.touching():
                 return "lost"
         return "nail not in"
-
-    def _pushing(self, force: float) -> NeededWrench:
-        """A force (N) of the face on the nail, in the frame of the planned object."""
-        T_object_body = self.scene.T_body_object.inverse()
-        push = force * T_object_body.rotation @ FACE
-        turn = np.cross(T_object_body.act(HEAD), push)
-        return NeededWrench(name="nail", force=tuple(push), torque=tuple(turn))
 
     def _go(self, run: ForeignRun, q: FloatArray, part: str, phase: Phase) -> None:
         """Take the carrier's joints (4,), rad, to ``q``."""
