@@ -41,9 +41,8 @@ that strong together to hold the hammer by its handle, 0.11 m from its centre of
 CLEAR_TABLE = 0.008
 """Distance (m) from the table that is asked of the links: the forearm lags by some mm."""
 
-ATTEMPTS, BEST_OF = 600, 3
-"""Attempts, and grasps to find, of which that which bears the most of the weight's moment is taken.
-"""
+ATTEMPTS, BEST_OF = 400, 1
+"""Attempts, and grasps to find: the first that can be used."""
 
 HARDER = 4.0
 """How many times (-) the planned forces the fingers press with: the nail pushes the hammer."""
@@ -57,16 +56,12 @@ HEAD, FACE = np.array([-0.24, 0.0, -0.04]), np.array([0.0, 0.0, -1.0])
 OFF, TURNED = 10.0, 45.0
 """Largest offset (mm) and angle (degrees) of the face from the nail along its way in."""
 
-BEFORE, IN = 0.04, 0.09
-"""Where the face begins before the nail's head, and how deep the nail goes (m). The face is led on
-beyond that: the carrier yields to the nail, and the hammer in the hand."""
+BEFORE, IN, BEYOND = 0.04, 0.09, 0.04
+"""Where the face begins before the nail's head, how deep the nail goes, and how far beyond that the
+face is led (m): the carrier yields to the nail, and the hammer in the hand."""
 
-GOING = {"above": 16, "down": 26, "close": 18, "squeeze": 10, "lift": 30}
+GOING = {"above": 16, "down": 26, "close": 18, "squeeze": 10, "lift": 30, "push": 64, "more": 10}
 """Steps of each part."""
-
-SPEED, FASTEST = 0.25, 0.03
-"""Speed (m/s) of the face along the nail's way, and the furthest (rad) that a joint of the carrier
-goes in a step of control: the hammer turns in the hand, so every step aims from where it is now."""
 
 LEARNS, LEARNED, STIFFER = 0.08, 0.15, 1.5
 """Share (-) of a lag that is added to the command in a step of control, at most how much (rad), and
@@ -138,16 +133,13 @@ class _Hammering:
             return "not grasped"
         self._go(run, self._reach(run.T_palm_object, -BEFORE, q), "lift", "hold")
         self._closed = run.touching() > 1 and force_closure(run.contacts).closed
-        deep = -BEFORE
+        deep, part = IN + BEYOND, "push"
         while not self._over:
-            deep += SPEED * TWICE * self._served.period
             left = deep - max(self._depth, 0.0)
-            step = self._reach(run.T_palm_object, left, self._goal) - self._goal
-            step = np.clip(step, -FASTEST, FASTEST)
-            self._goal, self._rate = self._goal + step, step / (TWICE * self._served.period)
-            run.step("hold", 1.0)
-            if not run.touching():
+            self._go(run, self._reach(run.T_palm_object, left, self._now()), part, "hold")
+            if run.touching() < 2:
                 return "lost"
+            deep, part = deep + BEYOND, "more"
         return "nail not in"
 
     def _go(self, run: ForeignRun, q: FloatArray, part: str, phase: Phase) -> None:
