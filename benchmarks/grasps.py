@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -27,20 +27,15 @@ from sim.cli.options import (
     SimMuOption,
     TypeOption,
     flag,
-    option,
 )
 from sim.handover import hand_over
 from sim.report import TrialReport
 from sim.scene.carrier import Timeline
-from sim.simulation import Simulation
 from sim.tables import Row
 from sim.trial import simulate
 
 CARRIED = Timeline(lift_height=0.2, hold=5.0, turn=np.deg2rad(45.0), tilt=np.deg2rad(20.0))
-"""What is asked of an object between two hands."""
-
-PUSHES, PUSH_EVERY, PUSH_S = 4, 0.6, 0.3
-"""Pushes during a hold, the time from one to the next and how long each lasts, s."""
+"""What is asked of an object between two hands; on arms without turn and tilt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,15 +51,14 @@ class Options(HandOptions):
     controller: ControllerOption = "feedforward"
     carry: Annotated[
         bool,
-        flag("--carry", "Lift by 0.2 m, turn by 45 degrees, tilt by 20, and hold for 5 s."),
+        flag(
+            "--carry",
+            "Lift by 0.2 m, turn by 45 degrees, tilt by 20 (not on arms), and hold for 5 s.",
+        ),
     ] = False
     handover: Annotated[
         bool, flag("--handover", "The first of two hands hands each object to the second.")
     ] = False
-    push: Annotated[
-        float,
-        option("Push the held object by so much, four times, in random directions.", "N"),
-    ] = 0.0
     floating: Annotated[
         bool, flag("--floating", "No table: each object is held until it is lifted.")
     ] = False
@@ -87,7 +81,6 @@ def cases(options: Options) -> Iterator[Row]:
         "timeline": CARRIED if options.carry else Timeline(),
         "handover": options.handover,
         "controller": options.controller,
-        "push": options.push,
     }
     for cell in cells_of(options.hand_names, options.objects):
         for seed in range(options.seed, options.seed + options.n):
@@ -110,35 +103,18 @@ def measure(case: Row) -> Row:
     except NoGraspFoundError as error:
         cpu_s = sum(a.cpu_s for a in error.attempts)
         return row | {"attempts": len(error.attempts), "cpu_s": cpu_s, "reason": str(error)}
-    error_model = case["error_model"].seeded(case["seed"])
+    error_model, timeline = case["error_model"].seeded(case["seed"]), case["timeline"]
+    if task.hand.on_arm:
+        timeline = replace(timeline, turn=0.0, tilt=0.0)
     report = simulate(
         plan,
         physics=case["physics"],
         error_model=error_model,
-        timeline=case["timeline"],
+        timeline=timeline,
         controller=case["controller"],
-        on_step=pushing(case["push"], case["seed"]) if case["push"] else None,
     )
     row |= {"attempts": plan.record.attempts, "cpu_s": plan.record.cpu_s}
     return row | _told(report) | {"epsilon": plan.quality.epsilon}
-
-
-def pushing(newton: float, seed: int) -> Callable[[Simulation], None]:
-    """Pushes the object at its centre while it is held: what a trial does after every step."""
-    ways = np.random.default_rng(seed).normal(size=(PUSHES, 3))
-    ways *= newton / np.linalg.norm(ways, axis=1, keepdims=True)
-    begun: list[float] = []
-
-    def push(simulation: Simulation) -> None:
-        if simulation.phase != "hold":
-            return
-        if not begun:
-            begun.append(simulation.time)
-        k, since = divmod(simulation.time - begun[0], PUSH_EVERY)
-        force = ways[int(k)] if k < PUSHES and since < PUSH_S else np.zeros(3)
-        simulation.data.xfrc_applied[simulation.scene.object_body, :3] = force
-
-    return push
 
 
 def _handed_over(task: GraspTask, case: Row) -> Row:

@@ -45,6 +45,7 @@ class DexJoCo:
         task.MujocoRenderer = _NoPictures
         kind = getattr(task, f"Panda{name}GymEnv")
         kind._compute_observation = lambda self: {}
+        # its default but for tongs, which have none: light, camera and textures; poses are random
         self._env = env = kind(seed=seed, randomize=False)
         env.hz = float("inf")
         self.model, self.data, self.seconds = env.model, env.data, float(env.control_dt)

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.collision.arm_path import lift_height
+from planner.collision.arm_path import beyond_limits, lift_height
 from planner.collision.pad_contact import PadContact, pad_contact_queries, pad_contacts
 from planner.collision.pregrasp import Approach, find_approach, verify_approach
 from planner.collision.world import CollisionWorld
@@ -365,7 +365,6 @@ def lift_torques(
         lift: Arm postures (k, n).
     """
     hand, joints = task.hand, np.array(q, dtype=np.float64)
-    of_arms = hand.actuation.moment[:, hand.arm_index].any(axis=1)  # fingers' torques stay
     soft = np.nan_to_num(contacts.forces[:, 3])[:, None] * contacts.normals
     wrenches = np.hstack([contacts.forces_in_axes(), soft]) @ np.kron(
         np.eye(2), T_world_base.rotation
@@ -379,17 +378,9 @@ def lift_torques(
         torque = state.gravity_torque(T_world_base.rotation.T @ task.gravity)
         jacobians = state.point_jacobians(pads, points + share * up)
         torque += np.einsum("nij,ni->j", jacobians, wrenches)
-        short = hand.actuation.short_of(joints, torque, LIFT_TORQUE_TOL) & of_arms
-        if short.any():
-            k = int(np.flatnonzero(short)[0])
-            force = float(hand.actuation.split_torque(joints, torque)[0][k])
-            low, high = hand.actuation.force_limits(joints)[k]
-            return Failure(
-                kind="arm_torque",
-                text=f"at {share:.0%} of the lift {hand.actuation.names[k]} would have to give "
-                f"{force:.1f}, beyond its limits [{low:.1f}, {high:.1f}]",
-                numbers={"force": force},
-            )
+        # fingers' torques stay
+        if (failure := beyond_limits(hand, joints, torque, LIFT_TORQUE_TOL)) is not None:
+            return failure.at(f"{share:.0%} of the lift")
     return None
 
 

@@ -194,6 +194,7 @@ def compliance_of(
         data,
         object_body=scene.object_body,
         finger_of_geom=scene.finger_of_geom,
+        object_geoms=scene.object_geoms,
         with_unloaded=True,
     )
     pairs, weights = data.contact.geom, model.body_invweight0[:, 0]

@@ -156,7 +156,7 @@ touch."""
 
 
 def tilt_deg(wanted: SE3, pose: SE3) -> float:
-    """Angle (degrees) between two poses but for what is a turn about the vertical."""
+    """Angle (degrees) between the vertical as two poses see it; turns about it do not count."""
     there, here = wanted.rotation[2], pose.rotation[2]
     return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(there, here)), there @ here)))
 

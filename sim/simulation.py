@@ -41,7 +41,7 @@ from sim.controllers import (
     controller_for,
 )
 from sim.scene.build import Scene, Truth, build_scene
-from sim.scene.carrier import Carrier, Timeline, carrier_of
+from sim.scene.carrier import Carrier, Timeline, carrier_of, planned_base
 from sim.scene.physics import AnyPhysics
 from sim.sensing.errors import ERROR_MODELS, AnyErrorModel, ErrorModel
 from sim.show.painter import Viewer
@@ -298,19 +298,15 @@ class Simulation:
             read_contacts=partial(hand_contacts, scene, data),
             read_pads=partial(read_pads, scene, data, fingers),
             read_touch=partial(_read_touch, scene, data, fingers),
-            read_planned=partial(self.planned_base, *self._began),
+            read_planned=partial(planned_base, self.carrier, *self._began),
         )
 
-    def planned_base(self, phase: Phase | None = None, share: float = 0.0) -> SE3 | None:
+    def planned_base(self) -> SE3 | None:
         """Where the carrier should have brought the hand's base; None if it does not say.
 
-        Of a share of a phase; of the last time step's beginning, which poses are of, if None.
+        At the beginning of the last time step, which poses that are read are of.
         """
-        planned = getattr(self.carrier, "planned_base", None)
-        if planned is None:
-            return None
-        made: SE3 = planned(*self._began) if phase is None else planned(phase, share)
-        return made
+        return planned_base(self.carrier, *self._began)
 
     def sensed(self, truth: Observation) -> Observation:
         """What a controller sees of the truth: by sensors with errors, then by ``estimator``.

@@ -98,6 +98,13 @@ def test_the_arms_are_far_from_their_singular_posture(plan: GraspPlan, file: Pat
         assert np.abs(model.joints(stance * to_object, plan.q)[middle]).max() < 0.7
 
 
+def test_arms_that_reach_a_grasp_in_no_stance_are_said(plan: GraspPlan, file: Path) -> None:
+    model = PairModel.of(file, plan.task.hand)
+    model.pin_model.upperPositionLimit[model.arms] = -10.0
+    with pytest.raises(TaskError, match="in none of 60 orientations"):
+        model.stance(plan.task.T_world_object.inverse() * plan.T_world_base, plan.q, 0)
+
+
 def test_models_that_are_no_such_arms_are_refused(pair: Hand, file: Path, tmp_path: Path) -> None:
     with pytest.raises(TaskError, match="allegro_hand is one hand"):
         PairModel.of(file, load_hand("allegro_hand"))

@@ -220,7 +220,7 @@ def test_the_commonest_kind_of_failure_is_told_by_its_first_text() -> None:
 def test_links_of_touching_fingers_keep_other_margins_than_the_rest() -> None:
     def sphere(**of: Any) -> Any:
         about = {"geometry": "g", "joint_id": 3, "finger": "index", "is_pad": False}
-        return SimpleNamespace(**(about | {"on_tip": False} | of))
+        return SimpleNamespace(**(about | {"on_tip": False, "in_hull": False} | of))
 
     def finger(name: str, geom: str, joint: int, *, is_link: bool) -> Any:
         pad = SimpleNamespace(geom=geom, joint_id=joint)

@@ -105,7 +105,7 @@ class Place:
             "obstacles": (),
             "mu": task.mu,
             "grip": task.grip_force,
-            "weight": task.object.mass * task.gravity,
+            "mass": task.object.mass,
             "gravity": task.gravity,
             "length": shape.bounding_radius,
             "posture": self.q,

@@ -127,7 +127,8 @@ def test_palms_give_a_torque_that_points_miss_as_far_as_they_reach(plan: GraspPl
     springs, _ = moved_springs(plan, plan.q)
     for size, kept in ((0.1, 0.1), (100.0, 2 * 50.0 * PATCH)):
         missed = size * np.array([0.6, 0.0, 0.8])
-        torque = springs.moment(missed, np.array([50.0, 50.0]))
+        torque, exerted = springs.moment(missed, np.array([50.0, 50.0]))
+        assert exerted == pytest.approx(kept / size * missed, abs=1e-9)
         wrenches = palm_wrenches(plan, plan.q, torque)
         assert sum(w[:3] for w in wrenches) == pytest.approx(np.zeros(3), abs=1e-9)
         given = np.sum([w[3:] for w in wrenches], axis=0)

@@ -615,11 +615,13 @@ def test_a_hull_beside_a_touching_pad_keeps_the_clearance_of_links(hand: Hand) -
         radius=0.01,
         is_pad=False,
         on_tip=True,
+        in_hull=False,
     )
+    hull = replace(sphere, in_hull=True)
     assert margin_of(sphere, [link]) == "clear_tip"
-    assert margin_of(sphere, [link], frozenset(["other"])) == "clear_object"
-    assert margin_of(replace(sphere, finger=""), [link], frozenset(["other"])) == "clear_tip"
-    assert margin_of(replace(sphere, geometry=link.pad.geom), [link], frozenset()) is None
+    assert margin_of(hull, [link]) == "clear_object"
+    assert margin_of(replace(hull, finger=""), [link]) == "clear_tip"
+    assert margin_of(replace(sphere, geometry=link.pad.geom), [link]) is None
 
 
 def test_a_set_that_a_region_forbids_is_left_out(hand: Hand) -> None:

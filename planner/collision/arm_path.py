@@ -39,6 +39,7 @@ from planner.tolerances import PENETRATION_TOL
 __all__ = [
     "LIFT_HEIGHT",
     "ArmPath",
+    "beyond_limits",
     "find_lift",
     "lift_height",
     "onto_arms",
@@ -181,9 +182,10 @@ def find_lift(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatA
     path = straight_path(hand, q, T_world_base.rotation.T @ np.array([0.0, 0.0, height]))
     if path is None:
         who = "arms cannot together" if hand.pair else "arm cannot"
+        limits = "their limits" if hand.pair else "its limits"
         return Failure(
             kind="arm_unreachable",
-            text=f"the {who} lift the object straight by {height:g} m within its limits",
+            text=f"the {who} lift the object straight by {height:g} m within {limits}",
         )
     return verify_lift(world, T_world_base, q, path) or path
 
@@ -317,7 +319,6 @@ def _verify_torques(
 ) -> Failure | None:
     """Whether the arm's actuators carry arm, hand and object at rest along a path (m, n)."""
     hand, joints = task.hand, np.array(q, dtype=np.float64)
-    arm = hand.actuation.moment[:, hand.arm_index].any(axis=1)
     gravity = T_world_base.rotation.T @ task.gravity
     in_palm = palm_pose(hand, q).inverse() * T_world_base.inverse() * task.T_world_object
     palm = int(hand.pin_model.frames[hand.palm_frame_id].parentJoint)
@@ -327,18 +328,35 @@ def _verify_torques(
         at = (state.T_base_palm * in_palm).translation
         torque = state.gravity_torque(gravity)
         torque -= task.object.mass * gravity @ state.point_jacobian(palm, at)[:3]
-        force, _ = hand.actuation.split_torque(joints, torque)
-        low, high = hand.actuation.force_limits(joints).T
-        beyond = np.where(arm, np.maximum(low - force, force - high), -np.inf)
-        worst = int(np.argmax(beyond))
-        if beyond[worst] > 0:
-            return Failure(
-                kind="arm_torque",
-                text=f"{hand.actuation.names[worst]} would have to give {force[worst]:.1f}, beyond "
-                f"its limits [{low[worst]:.1f}, {high[worst]:.1f}]",
-                numbers={"force": float(force[worst])},
-            )
+        if (failure := beyond_limits(hand, joints, torque)) is not None:
+            return failure
     return None
+
+
+def beyond_limits(
+    hand: Hand, q: FloatArray, torque: FloatArray, tolerance: float = 0.0
+) -> Failure | None:
+    """The arm's actuator that is farthest beyond its limits at rest at q (nq,); None if none is.
+
+    Args:
+        hand: On an arm, or two.
+        q: Joints (nq,).
+        torque: That the actuators have to give (nq,), N m.
+        tolerance: How far (N m) one may be beyond its limit.
+    """
+    arm = hand.actuation.moment[:, hand.arm_index].any(axis=1)
+    force, _ = hand.actuation.split_torque(q, torque)
+    low, high = hand.actuation.force_limits(q).T
+    beyond = np.where(arm, np.maximum(low - force, force - high), -np.inf)
+    worst = int(np.argmax(beyond))
+    if beyond[worst] <= tolerance:
+        return None
+    return Failure(
+        kind="arm_torque",
+        text=f"{hand.actuation.names[worst]} would have to give {force[worst]:.1f}, beyond "
+        f"its limits [{low[worst]:.1f}, {high[worst]:.1f}]",
+        numbers={"force": float(force[worst])},
+    )
 
 
 class _Radii:

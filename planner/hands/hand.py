@@ -224,7 +224,7 @@ class Hand:
 
     @cached_property
     def arm_geometries(self) -> frozenset[str]:
-        """Names of the colliding geometries of the arm, or of both; or of what is left of it."""
+        """Names of the colliding geometries of the arm, of both arms, or of the last link."""
         if self.pair:
             return frozenset(s.called(name) for s in self.pair for name in s.alone.arm_geometries)
         return self.last_link if self.arm is None else self.arm.geometries

@@ -62,8 +62,8 @@ MOST_ATTEMPTS = 300
 """Attempts of each hand after which no more grasps of it are looked for."""
 
 FIRST_ATTEMPTS = 60
-"""Attempts in which each hand has to find its first grasp: a hand that grasps the object at all
-takes a few, and what is too small or too heavy for it is to be said soon."""
+"""Attempts in which each hand has to find its first grasp. A hand that can grasp the object takes a
+few; one that cannot is named after these."""
 
 SPINS = 24
 """Turns of the pair about the line between its palms that are looked at: 15 degrees apart."""

@@ -55,6 +55,7 @@ class LinkSphere:
         radius: m.
         is_pad: Whether it is the finger's pad, which may touch the object.
         on_tip: Whether it belongs to the body that carries the pad.
+        in_hull: Whether its geometry is a hull.
     """
 
     geometry: str
@@ -64,27 +65,21 @@ class LinkSphere:
     radius: float
     is_pad: bool
     on_tip: bool
+    in_hull: bool
 
 
-def margin_of(
-    sphere: LinkSphere, touching: Sequence[Finger], hulls: frozenset[str] = frozenset()
-) -> str | None:
+def margin_of(sphere: LinkSphere, touching: Sequence[Finger]) -> str | None:
     """The margin of a sphere from the object, by name; None for the pads of touching fingers.
 
     Links of a finger that touches with one of them are as near as a fingertip, but for hulls, of
     which the spheres fill less.
-
-    Args:
-        sphere: A sphere.
-        touching: Fingers and links that touch.
-        hulls: Names of the geometries that are hulls.
     """
     touches = sphere.finger in {finger.name for finger in touching}
     links = [finger.pad for finger in touching if finger.is_link]
     if any(pad.geom == sphere.geometry for pad in links):
         return None
     if any(pad.joint_id == sphere.joint_id for pad in links):
-        return "clear_object" if sphere.finger and sphere.geometry in hulls else "clear_tip"
+        return "clear_object" if sphere.finger and sphere.in_hull else "clear_tip"
     if sphere.is_pad and touches:
         return None
     return "clear_tip" if sphere.on_tip and touches else "clear_object"
@@ -209,6 +204,7 @@ def _sphere(
         radius=radius,
         is_pad=is_pad,
         on_tip=tip,
+        in_hull=geometry.kind == "mesh",
     )
 
 

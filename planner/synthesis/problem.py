@@ -274,7 +274,7 @@ class GraspProblem:
         if self.hand.arm is not None:
             T = start.T_object_base
             root = [np.array(T.rotation).ravel(order="F"), T.translation]
-        shape, gravity = task.object.shape, task.T_world_object.rotation.T @ task.gravity
+        shape = task.object.shape
         return self.formulation.pack(
             {
                 "reference": np.array(self._carrier(start).rotation).ravel(order="F"),
@@ -285,8 +285,8 @@ class GraspProblem:
                 "obstacles": obstacles_in_object(task),
                 "mu": task.mu,
                 "grip": task.grip_force,
-                "weight": task.object.mass * gravity,
-                "gravity": gravity,
+                "mass": task.object.mass,
+                "gravity": task.T_world_object.rotation.T @ task.gravity,
                 "length": shape.bounding_radius,
                 "posture": posture,
                 **options.values(),

@@ -320,7 +320,7 @@ class GraspSymbols:
         mu: Friction (-).
         length: Characteristic length, m.
         grip: Normal force with which the outermost contact of each finger presses at least, N.
-        weight: Of the object (3,), N.
+        mass: Of the object, kg.
         gravity: Acceleration (3,), m/s2.
         posture: Preferred joints (nq,).
         option: Margins and weights by name, see ``SynthesisOptions.values``.
@@ -365,7 +365,7 @@ class GraspSymbols:
             for _ in range(n_obstacles)
         ]
         self.mu, self.length = ca.SX.sym("mu"), ca.SX.sym("length")
-        self.grip, self.weight = ca.SX.sym("grip"), ca.SX.sym("weight", 3)
+        self.grip, self.mass = ca.SX.sym("grip"), ca.SX.sym("mass")
         self.gravity = ca.SX.sym("gravity", 3)
         self.posture = ca.SX.sym("posture", hand.nq)
         self.option = {name: ca.SX.sym(name) for name in options}
@@ -401,7 +401,7 @@ class GraspSymbols:
             "obstacles": ca.vertcat(*[v for r, t, h in self.boxes for v in (ca.vec(r), t, h)]),
             "mu": self.mu,
             "grip": self.grip,
-            "weight": self.weight,
+            "mass": self.mass,
             "gravity": self.gravity,
             "length": self.length,
             "posture": self.posture,
@@ -442,6 +442,11 @@ class GraspSymbols:
     def is_around(self) -> bool:
         """Whether inner links or the palm of one hand touch: forces then bear the weight too."""
         return not self.hand.pair and any(finger.is_link for finger in self.fingers)
+
+    @property
+    def weight(self) -> Any:
+        """Of the object (3,), N."""
+        return self.mass * self.gravity
 
     @cached_property
     def newtons(self) -> Any:

@@ -342,6 +342,7 @@ class ObjectImpedance:
         missed = self._distribute(
             scale * wrench, pose.translation, corrected, scale, held_back=held_back, eases=eases
         )
+        further, missed = self._palm_moments(missed)
         if carries:
             self._judge(elapsed, wrench, missed)
         if carries and not self.gave_up and self._time >= self._turning_until:
@@ -351,15 +352,20 @@ class ObjectImpedance:
         return self._torques.commands(
             *(forces, normals, holding, self.schedule.searching, corrected, read),
             moments=self.forces[:, 3] if self._soft else None,
-            further=self._palm_moments(missed),
+            further=further,
         )
 
-    def _palm_moments(self, missed: FloatArray) -> FloatArray | None:
-        """Joint torques (nq,) of palms for the torque of a wrench (6,) that forces miss."""
+    def _palm_moments(self, missed: FloatArray) -> tuple[FloatArray | None, FloatArray]:
+        """Joint torques (nq,) of palms that exert what forces miss, and what is missed still (6,).
+
+        Args:
+            missed: Wrench of the forces beyond the wanted one (6,), N and N m.
+        """
         springs = self._torques.springs
         if springs is None or not missed[3:].any():
-            return None
-        return springs.moment(-missed[3:], self.forces[list(springs.palms), 0])
+            return None, missed
+        torque, exerted = springs.moment(-missed[3:], self.forces[list(springs.palms), 0])
+        return torque, missed + np.concatenate([np.zeros(3), exerted])
 
     def _turn_load(self, turn: FloatArray) -> None:
         """Keep the learned load where it is in the world while the wrist turns.

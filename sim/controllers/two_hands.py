@@ -124,7 +124,7 @@ class PalmSprings:
         """Keep the palms to each other as they are now."""
         self._latched = list(self._poses)
 
-    def moment(self, missed: FloatArray, pressed: FloatArray) -> FloatArray:
+    def moment(self, missed: FloatArray, pressed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Joint torques (nq,) by which the palms exert a torque that no contact points give.
 
         A palm that lies on the object turns it by how its pressure is spread. Each gives half, as
@@ -133,13 +133,16 @@ class PalmSprings:
         Args:
             missed: Torque on the object (3,), N m, base axes.
             pressed: Normal forces (2,) of the palms, N.
+
+        Returns:
+            The joint torques, and the torque on the object that they exert (3,), N m.
         """
         half = missed / len(self._joints)
         size = max(float(np.linalg.norm(half)), TINY)
         shares = np.minimum(1.0, PATCH * pressed / size)
-        return np.asarray(
-            (shares[:, None] * half).ravel() @ self._jacobians[:, 3:].reshape(-1, self._nq)
-        )
+        exerted = shares[:, None] * half
+        torque = exerted.ravel() @ self._jacobians[:, 3:].reshape(-1, self._nq)
+        return np.asarray(torque), exerted.sum(axis=0)
 
     def pull(self, center: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Of the springs the joint torques (nq,), N m; of the dampers the wrench on the object.

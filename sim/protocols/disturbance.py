@@ -30,7 +30,7 @@ from sim.protocols.outcome import Case, Conditions, Outcome
 from sim.recorder import Recorder
 from sim.recording import Recording, Samples
 from sim.scene.build import Scene
-from sim.scene.carrier import Carrier, Timeline
+from sim.scene.carrier import Carrier, Timeline, planned_base
 from sim.scene.physics import PhysicsOptions
 from sim.sensing.errors import AnyErrorModel, ErrorModel
 from sim.sensing.estimation import AnyEstimator
@@ -298,8 +298,8 @@ class _Still:
 
     def planned_base(self, phase: Phase, share: float) -> SE3 | None:
         """The pose of the grasp, of a carrier that says it."""
-        planned = getattr(self._carrier, "planned_base", None)
-        return None if planned is None else planned("settle", 0.0)
+        del phase, share
+        return planned_base(self._carrier, "settle", 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -114,6 +114,12 @@ class Carrier(Protocol):
         ...
 
 
+def planned_base(carrier: Carrier, phase: Phase, share: float) -> SE3 | None:
+    """Where a carrier should have brought the hand's base; None of one that does not say."""
+    planned = getattr(carrier, "planned_base", None)
+    return None if planned is None else planned(phase, share)
+
+
 class GantryCarrier:
     """Moves the hand by the gantry: a ``Carrier``."""
 

@@ -167,7 +167,11 @@ class PairModel:
         return out
 
     def stance(self, T_object_base: SE3, q: FloatArray, seed: int) -> FloatArray:
-        """Orientation (3, 3) of the object within the arms' range, the farthest from singular."""
+        """Orientation (3, 3) of the object within the arms' range, the farthest from singular.
+
+        Raises:
+            TaskError: In none that is tried all joints of the arms are within their range.
+        """
         rng = np.random.default_rng(seed)
         quaternions = rng.normal(size=(STANCES, 4))
         quaternions /= np.linalg.norm(quaternions, axis=1)[:, None]
@@ -181,7 +185,13 @@ class PairModel:
             beyond = np.maximum(low - there, there - high)[self.arms]
             return max(float(beyond.max()), 0.0), float(np.abs(there[middle]).max())
 
-        return min(tried, key=worst)
+        best: FloatArray = min(tried, key=worst)
+        if worst(best)[0] > 0.0:
+            raise TaskError(
+                f"in none of {STANCES} orientations the arms of the benchmark's model reach the "
+                "grasp; use a smaller object, or another grasp of it"
+            )
+        return best
 
 
 def pair_squeeze(plan: GraspPlan, mass: float = MASS) -> Squeeze:

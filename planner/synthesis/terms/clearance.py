@@ -59,8 +59,7 @@ FASTEST = 1.1
 def _from_object(g: GraspSymbols, sphere: LinkSphere) -> tuple[Any, ...] | None:
     if g.surface.field is not None and _is_round_pad(sphere, g.fingers):
         return (sphere.radius - PRESSED,)
-    hulls = frozenset(x.name for x in g.hand.geometries if x.kind == "mesh")
-    margin = margin_of(sphere, g.fingers, hulls)
+    margin = margin_of(sphere, g.fingers)
     if margin is None:
         return None
     if g.hand.pair and margin == "clear_tip" and not sphere.finger:
