@@ -38,9 +38,9 @@ from sim.manipulation.phases import Phases
 from sim.manipulation.simulation import ManipulationOptions, ManipulationSim
 from sim.manipulation.timeline import SuccessCriteria
 from sim.report import FingerComparison, TrialReport
-from sim.tools.trial import UseRecorder, UseTrial, plan_tool, task_of_use
+from sim.tools.trial import GuidedLoad, UseRecorder, UseTrial, plan_tool, task_of_use
 from sim.tools.turn import HINGE, Turn
-from sim.tools.use import DOWN, joint_value, needs_gantry, use_of
+from sim.tools.use import joint_value, needs_gantry, use_of
 from sim.trial import TrialKeywords, TrialOptions
 from sim.verdict import Verdict, fault_at
 
@@ -55,12 +55,7 @@ by 4 degrees in its slot before the socket turns."""
 
 
 class StrokeController(ObjectImpedance):
-    """Gives what the use needs during strokes, and nothing of it while fingers move on.
-
-    It learns the torque about the axis alone. The fixture holds the tip, and what the loop would
-    learn to bring the tool elsewhere grows against it: a Shadow-type hand tilted the screwdriver by
-    4 degrees within 5 strokes, and then could not lift its thumb.
-    """
+    """Gives what the use needs in strokes (``GuidedLoad``), and none of it while fingers move."""
 
     def __init__(self, plan: GraspPlan, *, max_normal: float) -> None:
         """Begin with the wrench that the plan needs.
@@ -70,21 +65,15 @@ class StrokeController(ObjectImpedance):
             max_normal: Largest normal force that a pad is asked for, N.
         """
         super().__init__(plan, max_normal=max_normal)
-        each = [-plan.task.needed_load(one) for one in plan.task.needed]
-        needed = max(each, key=lambda wrench: abs(float(wrench[3:] @ DOWN)))  # the one that turns
-        turn = plan.T_world_base.rotation  # base axes below
-        self._push, self._about = turn.T @ needed[:3], turn.T @ -DOWN
-        self._torque = float(needed[3:] @ -DOWN)
+        self._guided = GuidedLoad(plan, share=1.0)
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
-        load = np.zeros(6)
-        if observation.phase == "turn":
-            load[:3], load[3:] = self._push, self._torque * self._about
-        self.law.load = load
+        strokes, turn = observation.phase == "turn", observation.T_world_base.rotation
+        self.law.load = self._guided.give(turn) if strokes else np.zeros(6)
         ctrl = super().step(observation)
-        if observation.phase == "turn":
-            self._torque = float(self.law.load[3:] @ self._about)
+        if strokes:
+            self._guided.take(self.law.load, turn)
         return ctrl
 
 

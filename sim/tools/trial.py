@@ -24,7 +24,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search.grasp import Attempt
 from planner.shapes.registry import shape_key
-from planner.spatial import FloatArray, IntArray, signed_twist
+from planner.spatial import SE3, FloatArray, IntArray, signed_twist
 from planner.task import GraspTask
 from planner.tools import Tool, load_tool, plan_use, use_data, use_task
 from sim.controllers import PHASES, Observation, Phase
@@ -60,6 +60,11 @@ SAME_POSE = 1e-6
 USING: tuple[Phase, ...] = ("engage", "use", "withdraw")
 """Phases between the squeeze and the hold."""
 
+YIELDING = 0.3
+"""Time constant (s) with which a tool that its fixture guides is wanted where it is, across the
+axis: slow beside the fingers, fast beside a turn. A tool that was 4 mm away at the end of the use
+was thrown by the spring when the fixture let it go."""
+
 GONE = 0.05
 """Time (s) without any contact after which the tool is out of the hand: a blow shakes fingers
 off it for single time steps."""
@@ -88,24 +93,54 @@ class UseTimeline(Timeline):
         return float(sum(getattr(self, phase) for phase in phases))
 
 
+class GuidedLoad:
+    """What a hand gives a tool that a fixture guides: the push as planned, a torque as learned.
+
+    All that a loop would learn beside the torque about the axis grows against the fixture. By the
+    fingers a Shadow-type hand tilted a screwdriver by 4 degrees within 5 strokes, and could not
+    lift its thumb; by the wrist it came to give 8 N down and up in turn, where 3 N push.
+    """
+
+    def __init__(self, plan: GraspPlan, *, share: float) -> None:
+        """Begin with a share (-) of the torque that the plan needs."""
+        each = [-plan.task.needed_load(one) for one in plan.task.needed]
+        needed = max(each, key=lambda wrench: abs(float(wrench[3:] @ DOWN)))  # the one that turns
+        self._push, self._torque = needed[:3], share * float(needed[3:] @ -DOWN)
+
+    def give(self, turn: FloatArray) -> FloatArray:
+        """Wrench (6,), N and N m, in base axes; ``turn`` (3, 3) is the base's in the world."""
+        return np.concatenate([turn.T @ self._push, turn.T @ -DOWN * self._torque])
+
+    def take(self, learned: FloatArray, turn: FloatArray) -> None:
+        """Keep of a learned wrench (6,), base axes, the torque about the axis."""
+        self._torque = float(learned[3:] @ turn.T @ -DOWN)
+
+
 class UseController(ObjectImpedance):
     """Keeps the tool where it lies in the palm, whatever loads it: a ``Controller``.
 
     It learns while the wrist turns, too: what a socket resists with is about the axis of the turn.
     Learned only before and after it, the load of a lid turned it by 17 degrees in the fingertips.
     What was learned is forgotten when the tool is taken out of its fixture: it would throw it.
+    Where the fixture guides the tool, see ``GuidedLoad``.
     """
 
     turning_time: ClassVar[float] = 0.0
 
     def __init__(
-        self, plan: GraspPlan, *, learns: bool = True, finger: OwnFinger | None = None
+        self,
+        plan: GraspPlan,
+        *,
+        learns: bool = True,
+        guided: bool = False,
+        finger: OwnFinger | None = None,
     ) -> None:
         """Note how hard the fingers press in the plan while the needed wrenches are produced.
 
         Args:
             plan: What to execute.
             learns: Whether a lasting load is learned; blows are none.
+            guided: Whether the fixture guides the tool.
             finger: What drives a finger that does not hold; None where all do.
         """
         super().__init__(plan)
@@ -113,12 +148,14 @@ class UseController(ObjectImpedance):
             self.law = ImpedanceLaw(replace(self.law.gains, learning_rate=0.0))
         self._before_use: FloatArray | None = None
         self._finger = finger
+        self._guided = GuidedLoad(plan, share=0.0) if guided else None
         pressed = [float(found.forces[:, 0].mean()) for found in plan.needed]
         self._firm = max([self.grip, *pressed])
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
-        own = None
+        own, guided = None, self._guided if observation.phase == "use" else None
+        since = self._time
         if self._finger is not None and observation.phase in (*USING, "hold"):
             before = self._finger.load
             own = self._finger.step(observation)
@@ -126,15 +163,32 @@ class UseController(ObjectImpedance):
         if observation.phase in USING:
             self.grip = self._firm
             turn = observation.T_world_base.rotation  # the load is in base axes, and the base turns
-            if observation.phase == "use" and self._before_use is None:
-                self._before_use = self.law.load.reshape(2, 3) @ turn.T
+            if observation.phase == "use":
+                if self._before_use is None:
+                    self._before_use = self.law.load.reshape(2, 3) @ turn.T
+                if guided is not None:
+                    self.law.load = guided.give(turn)
             if observation.phase == "withdraw" and self._before_use is not None:
                 self.law.load, self._before_use = (self._before_use @ turn).ravel(), None
             observation = observation.altered(phase="hold")
         ctrl = super().step(observation)
+        if guided is not None:
+            guided.take(self.law.load, observation.T_world_base.rotation)
+            self._yield_to_fixture(observation, observation.time - since)
         if own is None or self._finger is None:
             return ctrl
         return np.where(self._finger.actuators, own, ctrl)
+
+    def _yield_to_fixture(self, observation: Observation, elapsed: float) -> None:
+        """Want the tool as far from the axis as the fixture has it."""
+        assert self.T_palm_wanted is not None
+        T_world_palm = observation.T_world_base * self._torques.T_base_palm
+        in_palm = T_world_palm.actInv(observation.T_world_object)
+        along = T_world_palm.rotation.T @ DOWN
+        wanted = self.T_palm_wanted.translation
+        off = in_palm.translation - wanted
+        place = wanted + elapsed / YIELDING * (off - (off @ along) * along)
+        self.T_palm_wanted = SE3(self.T_palm_wanted.rotation, place)
 
 
 class UseCarrier:
@@ -242,6 +296,7 @@ class UseTrial(Trial):
                 controller=UseController(
                     plan,
                     learns=self.use.lasting,
+                    guided=self.use.guided,
                     finger=self.use.finger(plan),
                 ),
                 thresholds=asked.thresholds or USE_THRESHOLDS,

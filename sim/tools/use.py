@@ -98,6 +98,10 @@ class Use(ABC):
     lasting: ClassVar[bool] = True
     """Whether the tool is loaded for longer than moments, so that the hand may learn the load."""
 
+    guided: ClassVar[bool] = False
+    """Whether the fixture guides the tool, so that the hand is to learn only the torque about the
+    vertical."""
+
     best_of: ClassVar[int] = BEST_OF
     """Grasps of which the best is taken."""
 
