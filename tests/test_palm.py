@@ -262,7 +262,11 @@ def test_the_best_branch_is_done_that_does_not_drop(
         place = next(k for k, one in enumerate(drawn) if one is branch)
         return (np.inf, 10.0, 30.0)[place] if which == 0 else (5.0, np.inf, 30.0)[place]
 
-    monkeypatch.setattr(look, "_openings", draw)
+    def no_more(at: Any, some: bool = False) -> list[_Branch]:
+        assert not some  # the best gains, so that no finger needs to stay
+        return draw(at)
+
+    monkeypatch.setattr(look, "_openings", no_more)
     monkeypatch.setattr(look, "value", value)
     assert look.choose(now) is drawn[2]
     assert drawn[0].away is not None and drawn[1].away is not None
@@ -279,15 +283,20 @@ def test_fingers_stay_where_each_branch_drops(lying: Any, monkeypatch: pytest.Mo
     assert stays.until > now.time
 
 
-def test_the_worse_friction_counts(lying: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two openings, 10 and 20 degrees with less friction, 50 and 30 with more."""
+@pytest.mark.parametrize("which_is_worse", [1, 2])
+def test_the_worst_friction_counts(
+    lying: Any, monkeypatch: pytest.MonkeyPatch, which_is_worse: int
+) -> None:
+    """Two openings: with less friction 10 and 20 degrees, with more or between 50 and 30."""
     now, look = drive(lying, 60.0, branches=2)
     drawn = look._openings(now)
     values = {id(drawn[0]): (10.0, 50.0), id(drawn[1]): (20.0, 30.0)}
     monkeypatch.setattr(look, "_openings", lambda _: drawn)
-    monkeypatch.setattr(
-        look, "value", lambda which, _, branch: values.get(id(branch), (59.0, 59.0))[which]
-    )
+
+    def value(which: int, _: Any, branch: _Branch) -> float:
+        return values.get(id(branch), (59.0, 59.0))[int(which == which_is_worse)]
+
+    monkeypatch.setattr(look, "value", value)
     assert look.choose(now) is drawn[1]
 
 
@@ -302,6 +311,29 @@ def test_going_on_is_no_branch_once_it_is_stuck(
     now.time += 1.1
     assert look.choose(now).away is not None
     assert look.choose(now).away is None  # it begins to count anew
+
+
+def test_where_openings_drop_it_some_fingers_stay(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each finger's four servos move together or stay, and the best of these branches is done."""
+    now, look = drive(lying, 60.0)
+    ctrl = lying[1].ctrl
+    now.ctrl[ctrl] += 0.01
+    assert look._fingers.sum(axis=1).tolist() == [4, 4, 4, 4]
+    assert (look._fingers.sum(axis=0) == 1).all()
+    opened = np.array([one.away != now.ctrl[ctrl] for one in look._openings(now, some=True)])
+    assert 0.2 < opened.mean() < 0.8
+    for servos in look._fingers.astype(bool):
+        assert (opened[:, servos].all(axis=1) == opened[:, servos].any(axis=1)).all()
+
+    def value(which: int, data: Any, branch: _Branch) -> float:
+        stays = branch.away is None or (branch.away == now.ctrl[ctrl]).any()
+        return 60.0 if branch.away is not None and stays else np.inf
+
+    monkeypatch.setattr(look, "value", value)
+    best = look.choose(now)
+    assert best.away is not None and (best.away == now.ctrl[ctrl]).any()
 
 
 def test_what_lies_out_of_reach_is_brought_back_by_some_of_them(lying: Any) -> None:
@@ -347,9 +379,10 @@ def test_a_look_ahead_counts_place_friction_and_a_fall(lying: Any) -> None:
     angle = look._cost(now)
     look._real.place = look._real.place + np.array([0.03, 0.0, 0.0])
     assert look._cost(now) == pytest.approx(angle + 2000.0 * 0.015, abs=0.1)
-    assert FRICTIONS[0] < 1.0 < FRICTIONS[1]
+    assert FRICTIONS[0] < FRICTIONS[2] < 1.0 < FRICTIONS[1]
     model = lying[1].model
     for rubbed, share in zip(look._models, FRICTIONS, strict=True):
+        assert rubbed.opt.timestep == 2 * model.opt.timestep
         assert rubbed.geom_friction[:, 0] == pytest.approx(share * model.geom_friction[:, 0])
     pair = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom name='a' size='1'/><body><geom name='b' size='1'/></body>"

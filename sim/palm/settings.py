@@ -55,6 +55,8 @@ class PalmSettings:
         ahead_s: How far a look ahead goes, s, and how long its best branch is done; both after
             fingers have opened.
         branches: Openings of the fingers that a look tries (-) where going on gains too little.
+        lapse_deg: Loss (degrees) by the best opening from which on openings of some of the fingers
+            are tried too.
         stall_s: Time (s) without progress after which going on is no branch.
         open_s: Time (s) that fingers take to open.
         scatter_rad: Standard deviation of the postures to which they open, rad.
@@ -90,6 +92,7 @@ class PalmSettings:
     progress_deg: float = 3.0
     ahead_s: float = 1.0
     branches: int = 8
+    lapse_deg: float = 30.0
     stall_s: float = 3.0
     open_s: float = 0.5
     scatter_rad: float = 0.15
