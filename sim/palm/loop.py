@@ -39,6 +39,12 @@ friction that there is need not be known better."""
 FINALISTS = 4
 """Branches that are tried with the other frictions (-): those that end best with the first."""
 
+ONWARD = 4
+"""Openings (-) that are tried at the end of a branch which gains nothing: one of each target."""
+
+LOST_DEG = 180.0
+"""What (degrees) it costs to end where each opening drops the object: as much as any angle."""
+
 REST_S = 0.3
 """How long (s) the object must stay in the hand after a branch, and how long what rolls away rolls
 on before its place counts: what is thrown falls in it."""
@@ -158,7 +164,8 @@ class _LookAhead:
     def __init__(self, driver: _Driver, low: float, seed: int) -> None:
         self._real, self._low, self._rng = driver, low, np.random.default_rng(seed)
         self._models = [_rubbed(driver.plant.model, share) for share in FRICTIONS]
-        self._data, self._trial = mujoco.MjData(driver.plant.model), driver.twin()
+        self._data, self._end = (mujoco.MjData(driver.plant.model) for _ in range(2))
+        self._trial = driver.twin()
         self._best, self._since = np.inf, -np.inf
         self._fingers = _servos_of_fingers(driver.plant)
 
@@ -168,7 +175,8 @@ class _LookAhead:
         Going on, where it gains ``progress_deg``; else the branch with the least cost at its end
         with the worst friction, without going on once nothing has been gained for ``stall_s``.
         Where that costs ``lapse_deg`` more than now, the object lies on the fingers: some of them
-        stay then while others open. Where each branch drops the object, all stay for a moment.
+        stay then while others open. Where nothing gains, what another opening makes of the end
+        counts too. Where all costs ``lapse_deg`` more, fingers stay, and others are drawn later.
         """
         asked, now = self._real.settings, float(data.time)
         here = self._cost(data)
@@ -180,29 +188,56 @@ class _LookAhead:
         gained = here - asked.progress_deg
         if found[0][0] < gained and self.value(1, data, on) < gained:
             return on
-        value, best = self._least(data, self._openings(data), [] if stuck else found)
-        if value > here + asked.lapse_deg:
-            some = self._least(data, self._openings(data, some=True), [])
-            value, best = min((value, best), some, key=lambda pair: pair[0])
+        branches = self._worst(data, self._openings(data), [] if stuck else found, gained)
+        if branches[0][0] > here + asked.lapse_deg:
+            branches += self._worst(data, self._openings(data, some=True), [], gained)
+        branches = [pair for pair in branches if pair[0] < np.inf]
+        if all(value >= gained for value, _ in branches):  # what comes after counts as much
+            branches = [
+                (0.5 * (value + self._onward(data, one, value)), one) for value, one in branches
+            ]
         if stuck:
             self._best, self._since = np.inf, now
-        if np.isfinite(value):
+        value, best = min(branches, key=lambda pair: pair[0], default=(np.inf, on))
+        if value <= here + asked.lapse_deg:
             return best
-        end = now + asked.open_s
+        end = now + asked.open_s + asked.ahead_s
         return _Branch(away=None, goal=self._real.goal, opens_until=end, until=end, rests=True)
 
-    def _least(
-        self, data: Any, branches: list[_Branch], found: list[tuple[float, _Branch]]
-    ) -> tuple[float, _Branch]:
-        """Least cost with the worst friction, and its branch; some have been found by the first."""
+    def _worst(
+        self,
+        data: Any,
+        branches: list[_Branch],
+        found: list[tuple[float, _Branch]],
+        enough: float,
+    ) -> list[tuple[float, _Branch]]:
+        """The best branches by their costs with the worst friction, the least first.
+
+        Some were ``found`` with the first friction before. One that costs less than ``enough``, and
+        no more than others do with the first friction, ends the search.
+        """
         found = found + [(self.value(0, data, branch), branch) for branch in branches]
         found.sort(key=lambda pair: pair[0])
-        worst = []
-        for value, branch in found[:FINALISTS]:
+        worst: list[tuple[float, _Branch]] = []
+        for least, branch in found[:FINALISTS]:
+            if worst and worst[0][0] < min(enough, least):
+                break
+            cost = least
             for which in range(1, len(FRICTIONS)):
-                value = max(value, self.value(which, data, branch)) if value < np.inf else value
-            worst.append((value, branch))
-        return min(worst, key=lambda pair: pair[0])
+                cost = max(cost, self.value(which, data, branch)) if cost < np.inf else cost
+            worst = sorted([*worst, (cost, branch)], key=lambda pair: pair[0])
+        return worst
+
+    def _onward(self, data: Any, branch: _Branch, value: float) -> float:
+        """Least cost after another opening at the end of a branch; ``LOST_DEG`` where all drop."""
+        self.value(0, data, branch)
+        mujoco.mj_copyData(self._end, self._models[0], self._data)
+        for some in (False, True):
+            openings = self._openings(self._end, some)[:ONWARD]
+            least = min(self.value(0, self._end, one) for one in openings)
+            if least < np.inf:
+                return least
+        return value + LOST_DEG
 
     def _openings(self, data: Any, some: bool = False) -> list[_Branch]:
         """Branches that open fingers to postures near the first, and ask for targets in turn.
@@ -273,16 +308,17 @@ class _LookAhead:
 
     def _cost(self, data: Any) -> float:
         """Angle (degrees) to the goal, and what it costs to lie away from where fingers reach."""
-        real = self._real
-        far = max(0.0, self._off(data) - real.settings.free_m)
-        return angle_deg(real.plant, data, real.goal) + real.settings.far_deg * far
+        real, free = self._real, self._real.settings.free_m
+        far = max(0.0, self._off(data) - free)
+        outside = real.settings.far_deg * far * (1.0 + far / free)
+        return angle_deg(real.plant, data, real.goal) + outside
 
 
 def _servos_of_fingers(plant: Plant) -> IntArray:
     """For each fingertip, the servos (nu,) that move it, as 0 and 1."""
     rows = []
-    for body, _ in plant.tips:
-        chain = np.zeros(plant.model.nv, dtype=bool)
+    for tip, _ in plant.tips:
+        chain, body = np.zeros(plant.model.nv, dtype=bool), tip
         while body:
             first = plant.model.body_dofadr[body]
             chain[first : first + plant.model.body_dofnum[body]] = True
