@@ -19,7 +19,7 @@ from sim.palm import PalmReport, PalmSettings, reorient_in_palm
 from sim.palm.control import PalmController, _Problem
 from sim.palm.loop import FRICTIONS, _Branch, _Driver, _LookAhead, _rubbed, turn
 from sim.palm.model import ContactStep, PalmModel, Plant, plant_of
-from sim.palm.run import lay_down, palm_scene
+from sim.palm.run import AHEAD, CRADLES, LIFT, _settle, lay_down, palm_scene
 
 CUBE = "box:0.05x0.05x0.05"
 QUARTER = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
@@ -426,8 +426,24 @@ def test_a_mirror_is_no_goal() -> None:
 
 
 def test_a_hand_without_a_palm_up_pose_is_named() -> None:
-    with pytest.raises(NotFoundError, match=r"palm-up pose of a hand.*shadow_hand"):
-        reorient_in_palm("shadow_hand", CUBE, QUARTER)
+    with pytest.raises(NotFoundError, match=r"palm-up pose of a hand.*shadow_hand_left"):
+        reorient_in_palm("shadow_hand_left", CUBE, QUARTER)
+
+
+@pytest.mark.parametrize("hand", CRADLES)
+def test_a_cube_rests_in_each_cradle_where_fingertips_reach(hand: str) -> None:
+    """For 1.5 s within 3 mm of where it settled; fingertips within 8 cm of where it is wanted."""
+    scene, q, nest = palm_scene(hand, CUBE)
+    plant, data = plant_of(scene), mujoco.MjData(scene.model)
+    lay_down(plant, data, PalmSettings(), scene.task.hand.neutral, np.eye(3), nest)
+    _settle(plant, data, q, CUBE, lambda: None)
+    first = data.xpos[plant.object_body].copy()
+    mujoco.mj_step(scene.model, data, 750)
+    place = data.xpos[plant.object_body]
+    assert np.linalg.norm(place - first) < 0.003
+    for body, point in plant.tips:
+        tip = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
+        assert np.linalg.norm(tip - place - [AHEAD, 0.0, LIFT]) < 0.08
 
 
 def test_an_object_that_rolls_off_is_told_at_once() -> None:
