@@ -63,8 +63,8 @@ class PalmSettings:
         beyond: How far beyond the goal some openings ask to turn: a share of the way left (-).
         beside_rad: Standard deviation of the rotations beside the goal that others ask for, rad.
         free_m: Distance (m) of the object to its place that costs nothing in a look ahead.
-        far_deg: What more of it costs at first, degrees per m; it grows with the square, to twice as
-            much in all at ``free_m`` more.
+        far_deg: What more of it costs at first, degrees per m; it grows with the square, and is
+            twice as much at ``free_m`` more.
     """
 
     horizon: int = 4
