@@ -19,7 +19,7 @@ from sim.palm import PalmReport, PalmSettings, reorient_in_palm
 from sim.palm.control import PalmController, _Problem
 from sim.palm.loop import FRICTIONS, _Branch, _Driver, _LookAhead, _rubbed, turn
 from sim.palm.model import ContactStep, PalmModel, Plant, plant_of
-from sim.palm.run import lay_down, palm_scene
+from sim.palm.run import AHEAD, CRADLES, LIFT, _settle, lay_down, palm_scene
 
 CUBE = "box:0.05x0.05x0.05"
 QUARTER = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
@@ -262,7 +262,11 @@ def test_the_best_branch_is_done_that_does_not_drop(
         place = next(k for k, one in enumerate(drawn) if one is branch)
         return (np.inf, 10.0, 30.0)[place] if which == 0 else (5.0, np.inf, 30.0)[place]
 
-    monkeypatch.setattr(look, "_openings", draw)
+    def no_more(at: Any, some: bool = False) -> list[_Branch]:
+        assert not some  # the best gains, so that no finger needs to stay
+        return draw(at)
+
+    monkeypatch.setattr(look, "_openings", no_more)
     monkeypatch.setattr(look, "value", value)
     assert look.choose(now) is drawn[2]
     assert drawn[0].away is not None and drawn[1].away is not None
@@ -279,15 +283,20 @@ def test_fingers_stay_where_each_branch_drops(lying: Any, monkeypatch: pytest.Mo
     assert stays.until > now.time
 
 
-def test_the_worse_friction_counts(lying: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two openings, 10 and 20 degrees with less friction, 50 and 30 with more."""
+@pytest.mark.parametrize("which_is_worse", [1, 2])
+def test_the_worst_friction_counts(
+    lying: Any, monkeypatch: pytest.MonkeyPatch, which_is_worse: int
+) -> None:
+    """Two openings: with less friction 10 and 20 degrees, with more or between 50 and 30."""
     now, look = drive(lying, 60.0, branches=2)
     drawn = look._openings(now)
     values = {id(drawn[0]): (10.0, 50.0), id(drawn[1]): (20.0, 30.0)}
     monkeypatch.setattr(look, "_openings", lambda _: drawn)
-    monkeypatch.setattr(
-        look, "value", lambda which, _, branch: values.get(id(branch), (59.0, 59.0))[which]
-    )
+
+    def value(which: int, _: Any, branch: _Branch) -> float:
+        return values.get(id(branch), (59.0, 59.0))[int(which == which_is_worse)]
+
+    monkeypatch.setattr(look, "value", value)
     assert look.choose(now) is drawn[1]
 
 
@@ -302,6 +311,53 @@ def test_going_on_is_no_branch_once_it_is_stuck(
     now.time += 1.1
     assert look.choose(now).away is not None
     assert look.choose(now).away is None  # it begins to count anew
+
+
+def test_where_openings_drop_it_some_fingers_stay(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each finger's four servos move together or stay, and the best of these branches is done."""
+    now, look = drive(lying, 60.0)
+    ctrl = lying[1].ctrl
+    now.ctrl[ctrl] += 0.01
+    assert look._fingers.sum(axis=1).tolist() == [4, 4, 4, 4]
+    assert (look._fingers.sum(axis=0) == 1).all()
+    opened = np.array([one.away != now.ctrl[ctrl] for one in look._openings(now, some=True)])
+    assert 0.2 < opened.mean() < 0.8
+    for servos in look._fingers.astype(bool):
+        assert (opened[:, servos].all(axis=1) == opened[:, servos].any(axis=1)).all()
+
+    def value(which: int, data: Any, branch: _Branch) -> float:
+        stays = branch.away is None or (branch.away == now.ctrl[ctrl]).any()
+        return 60.0 if branch.away is not None and stays else np.inf
+
+    monkeypatch.setattr(look, "value", value)
+    monkeypatch.setattr(look, "_onward", lambda _, __, value: value)
+    best = look.choose(now)
+    assert best.away is not None and (best.away == now.ctrl[ctrl]).any()
+
+
+def test_what_comes_after_decides_where_nothing_gains(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two openings, 70 and 80 degrees: all drop after the first, 10 are left after the second."""
+    now, look = drive(lying, 60.0, branches=2)
+    drawn = look._openings(now)
+    monkeypatch.setattr(look, "_openings", lambda *_, **__: drawn)
+    values = {id(drawn[0]): 70.0, id(drawn[1]): 80.0}
+
+    def value(which: int, data: Any, branch: _Branch) -> float:
+        if data is now:
+            look._data.qpos[0] = values.get(id(branch), 0.0)
+            return values.get(id(branch), 65.0)
+        return {70.0: np.inf, 80.0: 10.0}.get(float(data.qpos[0]), 65.0)
+
+    monkeypatch.setattr(look, "value", value)
+    assert look.choose(now) is drawn[1]
+    values = {id(drawn[0]): 70.0, id(drawn[1]): np.inf}
+    assert look.choose(now).away is None  # 65 degrees, by going on
+    look._since = -10.0
+    assert look.choose(now).rests  # going on is no branch, and after the opening all drop
 
 
 def test_what_lies_out_of_reach_is_brought_back_by_some_of_them(lying: Any) -> None:
@@ -346,10 +402,11 @@ def test_a_look_ahead_counts_place_friction_and_a_fall(lying: Any) -> None:
     now, look = drive(lying, 60.0)
     angle = look._cost(now)
     look._real.place = look._real.place + np.array([0.03, 0.0, 0.0])
-    assert look._cost(now) == pytest.approx(angle + 2000.0 * 0.015, abs=0.1)
-    assert FRICTIONS[0] < 1.0 < FRICTIONS[1]
+    assert look._cost(now) == pytest.approx(angle + 2 * 2000.0 * 0.015, abs=0.2)
+    assert FRICTIONS[0] < FRICTIONS[2] < 1.0 < FRICTIONS[1]
     model = lying[1].model
     for rubbed, share in zip(look._models, FRICTIONS, strict=True):
+        assert rubbed.opt.timestep == 2 * model.opt.timestep
         assert rubbed.geom_friction[:, 0] == pytest.approx(share * model.geom_friction[:, 0])
     pair = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom name='a' size='1'/><body><geom name='b' size='1'/></body>"
@@ -369,8 +426,24 @@ def test_a_mirror_is_no_goal() -> None:
 
 
 def test_a_hand_without_a_palm_up_pose_is_named() -> None:
-    with pytest.raises(NotFoundError, match=r"palm-up pose of a hand.*shadow_hand"):
-        reorient_in_palm("shadow_hand", CUBE, QUARTER)
+    with pytest.raises(NotFoundError, match=r"palm-up pose of a hand.*shadow_hand_left"):
+        reorient_in_palm("shadow_hand_left", CUBE, QUARTER)
+
+
+@pytest.mark.parametrize("hand", CRADLES)
+def test_a_cube_rests_in_each_cradle_where_fingertips_reach(hand: str) -> None:
+    """For 1.5 s within 3 mm of where it settled; fingertips within 8 cm of where it is wanted."""
+    scene, q, nest = palm_scene(hand, CUBE)
+    plant, data = plant_of(scene), mujoco.MjData(scene.model)
+    lay_down(plant, data, PalmSettings(), scene.task.hand.neutral, np.eye(3), nest)
+    _settle(plant, data, q, CUBE, lambda: None)
+    first = data.xpos[plant.object_body].copy()
+    mujoco.mj_step(scene.model, data, 750)
+    place = data.xpos[plant.object_body]
+    assert np.linalg.norm(place - first) < 0.003
+    for body, point in plant.tips:
+        tip = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
+        assert np.linalg.norm(tip - place - [AHEAD, 0.0, LIFT]) < 0.08
 
 
 def test_an_object_that_rolls_off_is_told_at_once() -> None:

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, IntArray
 from sim.palm.control import PalmController
 from sim.palm.model import Plant
 from sim.palm.report import Outcome
@@ -32,15 +32,26 @@ SINK = 0.06
 """How far (m) below where it began an object is dropped: the thickness of a palm and a finger."""
 
 
-FRICTIONS = (5 / 6, 7 / 6)
+FRICTIONS = (5 / 6, 7 / 6, 11 / 12)
 """Shares (-) of the friction with which a look ahead is made, and made again before it is done: the
 friction that there is need not be known better."""
 
 FINALISTS = 4
-"""Branches that are tried with the second friction (-): those that end best with the first."""
+"""Branches that are tried with the other frictions (-): those that end best with the first."""
+
+ONWARD = 4
+"""Openings (-) that are tried at the end of a branch which gains nothing: one of each target."""
+
+LOST_DEG = 180.0
+"""What (degrees) it costs to end where each opening drops the object: as much as any angle."""
 
 REST_S = 0.3
-"""How long (s) the object must stay in the hand after a branch: what is thrown falls in it."""
+"""How long (s) the object must stay in the hand after a branch, and how long what rolls away rolls
+on before its place counts: what is thrown falls in it."""
+
+LOOK_STEP_S = 0.004
+"""Least step (s) of the simulation in a look ahead: half the time of the scene's 2 ms, and ends of
+0.6 s differ by 2 mm in the median, less than between the two frictions."""
 
 ROUNDING_S = 1e-9
 """Difference (s) of times that are the same but for rounding."""
@@ -100,7 +111,6 @@ class _Driver:
     ) -> None:
         self.plant, self.goal, self.place, self.settings = plant, goal, place, settings
         self.begun, self._within = begun, within
-        self.steps = max(1, round(settings.period_s / plant.model.opt.timestep))
         self.controller = PalmController(plant, settings)
         self.solve_s: list[float] = []
 
@@ -139,8 +149,9 @@ class _Driver:
             self.controller.forget()
             most = asked.period_s / asked.step_s * asked.command_rad
             new = command + np.clip(branch.away - command, -most, most)
-        for k in range(self.steps):
-            data.ctrl[plant.ctrl] = command + (k + 1) / self.steps * (new - command)
+        steps = max(1, round(asked.period_s / model.opt.timestep))
+        for k in range(steps):
+            data.ctrl[plant.ctrl] = command + (k + 1) / steps * (new - command)
             mujoco.mj_step(model, data)
             if on_step is not None:
                 on_step()
@@ -153,15 +164,19 @@ class _LookAhead:
     def __init__(self, driver: _Driver, low: float, seed: int) -> None:
         self._real, self._low, self._rng = driver, low, np.random.default_rng(seed)
         self._models = [_rubbed(driver.plant.model, share) for share in FRICTIONS]
-        self._data, self._trial = mujoco.MjData(driver.plant.model), driver.twin()
+        self._data, self._end = (mujoco.MjData(driver.plant.model) for _ in range(2))
+        self._trial = driver.twin()
         self._best, self._since = np.inf, -np.inf
+        self._fingers = _servos_of_fingers(driver.plant)
 
     def choose(self, data: Any) -> _Branch:
         """What to do from a state on.
 
         Going on, where it gains ``progress_deg``; else the branch with the least cost at its end
-        with the worse friction, without going on once nothing has been gained for ``stall_s``.
-        Where each drops the object, the fingers stay for a moment, and others are drawn.
+        with the worst friction, without going on once nothing has been gained for ``stall_s``.
+        Where that costs ``lapse_deg`` more than now, the object lies on the fingers: some of them
+        stay then while others open. Where nothing gains, what another opening makes of the end
+        counts too. Where all costs ``lapse_deg`` more, fingers stay, and others are drawn later.
         """
         asked, now = self._real.settings, float(data.time)
         here = self._cost(data)
@@ -173,32 +188,79 @@ class _LookAhead:
         gained = here - asked.progress_deg
         if found[0][0] < gained and self.value(1, data, on) < gained:
             return on
-        found = [] if stuck else found
-        found += [(self.value(0, data, branch), branch) for branch in self._openings(data)]
+        branches = self._worst(data, self._openings(data), [] if stuck else found, gained)
+        if branches[0][0] > here + asked.lapse_deg:
+            branches += self._worst(data, self._openings(data, some=True), [], gained)
+        branches = [pair for pair in branches if pair[0] < np.inf]
+        if all(value >= gained for value, _ in branches):  # what comes after counts as much
+            branches = [
+                (0.5 * (value + self._onward(data, one, value)), one) for value, one in branches
+            ]
         if stuck:
             self._best, self._since = np.inf, now
-        found.sort(key=lambda pair: pair[0])
-        both = [(max(value, self.value(1, data, one)), one) for value, one in found[:FINALISTS]]
-        value, best = min(both, key=lambda pair: pair[0])
-        if np.isfinite(value):
+        value, best = min(branches, key=lambda pair: pair[0], default=(np.inf, on))
+        if value <= here + asked.lapse_deg:
             return best
-        end = now + asked.open_s
+        end = now + asked.open_s + asked.ahead_s
         return _Branch(away=None, goal=self._real.goal, opens_until=end, until=end, rests=True)
 
-    def _openings(self, data: Any) -> list[_Branch]:
-        """Branches that open fingers to postures near the first, and ask for targets in turn."""
+    def _worst(
+        self,
+        data: Any,
+        branches: list[_Branch],
+        found: list[tuple[float, _Branch]],
+        enough: float,
+    ) -> list[tuple[float, _Branch]]:
+        """The best branches by their costs with the worst friction, the least first.
+
+        Some were ``found`` with the first friction before. One that costs less than ``enough``, and
+        no more than others do with the first friction, ends the search.
+        """
+        found = found + [(self.value(0, data, branch), branch) for branch in branches]
+        found.sort(key=lambda pair: pair[0])
+        worst: list[tuple[float, _Branch]] = []
+        for least, branch in found[:FINALISTS]:
+            if worst and worst[0][0] < min(enough, least):
+                break
+            cost = least
+            for which in range(1, len(FRICTIONS)):
+                cost = max(cost, self.value(which, data, branch)) if cost < np.inf else cost
+            worst = sorted([*worst, (cost, branch)], key=lambda pair: pair[0])
+        return worst
+
+    def _onward(self, data: Any, branch: _Branch, value: float) -> float:
+        """Least cost after another opening at the end of a branch; ``LOST_DEG`` where all drop."""
+        self.value(0, data, branch)
+        mujoco.mj_copyData(self._end, self._models[0], self._data)
+        for some in (False, True):
+            openings = self._openings(self._end, some)[:ONWARD]
+            least = min(self.value(0, self._end, one) for one in openings)
+            if least < np.inf:
+                return least
+        return value + LOST_DEG
+
+    def _openings(self, data: Any, some: bool = False) -> list[_Branch]:
+        """Branches that open fingers to postures near the first, and ask for targets in turn.
+
+        Of ``some`` each opens about half of the fingers, and the others stay.
+        """
         real, asked, now = self._real, self._real.settings, float(data.time)
         scatter = asked.scatter_rad * self._rng.standard_normal((asked.branches, len(real.begun)))
         scatter[:, real.plant.idle] = 0.0
         opens, targets = now + asked.open_s, self._targets(data)
+        away = real.begun + scatter
+        if some:
+            opened = self._rng.random((asked.branches, len(self._fingers))) < 0.5
+            moves = opened.astype(int) @ self._fingers > 0
+            away = np.where(moves, away, data.ctrl[real.plant.ctrl])
         return [
             _Branch(
-                away=real.begun + one,
+                away=one,
                 goal=targets[k % len(targets)],
                 opens_until=opens,
                 until=opens + asked.ahead_s,
             )
-            for k, one in enumerate(scatter)
+            for k, one in enumerate(away)
         ]
 
     def _targets(self, data: Any) -> list[FloatArray]:
@@ -234,7 +296,7 @@ class _LookAhead:
                 return np.inf
         cost = self._cost(ahead)
         mujoco.mj_step(model, ahead, round(REST_S / model.opt.timestep))
-        return np.inf if self._lost(ahead) else cost
+        return np.inf if self._lost(ahead) else max(cost, self._cost(ahead))
 
     def _lost(self, data: Any) -> bool:
         height = data.xpos[self._real.plant.object_body][2]
@@ -246,14 +308,29 @@ class _LookAhead:
 
     def _cost(self, data: Any) -> float:
         """Angle (degrees) to the goal, and what it costs to lie away from where fingers reach."""
-        real = self._real
-        far = max(0.0, self._off(data) - real.settings.free_m)
-        return angle_deg(real.plant, data, real.goal) + real.settings.far_deg * far
+        real, free = self._real, self._real.settings.free_m
+        far = max(0.0, self._off(data) - free)
+        outside = real.settings.far_deg * far * (1.0 + far / free)
+        return angle_deg(real.plant, data, real.goal) + outside
+
+
+def _servos_of_fingers(plant: Plant) -> IntArray:
+    """For each fingertip, the servos (nu,) that move it, as 0 and 1."""
+    rows = []
+    for tip, _ in plant.tips:
+        chain, body = np.zeros(plant.model.nv, dtype=bool), tip
+        while body:
+            first = plant.model.body_dofadr[body]
+            chain[first : first + plant.model.body_dofnum[body]] = True
+            body = plant.model.body_parentid[body]
+        rows.append((plant.moment[:, chain[plant.dof]] != 0).any(axis=1))
+    return np.array(rows, dtype=int)
 
 
 def _rubbed(model: Any, share: float) -> Any:
-    """A copy of a model with a share of its sliding friction."""
+    """A copy of a model with a share of its sliding friction, and steps of ``LOOK_STEP_S``."""
     rubbed = copy.copy(model)
+    rubbed.opt.timestep = max(model.opt.timestep, LOOK_STEP_S)
     rubbed.geom_friction[:, 0] *= share
     rubbed.pair_friction[:, :2] *= share
     return rubbed

@@ -67,10 +67,24 @@ CRADLES: Mapping[str, tuple[tuple[float, float], Mapping[str, float]]] = Mapping
                 }
             ),
         ),
+        "shadow_hand": (
+            (0.076, -0.016),
+            MappingProxyType(
+                {
+                    **{"FFJ4": 0.11, "FFJ3": 0.65, "FFJ2": 1.56, "FFJ1": 1.56},
+                    **{"MFJ4": 0.13, "MFJ3": 0.15, "MFJ2": 1.57, "MFJ1": 1.57},
+                    **{"RFJ4": 0.2, "RFJ3": 0.27, "RFJ2": 1.57, "RFJ1": 1.57},
+                    **{"LFJ5": 0.49, "LFJ4": 0.17, "LFJ3": 0.39, "LFJ2": 1.57, "LFJ1": 1.57},
+                    **{"THJ5": 0.66, "THJ4": 1.02, "THJ3": 0.18, "THJ2": -0.08, "THJ1": 0.93},
+                }
+            ),
+        ),
     }
 )
 """Hand -> where an object lies on its palm (x, y), m, and joints (rad) that curl about it there.
-Those of the Allegro-type hand are near what the published scene begins with (arXiv 2408.07855)."""
+Those of the Allegro-type hand are near what the published scene begins with (arXiv 2408.07855).
+Those of the Shadow-type hand are, of 200 drawn, where a 5 cm cube rests flat and fingertips are
+nearest to where its centre is wanted."""
 
 AHEAD, LIFT = 0.02, 0.012
 """How far (m) towards the fingers and above where it lies the centre is wanted: off the palm, which

@@ -55,13 +55,16 @@ class PalmSettings:
         ahead_s: How far a look ahead goes, s, and how long its best branch is done; both after
             fingers have opened.
         branches: Openings of the fingers that a look tries (-) where going on gains too little.
+        lapse_deg: Loss (degrees) by the best opening beyond which openings of some of the fingers
+            are tried too, and beyond which fingers rather stay.
         stall_s: Time (s) without progress after which going on is no branch.
         open_s: Time (s) that fingers take to open.
         scatter_rad: Standard deviation of the postures to which they open, rad.
         beyond: How far beyond the goal some openings ask to turn: a share of the way left (-).
         beside_rad: Standard deviation of the rotations beside the goal that others ask for, rad.
         free_m: Distance (m) of the object to its place that costs nothing in a look ahead.
-        far_deg: What more of it costs, degrees per m.
+        far_deg: What more of it costs at first, degrees per m; it grows with the square, and is
+            twice as much at ``free_m`` more.
     """
 
     horizon: int = 4
@@ -90,6 +93,7 @@ class PalmSettings:
     progress_deg: float = 3.0
     ahead_s: float = 1.0
     branches: int = 8
+    lapse_deg: float = 30.0
     stall_s: float = 3.0
     open_s: float = 0.5
     scatter_rad: float = 0.15
