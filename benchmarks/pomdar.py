@@ -38,8 +38,9 @@ from planner.motion.plan import Ending, ManipulationPlan
 from planner.motion.search import plan_motion
 from planner.shapes.round import Cylinder
 from planner.spatial import SE3, FloatArray, pose_to_wxyz, shifted
+from planner.task import Obstacle
 from sim.cli.options import names
-from sim.controllers import Observation
+from sim.controllers import Phase
 from sim.controllers.object_impedance import ObjectImpedance
 from sim.foreign import ForeignRun, ForeignScene
 from sim.manipulation.driver import ManipulationDriver
@@ -66,17 +67,33 @@ PALM = np.array([0.339, 0.141, 0.299])
 HEAD = 0.0064
 """Radius (m) of the cylinder that is planned for: 6 mm to the faces of the head, 6.8 to corners."""
 
-FINGERS = {"allegro_hand": ("thumb", "index", "middle"), "shadow_hand": ("thumb", "index", "little")}
+STANDS_ON = (("table", 0.4, -0.02, 0.0), ("foot", 0.0608, 0.0, 0.02), ("post", 0.0078, 0.02, 0.0876))
+"""What stands below the head: half a width, heights of bottom and top, m; boxes about the axis."""
+
+FINGERS = {"allegro_hand": ("thumb", "index", "middle"), "shadow_hand": ("thumb", "middle", "little")}
 """Which turn the bolt: neighbouring tips of 16 mm are too near each other on a head of 12 mm."""
 
-STROKE = {"allegro_hand": 60.0, "shadow_hand": 30.0}
+STROKE = {"allegro_hand": 60.0, "shadow_hand": 45.0}
 """Turn in the hand of a stroke, degrees."""
 
 GRIP, MU = 1.0, 0.8
 """Least planned force (N) of a finger, and friction relied on (-): its scene has 1."""
 
-ASKED, MOST = 720.0, 2.5
-"""Turn of the screw, degrees, and most times as many strokes as that takes."""
+RATE = 1.5
+"""Rate of a stroke, rad/s."""
+
+GRASPING: dict[Phase, float] = {"approach": 0.25, "close": 0.3, "squeeze": 0.25}
+"""Phases before a stroke, s."""
+
+ABOVE = 0.15
+"""How far (m) above where an approach begins the hand comes from its mount."""
+
+STEPS = 2
+"""Steps of its 2 ms per command."""
+
+ASKED, MOST, POOR = 720.0, 2.5, 2
+"""Turn of the screw, degrees; most times as many strokes as that takes (-); and strokes of less
+than 30 % of what was planned after which a plan is made anew."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +165,8 @@ class _Screwing:
         )
         names = hand.actuation.names
         self._ctrl = [self.model.actuator("robot/" + name).id for name in names]
+        self._hand = [i for i in range(self.model.nbody) if "robot/" in self.model.body(i).name]
+        self.hit = False
         self._begun = float(self._slide.qpos[0])
 
     @property
@@ -160,6 +179,11 @@ class _Screwing:
         """Turn of the screw, degrees."""
         return float(np.rad2deg(self.first - self._hinge.qpos[0]))
 
+    @property
+    def sank(self) -> float:
+        """How far it has gone in, m."""
+        return float(self._slide.qpos[0]) - self._begun
+
     def step(self, T_world_base: SE3, ctrl: FloatArray) -> None:
         """One of its steps."""
         data, slide = self.data, self._slide
@@ -167,7 +191,8 @@ class _Screwing:
         data.ctrl[self._ctrl] = ctrl
         spring = STIFFNESS * (self._thread - slide.qpos[0]) - DAMPING * slide.qvel[0]
         data.actuator(MOTOR).ctrl[0] = spring - self._weight
-        mujoco.mj_step(self.model, data)
+        mujoco.mj_step(self.model, data, STEPS)
+        self.hit = self.hit or self._hits()
 
     def plan(self, hand: str) -> ManipulationPlan:
         """A stroke.
@@ -177,11 +202,19 @@ class _Screwing:
         """
         task = self.scene.task(mu=MU, grip_force=GRIP, fingers=FINGERS[hand])
         head = replace(task.object, shape=Cylinder(radius=HEAD, height=0.008))
-        task = replace(task, object=head)
+        around = [
+            Obstacle(
+                name=name,
+                size=(2 * half, 2 * half, top - bottom),
+                T_world_obstacle=SE3(np.eye(3), np.array([0.0, 0.0, (top + bottom) / 2])),
+            )
+            for name, half, bottom, top in STANDS_ON
+        ]
+        task = replace(task, object=head, obstacles=tuple(around))
         motion = plan_motion(
             task,
             angle=-np.deg2rad(STROKE[hand]),
-            path_tolerance=0.002,
+            path_tolerance=0.0005,
             seed=int(self._rng.integers(2**31)),
             max_attempts=60,
         )
@@ -193,24 +226,93 @@ class _Screwing:
         ending = Ending(T_world_target=target, release=release, back="")
         return ManipulationPlan.of(motion, ending, angle=angle, shift=np.zeros(3))
 
-    def stroke(self, plan: ManipulationPlan) -> ForeignRun:
-        """Grasp, turn, open."""
-        driver = ManipulationDriver(plan, ObjectImpedance(plan.grasp), rate=1.5)
-        period = float(self.model.opt.timestep)
-        run = ForeignRun(plan.grasp, self.scene, self.step, period=period, controller=driver)
+    def bring(self, plan: ManipulationPlan) -> None:
+        """The hand from where it is mounted to where the approach begins, from above."""
+        start, run = plan.grasp.T_world_base_start, self._run(plan)
+        run.move(shifted(start, [0.0, 0.0, ABOVE]), 1.5, phase="approach")
+        run.move(start, 0.7, phase="approach")
 
-        def at(pose: SE3) -> SE3:  # the bolt goes down
-            return shifted(pose, [0.0, 0.0, self._begun - float(self._slide.qpos[0])])
+    def stroke(self, plan: ManipulationPlan) -> None:
+        """Grasp, turn, open; the palm stays, but goes down with the bolt."""
+        run = self._run(plan)
+        driver = run.controller
+        assert isinstance(driver, ManipulationDriver)
 
-        if self.turned < 1.0:
-            run.move(at(plan.grasp.T_world_base_start), 1.5, phase="approach")
-        for phase, duration in (("approach", 0.4), ("close", 0.4), ("squeeze", 0.3)):
-            run.move(at(plan.T_world_base), duration, wait=0.1, phase=phase)
+        def phase(name: Phase, duration: float, **until: Any) -> None:
+            down = self._begun - float(self._slide.qpos[0])
+            run.move(shifted(plan.T_world_base, [0.0, 0.0, down]), duration, phase=name, **until)
+
+        for name, duration in GRASPING.items():
+            phase(name, duration)
         driver.begin_stroke(plan.angle)
+        phase(
+            "turn",
+            abs(plan.angle) / RATE,
+            wait=0.6,
+            until=lambda _: bool(driver.reference.left <= np.deg2rad(1.0)),
+        )
+        phase("open", 0.3)
 
-        def made(_: Observation) -> bool:
-            return bool(driver.reference.left <= np.deg2rad(1.0))
+    def _run(self, plan: ManipulationPlan) -> ForeignRun:
+        driver = ManipulationDriver(plan, ObjectImpedance(plan.grasp), rate=RATE)
+        period = STEPS * float(self.model.opt.timestep)
+        return ForeignRun(plan.grasp, self.scene, self.step, period=period, controller=driver)
 
-        run.move(at(plan.T_world_base), abs(plan.angle) / 1.5, wait=0.6, phase="turn", until=made)
-        run.move(at(plan.T_world_base), 0.4, phase="open")
-        return run
+    def _hits(self) -> bool:
+        """Whether the hand touches anything but the bolt."""
+        pairs = self.model.geom_bodyid[self.data.contact.geom]
+        mine = np.isin(pairs, self._hand)
+        other = ~mine & (pairs != self.scene.object_body)
+        return bool((mine.any(axis=1) & other.any(axis=1)).any())
+
+
+def measure(case: Row) -> Row:
+    """Turn the screw once."""
+    hand = load_hand(case["hand"])
+    trial = _Screwing(Path(case["folder"]) / "sim", hand, case["seed"])
+    far = float(np.linalg.norm(PALM - trial.scene.T_world_object.translation))
+    row: Row = {"hand": hand.name, "seed": case["seed"], "mount_mm": 1e3 * far}
+    begin, strokes, plans, poor = time.process_time(), 0, 0, POOR
+    most = MOST * ASKED / STROKE[hand.name]
+    while trial.turned < ASKED and strokes < most:
+        if poor >= POOR:
+            try:
+                plan = trial.plan(hand.name)
+            except NoGraspFoundError as error:
+                return {**row, "done": False, "ended": "no plan", "detail": str(error)[:200]}
+            trial.bring(plan)
+            plans, poor = plans + 1, 0
+        before = trial.turned
+        trial.stroke(plan)
+        strokes += 1
+        poor += trial.turned - before < 0.3 * STROKE[hand.name]
+    return {
+        **row,
+        "done": trial.turned >= ASKED,
+        "ended": "done" if trial.turned >= ASKED else "not turned",
+        "turned_deg": trial.turned,
+        "sank_mm": 1e3 * trial.sank,
+        "strokes": strokes,
+        "plans": plans,
+        "hit": trial.hit,
+        "simulated_s": float(trial.data.time),
+        "cpu_s": time.process_time() - begin,
+    }
+
+
+def tables(result: Row) -> Iterator[Row]:
+    """One line per hand."""
+    yield summary(
+        "POMDAR's screw C1, turned by 720 degrees",
+        result["rows"],
+        ("hand",),
+        {
+            "done": share("done"),
+            "turned, degrees, least": of("turned_deg", "min", digits=0),
+            "strokes": of("strokes"),
+            "simulated, s": of("simulated_s", digits=0),
+            "touched other things": share("hit"),
+            "CPU, s": of("cpu_s", digits=0),
+            "ended": counted("ended"),
+        },
+    )
