@@ -85,6 +85,9 @@ RATE = 1.5
 GRASPING: dict[Phase, float] = {"approach": 0.25, "close": 0.3, "squeeze": 0.25}
 """Phases before a stroke, s."""
 
+TRIES, LOOKS_DOWN = 10, -0.5
+"""Plans that are made until the palm looks down, and most vertical part (-) of its normal."""
+
 ABOVE = 0.15
 """How far (m) above where an approach begins the hand comes from its mount."""
 
@@ -211,13 +214,16 @@ class _Screwing:
             for name, half, bottom, top in STANDS_ON
         ]
         task = replace(task, object=head, obstacles=tuple(around))
-        motion = plan_motion(
-            task,
-            angle=-np.deg2rad(STROKE[hand]),
-            path_tolerance=0.0005,
-            seed=int(self._rng.integers(2**31)),
-            max_attempts=60,
-        )
+        for _ in range(TRIES):
+            motion = plan_motion(
+                task,
+                angle=-np.deg2rad(STROKE[hand]),
+                path_tolerance=0.0005,
+                seed=int(self._rng.integers(2**31)),
+                max_attempts=60,
+            )
+            if motion.grasp.T_world_palm.rotation[2] @ task.hand.palm_normal < LOOKS_DOWN:
+                break
         release = find_release(motion)
         if isinstance(release, Failure):
             raise NoGraspFoundError(str(release), ())
