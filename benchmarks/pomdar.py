@@ -170,7 +170,7 @@ class _Screwing:
         self._ctrl = [self.model.actuator("robot/" + name).id for name in names]
         self._hand = [i for i in range(self.model.nbody) if "robot/" in self.model.body(i).name]
         self.hit = False
-        self._begun = float(self._slide.qpos[0])
+        self._begun = self._planned = float(self._slide.qpos[0])
 
     @property
     def _thread(self) -> float:
@@ -203,6 +203,7 @@ class _Screwing:
         Raises:
             NoGraspFoundError: There is none.
         """
+        self._planned = float(self._slide.qpos[0])
         task = self.scene.task(mu=MU, grip_force=GRIP, fingers=FINGERS[hand])
         head = replace(task.object, shape=Cylinder(radius=HEAD, height=0.008))
         around = [
@@ -245,7 +246,7 @@ class _Screwing:
         assert isinstance(driver, ManipulationDriver)
 
         def phase(name: Phase, duration: float, **until: Any) -> None:
-            down = self._begun - float(self._slide.qpos[0])
+            down = self._planned - float(self._slide.qpos[0])
             run.move(shifted(plan.T_world_base, [0.0, 0.0, down]), duration, phase=name, **until)
 
         for name, duration in GRASPING.items():
