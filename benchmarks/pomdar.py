@@ -2,8 +2,8 @@
 
 https://github.com/srl-ethz/pomdar_benchmark (d077f986; it has no licence and is no part of this
 project). Task file, table and options are its own, as its launcher puts them together; in place of
-its hand ours is welded to the mocap body, with the palm where its palm is. It has no test of success
-in simulation: what counts is the angle of its hinge, and an object that is held 0.1 m higher. Its
+its hand ours is welded to the mocap body, with the palm where its palm is. In simulation it has no
+test of success: what counts is the angle of its hinge, and an object that is held 0.1 m higher. Its
 screw has no thread either: the motor of its slide is driven so that it advances ``LEAD`` per turn,
 as in its own script.
 
