@@ -146,15 +146,12 @@ def cases(options: Options) -> Iterator[Row]:
 
 def scene_of(sim: Path, task: str, hand: Hand) -> Any:
     """Its scene of a task, ``mujoco.MjModel``, with our hand on its mocap body (prefix robot/)."""
-    launcher = ast.parse((sim / "launch_mujoco_orca.py").read_text())
-    template = next(
-        part.value.value
-        for part in launcher.body
-        if isinstance(part, ast.Assign) and part.targets[0].id == "SCENE_TEMPLATE"
-    )
+    launcher = (sim / "launch_mujoco_orca.py").read_text()
+    assigned: list[Any] = [p for p in ast.parse(launcher).body if isinstance(p, ast.Assign)]
+    template = next(p.value.value for p in assigned if p.targets[0].id == "SCENE_TEMPLATE")
     root = ET.fromstring(template.format(task_rel=f"tasks/{task}.xml"))
-    root.remove(root.find("include[@file='hand/orca_v1.xml']"))
-    root.remove(root.find("equality"))
+    for part in (*root.findall("include[@file='hand/orca_v1.xml']"), *root.findall("equality")):
+        root.remove(part)
     with NamedTemporaryFile("w", suffix=".xml", dir=sim) as file:  # as its launcher does
         file.write(ET.tostring(root, encoding="unicode"))
         file.flush()
@@ -366,7 +363,7 @@ class _Picking(_Trial):
 def _box(name: str, x: float, y: float, bottom: float, top: float) -> Obstacle:
     """A box about the vertical axis, by half its width and by its heights, m."""
     place = SE3(np.eye(3), np.array([0.0, 0.0, (top + bottom) / 2]))
-    return Obstacle(name=name, size=(2 * x, 2 * y, top - bottom), T_world_obstacle=place)
+    return Obstacle(name=name, size=np.array([2 * x, 2 * y, top - bottom]), T_world_obstacle=place)
 
 
 def measure(case: Row) -> Row:
