@@ -62,14 +62,8 @@ PLATE = ("plate", 0.1265, 0.1063, 0.0, 0.0138)
 LIFT, PICKED_GRIP, REST = 0.1, 2.0, 500
 """How far it is lifted, m; least planned force of a finger, N; steps until it is at rest."""
 
-BOLT, HINGE, SLIDE, MOTOR, MOCAP = (
-    "bolt_body",
-    "bolt_hinge",
-    "bolt_slide",
-    "slide_bolt_motor",
-    "hand_mocap",
-)
-"""Names in its scene."""
+MOCAP = "hand_mocap"
+"""Its body that carries the hand."""
 
 LEAD = 0.004
 """Advance of its screw per turn, m (its screwing_test.py)."""
@@ -229,12 +223,12 @@ class _Screwing(_Trial):
     def __init__(self, sim: Path, hand: Hand, seed: int) -> None:
         """Put the bolt where it is drawn."""
         super().__init__(sim, SCREW, hand, seed)
-        self._hinge, self._slide = (self.data.joint(name) for name in (HINGE, SLIDE))
+        self._hinge, self._slide = (self.data.joint(f"bolt_{n}") for n in ("hinge", "slide"))
         self.first = -self._rng.uniform(0.0, np.pi / 3)
         self._hinge.qpos[0] = self.first
         self._slide.qpos[0] = self._thread
-        self._weight = -self.model.body(BOLT).mass[0] * self.model.opt.gravity[2]
-        self.read(BOLT)
+        self._weight = -self.model.body("bolt_body").mass[0] * self.model.opt.gravity[2]
+        self.read("bolt_body")
         self._begun = self._planned = float(self._slide.qpos[0])
 
     @property
@@ -251,7 +245,7 @@ class _Screwing(_Trial):
         """One of its steps, the bolt on its thread."""
         slide = self._slide
         spring = STIFFNESS * (self._thread - slide.qpos[0]) - DAMPING * slide.qvel[0]
-        self.data.actuator(MOTOR).ctrl[0] = spring - self._weight
+        self.data.actuator("slide_bolt_motor").ctrl[0] = spring - self._weight
         super().step(T_world_base, ctrl)
 
     def plan(self) -> ManipulationPlan:
