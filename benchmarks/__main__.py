@@ -26,6 +26,7 @@ NAMES = (
     "trials",
     "tools",
     "scenes",
+    "pomdar",
     "goals",
     "palm",
     "refine",

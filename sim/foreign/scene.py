@@ -95,6 +95,7 @@ class ForeignScene:
         obstacles: Sequence[str] = (),
         touch: Sequence[str] = (),
         prefix: str = "",
+        jointed: bool = False,
     ) -> None:
         """Find hand and object in a scene.
 
@@ -110,6 +111,8 @@ class ForeignScene:
             obstacles: Names of boxes that hand and object must not touch; as of the table.
             touch: Names of the object's geoms in whose bounds fingers may touch it; all if none.
             prefix: What the names of the hand begin with in the scene and not in its description.
+            jointed: The object may be held by joints of its own (a screw, a wheel): it is planned
+                for as if it were free.
 
         Raises:
             NotFoundError: The scene has no such body, geom, joint or actuator.
@@ -121,7 +124,7 @@ class ForeignScene:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand)
         what = f"body {object!r} of the scene"
         self.object_body = body = _id(model, "body", object)
-        self._check_free(what)
+        self._check_free(what, jointed)
         if not data.xmat[body].any():
             raise TaskError(
                 "the kinematics of the scene are not computed; call mujoco.mj_forward(model, data)"
@@ -287,7 +290,8 @@ class ForeignScene:
             gantry=None,
             # of slides and hinges there are six coordinates, which are no pose
             object_qpos=int(model.jnt_qposadr[joint]) + np.arange(7 if self._one_joint else 0),
-            object_dof=int(model.jnt_dofadr[joint]) + np.arange(6),
+            object_dof=int(model.jnt_dofadr[joint])
+            + np.arange(min(6, model.body_dofnum[self.object_body])),
             object_body=self.object_body,
             base_body=self._base,
             palm_body=self._id("body", hand.description.palm_body),
@@ -303,7 +307,7 @@ class ForeignScene:
         body_of = {g.name: g.body for g in self.hand.geometries}
         return tuple(self._id("body", body_of[f.pad.geom]) for f in fingers)
 
-    def _check_free(self, what: str) -> None:
+    def _check_free(self, what: str, jointed: bool) -> None:
         """Refuse an object that is not free: by one joint, or by three slides and three hinges."""
         model, body = self.model, self.object_body
         own = np.flatnonzero(model.jnt_bodyid == body)
@@ -311,10 +315,11 @@ class ForeignScene:
         self._one_joint = kinds.tolist() == [mujoco.mjtJoint.mjJNT_FREE]
         ranks = [np.linalg.matrix_rank(axes[kinds == kind], INDEPENDENT) for kind in ONE_AXIS]
         six = len(own) == 6 and ranks == [3, 3]
-        if not self._one_joint and (not six or model.body_parentid[body]):
+        held = jointed and 0 < len(own) <= 6
+        if not (self._one_joint or held) and (not six or model.body_parentid[body]):
             raise TaskError(
                 f"{what} has no free joint, nor three slides and three hinges, either along three "
-                "independent axes; name the body that moves freely"
+                "independent axes; name the body that moves freely, or say jointed=True"
             )
 
     def _posed(self) -> Any:
