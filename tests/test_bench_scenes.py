@@ -9,11 +9,12 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
+import mujoco
 import numpy as np
 import pytest
 from benching import run_bench
 
-from benchmarks import scenes, scenes_dexjoco, scenes_launch, scenes_task
+from benchmarks import scenes, scenes_adroit, scenes_dexjoco, scenes_launch, scenes_task
 from benchmarks.scenes_dexjoco import HAMMER
 from benchmarks.scenes_task import Served
 from planner.errors import NotFoundError, TaskError
@@ -118,3 +119,24 @@ def test_it_is_done_by_their_own_test(task: str) -> None:
     assert row["done"] and row["steps"] < 1200
     if "hammer" in task:
         assert row["depth_mm"] >= 40.0 and row["steps"] < 1000 and row["closed"]
+
+
+def test_a_rehearsal_has_less_friction_and_leaves_the_task_alone() -> None:
+    # gravity 35 degrees beside the plane's normal: friction of 1 holds the block, of 0.6 does not
+    model = mujoco.MjModel.from_xml_string("""
+<mujoco><option gravity="7 0 -10"/><worldbody>
+  <geom type="plane" size="1 1 1"/>
+  <body pos="0 0 0.02"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
+    <geom type="box" size="0.1 0.1 0.02"/></body>
+  <body pos="0 0 2"><joint name="flap"/><geom size="0.1"/></body></worldbody>
+  <actuator><position joint="flap" ctrlrange="-1 3"/></actuator></mujoco>""")
+    served: Any = SimpleNamespace(
+        model=model, data=mujoco.MjData(model), told={"ended": False}, steps=12, period=0.01
+    )
+    rehearsal = scenes_adroit._Rehearsal(served)
+    for _ in range(50):
+        rehearsal.step([0.5])
+        mujoco.mj_step(model, served.data, 5)
+    assert rehearsal.steps == 62 and served.steps == 12 and not rehearsal.told["ended"]
+    assert rehearsal.data.ctrl[0] == 2.0 and served.data.ctrl[0] == 0.0
+    assert rehearsal.data.qpos[0] > 0.05 > 0.01 > served.data.qpos[0]
