@@ -45,7 +45,7 @@ from sim.simulation import Simulation
 from sim.tools import USES
 from sim.tools.press import LEVER
 from sim.tools.strike import Strike, _Blow
-from sim.tools.trial import UseController, yaw_of_plan
+from sim.tools.trial import YIELDING, GuidedLoad, UseController, yaw_of_plan
 from sim.tools.turn import HINGE, MADE, RAMP, RATE, SLIDE, Turn
 from sim.tools.use import FIXTURE, Motion, use_of
 
@@ -305,6 +305,34 @@ def test_the_load_before_a_use_stays_in_the_world(
     assert controller.law.load == pytest.approx([0.0, -1.0, 0.0, 0.02, 0.0, 0.0])
 
 
+def test_of_a_guided_tool_only_the_torque_about_the_axis_is_learned(plan: GraspPlan) -> None:
+    """The screwdriver needs 3 N down and -0.05 N m about the vertical, however the base is."""
+    turn = pin.exp3(np.array([0.3, -0.2, 0.5]))
+    guided = GuidedLoad(plan, share=1.0)
+    given = guided.give(turn).reshape(2, 3) @ turn.T
+    assert given == pytest.approx(np.array([[0.0, 0.0, -3.0], [0.0, 0.0, -0.05]]), abs=1e-9)
+    learned = np.array([[4.0, 5.0, 6.0], [0.7, 0.8, -0.09]]) @ turn
+    guided.take(learned.ravel(), turn)
+    other = pin.exp3(np.array([-0.4, 0.1, 1.5]))
+    given = guided.give(other).reshape(2, 3) @ other.T
+    assert given == pytest.approx(np.array([[0.0, 0.0, -3.0], [0.0, 0.0, -0.09]]), abs=1e-9)
+
+
+def test_a_guided_tool_is_wanted_where_it_is_across_the_axis(plan: GraspPlan) -> None:
+    controller = UseController(plan, guided=True)
+    turn = pin.exp3(np.array([0.3, -0.2, 0.5]))
+    base = SE3(turn, np.array([0.1, 0.2, 0.3]))
+    kept = pin.exp3(np.array([0.0, 0.1, 0.0]))
+    controller.T_palm_wanted = SE3(kept, np.zeros(3))
+    T_world_palm = base * controller._torques.T_base_palm
+    moved = T_world_palm.translation + np.array([0.003, -0.001, 0.002])
+    seen: Any = SimpleNamespace(T_world_base=base, T_world_object=SE3(np.eye(3), moved))
+    controller._yield_to_fixture(seen, YIELDING / 2)
+    wanted = controller.T_palm_wanted
+    assert T_world_palm.rotation @ wanted.translation == pytest.approx([0.0015, -0.0005, 0.0])
+    assert wanted.rotation == pytest.approx(kept)
+
+
 @pytest.mark.slow
 def test_a_lid_hardly_turns_in_the_fingertips() -> None:
     # where nothing is learned while the wrist turns it turns by 11 degrees in them
@@ -330,7 +358,7 @@ def test_a_wrist_slows_down_before_the_socket_has_turned(
         done = use.motion(simulation, "use", 0.0).done
         rates.append((use._angle - before) / simulation.timestep)
     assert max(rates) == pytest.approx(RATE)
-    assert rates[-1] < 0.15 * RATE
+    assert rates[-1] < np.deg2rad(18.0)
     assert np.max(-np.diff(rates)) < 1.5 * RATE / RAMP * simulation.timestep
     assert use._angle == pytest.approx(np.pi, abs=2 * MADE)
     assert simulation.time < use.duration
