@@ -94,7 +94,7 @@ FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
 was felt, and never less than this (-)."""
 
 SWAYED = 1.0 + 2.0 * math.cos(math.radians(3.0))
-"""Trace (-) of a rotation by 3 degrees: a base that turns less stands still. A gantry that is
+"""Trace (-) of a rotation by 3 degrees: a palm that turns less stands still. A gantry that is
 pushed with 7 N sways by more than one degree."""
 
 CONFIRMED = 0.95
@@ -117,7 +117,7 @@ class ObjectImpedance:
         schedule: Which fingers hold, from the squeeze on.
         T_palm_wanted: Where the object is to be kept, in the palm, or in the planned base of two
             hands; None before the squeeze. May be set.
-        turning_time: Time (s) for which the base counts as turning after a turn by ``SWAYED``:
+        turning_time: Time (s) for which the palm counts as turning after a turn by ``SWAYED``:
             nothing is learned meanwhile.
         reference: Targets of object and fingers in ``REFERENCE_PHASES``; None keeps them.
         grip: Least normal force (N) of a finger that holds, at the end of the squeeze and before
@@ -193,6 +193,7 @@ class ObjectImpedance:
         self._correction = EstimateCorrection()
         self._calibrated = self._moved = False
         self._loaded: FloatArray = plan.T_world_base.rotation.T
+        self._turned: FloatArray = plan.T_world_palm.rotation.T
         self._turning_until = 0.0
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
@@ -372,15 +373,17 @@ class ObjectImpedance:
 
         Most of it is weight that was not believed. Kept in the base's axes it would count twice
         with the palm up. Meanwhile nothing is learned: the dry friction of joints that stand still
-        takes the change of weight, and a load of 10 N was learned against it.
+        takes the change of weight, and a load of 10 N was learned against it. On an arm the palm
+        turns and the base stands.
 
         Args:
             turn: Rotation (3, 3) of the world in the base.
         """
-        change = turn @ self._loaded.T
-        if np.trace(change) < SWAYED:
+        palm = self._torques.T_base_palm.rotation.T @ turn
+        if np.trace(palm @ self._turned.T) < SWAYED:
+            change = turn @ self._loaded.T
             self.law.load = (self.law.load.reshape(2, 3) @ change.T).ravel()
-            self._loaded = turn.copy()
+            self._loaded, self._turned = turn.copy(), palm
             self._turning_until = self._time + self.turning_time
 
     def _carried(
