@@ -27,7 +27,8 @@ import mujoco
 import numpy as np
 import typer
 
-from benchmarks.bench import Options as BenchOptions
+from benchmarks.bench import HandOptions
+from benchmarks.common import checked_hand
 from benchmarks.summary import counted, of, share, summary
 from planner import plan_grasp
 from planner.errors import FileFormatError, NoGraspFoundError, NotFoundError
@@ -35,8 +36,8 @@ from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics import HandState
-from planner.motion.ending import find_release, object_at_target
-from planner.motion.plan import Ending, ManipulationPlan
+from planner.motion.ending import let_go
+from planner.motion.plan import ManipulationPlan
 from planner.motion.search import plan_motion
 from planner.plan import GraspPlan
 from planner.quality import force_closure
@@ -117,25 +118,34 @@ than 30 % of what was planned after which a plan is made anew."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(BenchOptions):
+class Options(HandOptions):
     """Seeds count from ``--seed``: of the search, and of where the bolt begins, by 60 degrees."""
 
     scene: Annotated[Path, typer.Option(help="Checkout of pomdar_benchmark.")]
-    hands: Annotated[str, typer.Option(help="Names of hands.")] = ",".join(FINGERS)
     tasks: Annotated[str, typer.Option(help="Its names of tasks.")] = ",".join((SCREW, *PICKED))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Checkout:
+    """Where POMDAR is; it does not stand in the rows."""
+
+    sim: Path
+
+
 def cases(options: Options) -> Iterator[Row]:
-    """Hands x seeds."""
+    """Tasks x hands x seeds."""
     if not (options.scene / "sim/tasks" / f"{SCREW}.xml").is_file():
         raise FileFormatError(f"{options.scene} is no checkout of pomdar_benchmark")
-    folder = str(options.scene.resolve())
+    checkout = Checkout(sim=options.scene.resolve() / "sim")
     for task in names(options.tasks):
         if task not in (SCREW, *PICKED):
             raise NotFoundError("task", task, (SCREW, *PICKED))
-        for hand in names(options.hands):
+        for hand in options.hand_names:
+            if task == SCREW and hand not in FINGERS:
+                raise NotFoundError("hand with fingers for the screw", hand, FINGERS)
+            checked_hand(hand)
             for seed in range(options.seed, options.seed + options.n):
-                yield {"task": task, "hand": hand, "seed": seed, "folder": folder}
+                yield {"task": task, "hand": hand, "seed": seed, "checkout": checkout}
 
 
 def scene_of(sim: Path, task: str, hand: Hand) -> Any:
@@ -269,12 +279,10 @@ class _Screwing(_Trial):
             )
             if motion.grasp.T_world_palm.rotation[2] @ task.hand.palm_normal < LOOKS_DOWN:
                 break
-        release = find_release(motion)
-        if isinstance(release, Failure):
-            raise NoGraspFoundError(str(release), ())
         angle = motion.planned_angle
-        target = object_at_target(task, motion.path.axis, angle, None)
-        ending = Ending(T_world_target=target, release=release, back="")
+        ending = let_go(motion, angle)
+        if isinstance(ending, Failure):
+            raise NoGraspFoundError(str(ending), ())
         return ManipulationPlan.of(motion, ending, angle=angle, shift=np.zeros(3))
 
     def stroke(self, plan: ManipulationPlan) -> None:
@@ -362,12 +370,8 @@ def _box(name: str, x: float, y: float, bottom: float, top: float) -> Obstacle:
 
 def measure(case: Row) -> Row:
     """One trial."""
-    sim, hand, task, seed = (
-        Path(case["folder"]) / "sim",
-        load_hand(case["hand"]),
-        case["task"],
-        case["seed"],
-    )
+    sim, task, seed = case["checkout"].sim, case["task"], case["seed"]
+    hand = load_hand(case["hand"])
     trial = _Screwing(sim, hand, seed) if task == SCREW else _Picking(sim, task, hand, seed)
     row = {"task": task, "seed": seed, **trial.row}
     try:

@@ -72,3 +72,5 @@ def test_another_folder_and_another_task_are_named(checkout: Path) -> None:
         list(pomdar.cases(pomdar.Options(scene=checkout / "sim")))
     with pytest.raises(NotFoundError, match="Did you mean 'C1_Thread'"):
         list(pomdar.cases(pomdar.Options(scene=checkout, tasks="C1_Tread")))
+    with pytest.raises(NotFoundError, match=r"fingers for the screw.*allegro_hand_left"):
+        list(pomdar.cases(pomdar.Options(scene=checkout, hands=["allegro_hand_left"])))

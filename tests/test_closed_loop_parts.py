@@ -374,6 +374,24 @@ def test_forces_that_stay_are_not_missed(plan: GraspPlan) -> None:
 # --- torques -----------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("hand", ["allegro_hand", "two_allegro_hands"])
+def test_a_palm_that_turns_on_a_base_that_stands_is_noticed(hand: str, plan_of: PlanOf) -> None:
+    """As an arm turns it: nothing is learned for a while, and the load stays in the base's axes."""
+    plan = plan_of(hand, "sphere" if hand == "allegro_hand" else "box:0.3x0.2x0.2")
+    controller, turn = ObjectImpedance(plan), plan.T_world_base.rotation.T
+    if not plan.task.hand.pair:
+        controller._torques.T_base_palm = plan.T_world_base.actInv(plan.T_world_palm)
+    load = np.arange(6.0)
+    controller.law.load, controller._time = load.copy(), 3.0
+    controller._turn_load(turn)
+    assert controller._turning_until == 0.0
+    bent = SE3(pin.exp3(np.array([0.0, np.deg2rad(4.0), 0.0])), np.zeros(3))
+    controller._torques.T_base_palm = controller._torques.T_base_palm * bent
+    controller._turn_load(turn)
+    assert controller._turning_until == pytest.approx(3.0 + ObjectImpedance.turning_time)
+    assert controller.law.load == pytest.approx(load)
+
+
 def gripped(plan: GraspPlan) -> tuple[HoldingTorques, ContactSet]:
     """Torques at the plan's grasp, at rest, all fingers touching where planned."""
     torques = HoldingTorques(plan)

@@ -420,6 +420,37 @@ def test_a_look_ahead_counts_place_friction_and_a_fall(lying: Any) -> None:
     assert look.value(0, thrown, rests) == np.inf
 
 
+@pytest.mark.parametrize("costs", [(10.0, 40.0), (40.0, 10.0)])
+def test_what_rolls_on_after_a_branch_counts(
+    lying: Any, monkeypatch: pytest.MonkeyPatch, costs: tuple[float, float]
+) -> None:
+    now, look = drive(lying, 60.0)
+    told = iter(costs)
+    monkeypatch.setattr(look, "_cost", lambda _: next(told))
+    end = now.time
+    rests = _Branch(away=None, goal=np.eye(3), opens_until=end, until=end, rests=True)
+    assert look.value(0, now, rests) == 40.0
+
+
+def test_a_search_ends_with_what_gains_and_is_no_worse_than_others(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """10 degrees with each friction: no other can be less, with 20 at its best."""
+    now, look = drive(lying, 60.0, branches=2)
+    first, second = look._openings(now)
+    tried = []
+
+    def value(which: int, _: Any, branch: _Branch) -> float:
+        tried.append((which, branch is first))
+        return 10.0 if branch is first else 20.0
+
+    monkeypatch.setattr(look, "value", value)
+    assert look._worst(now, [first, second], [], 57.0) == [(10.0, first)]
+    assert tried == [(0, True), (0, False), (1, True), (2, True)]
+    tried.clear()
+    assert len(look._worst(now, [first, second], [], 5.0)) == 2  # none gains: both are told
+
+
 def test_a_mirror_is_no_goal() -> None:
     with pytest.raises(TaskError, match="goal_rotation is no rotation"):
         reorient_in_palm("allegro_hand", CUBE, np.diag([1.0, 1.0, -1.0]))

@@ -306,15 +306,15 @@ def test_the_load_before_a_use_stays_in_the_world(
 
 
 def test_of_a_guided_tool_only_the_torque_about_the_axis_is_learned(plan: GraspPlan) -> None:
-    """The screwdriver needs 3 N down and -0.05 N m about the vertical, however the base is."""
-    turn = pin.exp3(np.array([0.3, -0.2, 0.5]))
-    guided = GuidedLoad(plan, share=1.0)
-    given = guided.give(turn).reshape(2, 3) @ turn.T
-    assert given == pytest.approx(np.array([[0.0, 0.0, -3.0], [0.0, 0.0, -0.05]]), abs=1e-9)
-    learned = np.array([[4.0, 5.0, 6.0], [0.7, 0.8, -0.09]]) @ turn
-    guided.take(learned.ravel(), turn)
-    other = pin.exp3(np.array([-0.4, 0.1, 1.5]))
-    given = guided.give(other).reshape(2, 3) @ other.T
+    """The screwdriver needs 3 N down and -0.05 N m about the vertical, however far it is turned."""
+    guided, turn = GuidedLoad(plan, share=1.0), plan.T_world_base.rotation
+    around = pin.exp3(np.array([0.0, 0.0, 1.5])) @ turn
+    for base in (turn, around):
+        given = guided.give().reshape(2, 3) @ base.T
+        assert given == pytest.approx(np.array([[0.0, 0.0, -3.0], [0.0, 0.0, -0.05]]), abs=1e-9)
+    learned = np.array([[4.0, 5.0, 6.0], [0.7, 0.8, -0.09]]) @ around
+    guided.take(learned.ravel())
+    given = guided.give().reshape(2, 3) @ turn.T
     assert given == pytest.approx(np.array([[0.0, 0.0, -3.0], [0.0, 0.0, -0.09]]), abs=1e-9)
 
 
@@ -358,7 +358,7 @@ def test_a_wrist_slows_down_before_the_socket_has_turned(
         done = use.motion(simulation, "use", 0.0).done
         rates.append((use._angle - before) / simulation.timestep)
     assert max(rates) == pytest.approx(RATE)
-    assert rates[-1] < np.deg2rad(18.0)
+    assert rates[-1] < np.deg2rad(11.5)
     assert np.max(-np.diff(rates)) < 1.5 * RATE / RAMP * simulation.timestep
     assert use._angle == pytest.approx(np.pi, abs=2 * MADE)
     assert simulation.time < use.duration

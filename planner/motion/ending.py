@@ -146,6 +146,15 @@ def find_release(motion: MovementPlan) -> Approach | Failure:
     return find_approach(CollisionWorld(there), motion.T_world_base, end.q, end.contacts.normals)
 
 
+def let_go(motion: MovementPlan, angle: float) -> Ending | Failure:
+    """The ending of an object that is let go where it is, turned by an angle (rad); or why not."""
+    release = find_release(motion)
+    if isinstance(release, Failure):
+        return release
+    target = object_at_target(motion.grasp.task, motion.path.axis, angle, None)
+    return Ending(T_world_target=target, release=release, back="")
+
+
 def verify_release(motion: MovementPlan, release: Approach) -> Failure | None:
     """Why a way out at the end of a motion fails, None if it is free."""
     there, end = standing(motion), motion.knots[-1]

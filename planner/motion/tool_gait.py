@@ -22,9 +22,9 @@ from planner.collision.pregrasp_ik import idle_joints
 from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, ObjectError
 from planner.failure import Failure
-from planner.motion.ending import find_release, object_at_target
+from planner.motion.ending import let_go
 from planner.motion.gait import MAX_ATTEMPTS, plan_gait
-from planner.motion.plan import Ending, ManipulationPlan, MovementPlan, Stroke
+from planner.motion.plan import ManipulationPlan, MovementPlan, Stroke
 from planner.motion.regrasp import LOADED_ROOM
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.task import SEEDS_APART
@@ -143,12 +143,10 @@ def plan_tool_gait(
             why.append(str(blocked))
             continue
         gait = replace(gait, record=replace(gait.record, attempts=attempts, cpu_s=cpu_s))
-        release = find_release(gait)
-        if isinstance(release, Failure):
-            why.append(str(release))
+        ending = let_go(gait, angle)
+        if isinstance(ending, Failure):
+            why.append(str(ending))
             continue
-        target = object_at_target(gait.task, gait.path.axis, angle, None)
-        ending = Ending(T_world_target=target, release=release, back="")
         return ManipulationPlan.of(gait, ending, angle=angle, shift=np.zeros(3))
     raise NoGraspFoundError(
         f"no gait of {tool.name} with {task.hand.name} in {attempts} attempts; the last search: "

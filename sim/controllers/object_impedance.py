@@ -193,7 +193,7 @@ class ObjectImpedance:
         self._correction = EstimateCorrection()
         self._calibrated = self._moved = False
         self._loaded: FloatArray = plan.T_world_base.rotation.T
-        self._turned: FloatArray = plan.T_world_palm.rotation.T
+        self._turned = self._loaded if task.hand.pair else plan.T_world_palm.rotation.T
         self._turning_until = 0.0
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
@@ -357,7 +357,7 @@ class ObjectImpedance:
         )
 
     def _palm_moments(self, missed: FloatArray) -> tuple[FloatArray | None, FloatArray]:
-        """Joint torques (nq,) of palms that exert what forces miss, and what is missed still (6,).
+        """Joint torques (nq,) by which palms give torque that is missing, and what still is (6,).
 
         Args:
             missed: Wrench of the forces beyond the wanted one (6,), N and N m.

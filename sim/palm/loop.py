@@ -46,8 +46,8 @@ LOST_DEG = 180.0
 """What (degrees) it costs to end where each opening drops the object: as much as any angle."""
 
 REST_S = 0.3
-"""How long (s) the object must stay in the hand after a branch, and how long what rolls away rolls
-on before its place counts: what is thrown falls in it."""
+"""Time (s) after a branch in which an object that was thrown would fall out of the hand, and in
+which one that rolls gets further: it must still be there then, and its place counts then too."""
 
 LOOK_STEP_S = 0.004
 """Least step (s) of the simulation in a look ahead: half the time of the scene's 2 ms, and ends of

@@ -69,11 +69,11 @@ class StrokeController(ObjectImpedance):
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
-        strokes, turn = observation.phase == "turn", observation.T_world_base.rotation
-        self.law.load = self._guided.give(turn) if strokes else np.zeros(6)
+        strokes = observation.phase == "turn"
+        self.law.load = self._guided.give() if strokes else np.zeros(6)
         ctrl = super().step(observation)
         if strokes:
-            self._guided.take(self.law.load, turn)
+            self._guided.take(self.law.load)
         return ctrl
 
 

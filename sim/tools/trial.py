@@ -102,18 +102,23 @@ class GuidedLoad:
     """
 
     def __init__(self, plan: GraspPlan, *, share: float) -> None:
-        """Begin with a share (-) of the torque that the plan needs."""
+        """Begin with a share (-) of the torque that the plan needs.
+
+        All is in the base's axes: they go around the fixture's axis with the tool.
+        """
         each = [-plan.task.needed_load(one) for one in plan.task.needed]
         needed = max(each, key=lambda wrench: abs(float(wrench[3:] @ DOWN)))  # the one that turns
-        self._push, self._torque = needed[:3], share * float(needed[3:] @ -DOWN)
+        turn = plan.T_world_base.rotation
+        self._push, self._about = needed[:3] @ turn, -DOWN @ turn
+        self._torque = share * float(needed[3:] @ -DOWN)
 
-    def give(self, turn: FloatArray) -> FloatArray:
-        """Wrench (6,), N and N m, in base axes; ``turn`` (3, 3) is the base's in the world."""
-        return np.concatenate([turn.T @ self._push, turn.T @ -DOWN * self._torque])
+    def give(self) -> FloatArray:
+        """Wrench (6,), N and N m."""
+        return np.concatenate([self._push, self._torque * self._about])
 
-    def take(self, learned: FloatArray, turn: FloatArray) -> None:
-        """Keep of a learned wrench (6,), base axes, the torque about the axis."""
-        self._torque = float(learned[3:] @ turn.T @ -DOWN)
+    def take(self, learned: FloatArray) -> None:
+        """Keep of a learned wrench (6,) the torque about the axis."""
+        self._torque = float(learned[3:] @ self._about)
 
 
 class UseController(ObjectImpedance):
@@ -167,13 +172,13 @@ class UseController(ObjectImpedance):
                 if self._before_use is None:
                     self._before_use = self.law.load.reshape(2, 3) @ turn.T
                 if guided is not None:
-                    self.law.load = guided.give(turn)
+                    self.law.load = guided.give()
             if observation.phase == "withdraw" and self._before_use is not None:
                 self.law.load, self._before_use = (self._before_use @ turn).ravel(), None
             observation = observation.altered(phase="hold")
         ctrl = super().step(observation)
         if guided is not None:
-            guided.take(self.law.load, observation.T_world_base.rotation)
+            guided.take(self.law.load)
             self._yield_to_fixture(observation, observation.time - since)
         if own is None or self._finger is None:
             return ctrl
