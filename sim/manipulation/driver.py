@@ -182,6 +182,7 @@ class BaseMover:
 
     Attributes:
         fault: Why the hand cannot be brought where it was sent last, "" if it can.
+        duration: Time that its last way takes, s.
     """
 
     def __init__(self, gantry: Gantry, T_world_base: SE3) -> None:
@@ -190,7 +191,7 @@ class BaseMover:
         self._gantry = gantry
         self._way: FloatArray = gantry.coordinates(T_world_base)[None]
         self._smooth: CubicSpline | None = None
-        self._duration = 1.0
+        self.duration = 1.0
 
     def stay(self) -> None:
         """Stay where it was sent last."""
@@ -200,13 +201,13 @@ class BaseMover:
         """From where it was sent last to a pose, in a time (s) that is the phase's own."""
         self._way = np.vstack([self._way[-1], self._gantry.coordinates(T_world_base)])
         self._way[:, 3:] = np.unwrap(self._way[:, 3:], axis=0)  # near half a turn either sign is
-        self._smooth, self._duration = None, duration
+        self._smooth, self.duration = None, duration
 
     def go_along(self, poses: Sequence[SE3], duration: float) -> None:
         """From where it was sent last through poses evenly, the first of which is about there."""
         way = np.array([self._gantry.coordinates(pose) for pose in poses[1:]])
         way[:, 3:] = np.unwrap(way[:, 3:], axis=0)  # the first hinge may turn by half a turn
-        self._way, self._duration = np.vstack([self._way[-1], way]), duration
+        self._way, self.duration = np.vstack([self._way[-1], way]), duration
         self._smooth = CubicSpline(np.linspace(0.0, 1.0, len(self._way)), self._way)
 
     def T_world_base(self, simulation: Simulation) -> SE3:
@@ -218,11 +219,16 @@ class BaseMover:
         del phase
         s, rate = Timeline.profile(share)
         if self._smooth is not None:
-            target, velocity = self._smooth(s), rate / self._duration * self._smooth(s, 1)
+            target, velocity = self._smooth(s), rate / self.duration * self._smooth(s, 1)
         else:
             way = self._way[-1] - self._way[0]
-            target, velocity = self._way[0] + s * way, rate / self._duration * way
+            target, velocity = self._way[0] + s * way, rate / self.duration * way
         data.ctrl[self._gantry.ctrl] = self._gantry.command(data, target, velocity)
+
+
+ARM_RATE = 2.0
+"""Largest rate (rad/s) of an arm's joint: with a stretched elbow a turn of the wrist took 10 rad/s,
+at 20 m/s^2 of the palm, and the object slipped by 12 mm."""
 
 
 class ArmMover(ArmCarrier):
@@ -233,6 +239,7 @@ class ArmMover(ArmCarrier):
 
     Attributes:
         fault: As ``BaseMover``.
+        duration: As there; longer than was asked for where a joint would pass ``ARM_RATE``.
     """
 
     def __init__(self, plan: GraspPlan, path: ArmPath, scene: Scene) -> None:
@@ -242,7 +249,7 @@ class ArmMover(ArmCarrier):
         self._root, self._q_grasp = plan.T_world_base, plan.q
         self._T_root_palm = palm_pose(plan.task.hand, plan.q)
         self._way = path.approach[:1]
-        self._duration = 1.0
+        self.duration = 1.0
 
     def stay(self) -> None:
         """Stay where it was sent last."""
@@ -265,9 +272,12 @@ class ArmMover(ArmCarrier):
                 return
             whole.append(way[1:])
         way = np.concatenate(whole)
-        self._way, self._duration = way, duration
+        farthest = np.abs(np.diff(way, axis=0)).max(axis=1)
+        times = np.maximum(duration / len(farthest), PEAK * farthest / ARM_RATE)
+        ends = np.concatenate([[0.0], np.cumsum(times)])
+        self._way, self.duration = way, float(ends[-1])
         # rates that jump from row to row shake the object: 20 mm/s of slip in a carry of 12 cm
-        self._smooth = CubicSpline(np.linspace(0.0, 1.0, len(way)), way)
+        self._smooth = CubicSpline(ends / ends[-1], way)
 
     def T_world_base(self, simulation: Simulation) -> SE3:
         """Where the base is now, by the palm."""
@@ -281,7 +291,7 @@ class ArmMover(ArmCarrier):
         if len(self._way) < 2:
             return self._way[-1], np.zeros(self._way.shape[1])
         s, rate = Timeline.profile(share)
-        return self._smooth(s), rate / self._duration * self._smooth(s, 1)
+        return self._smooth(s), rate / self.duration * self._smooth(s, 1)
 
 
 def mover_of(plan: GraspPlan, scene: Scene) -> BaseMover | ArmMover:

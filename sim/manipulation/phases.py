@@ -116,7 +116,7 @@ class Phases:
 
     def _approach(self) -> Measured:
         self._sim.mover.go(self._plan.T_world_base, self._timeline.approach)
-        fault = self._sim.run("approach", self._timeline.approach)
+        fault = self._sim.run("approach", self._sim.mover.duration)
         return self._standing(fault)
 
     def _close(self) -> Measured:
@@ -165,7 +165,7 @@ class Phases:
         simulation, height = self._sim.simulation, self.height
         duration = self._timeline.lift * self._stretch
         self._sim.mover.go(shifted(self._plan.T_world_base, [0.0, 0.0, height]), duration)
-        fault = self._sim.run("lift", duration)
+        fault = self._sim.run("lift", self._sim.mover.duration)
         numbers = self._in_hand()
         first = float(simulation.plan.task.T_world_object.translation[2])
         numbers["rise_mm"] = 1e3 * (float(simulation.T_world_object.translation[2]) - first)
@@ -198,7 +198,7 @@ class Phases:
         duration = float(np.linalg.norm(path.wrist_turn)) / self._timeline.wrist_rate
         before = self._shift
         self._sim.mover.go_along(poses, duration)
-        fault = self._sim.run(phase, duration)
+        fault = self._sim.run(phase, self._sim.mover.duration)
         numbers = self._in_hand()
         numbers["drift_mm"] = moved = 1e3 * float(np.linalg.norm(self._shift - before))
         if not fault and moved > self._criteria.slip_mm:
@@ -324,6 +324,7 @@ class Phases:
         self._carrying = max(length / CARRY_SPEED, turned / self._plan.cycles)
         base = self._plan.turned_base(1.0)
         self._sim.mover.go_along([shifted(base, shift) for shift in way], self._carrying)
+        self._carrying = self._sim.mover.duration
 
     def _tilted(self, numbers: dict[str, float]) -> str:
         tilt = numbers["tilt_deg"]
@@ -361,7 +362,7 @@ class Phases:
     def _carry(self, ending: Ending) -> Measured:
         above = shifted(ending.T_world_target, [0.0, 0.0, self.height])
         self._sim.mover.go(self._sim.base_for(above), self._timeline.carry)
-        fault = self._sim.run("carry", self._timeline.carry)
+        fault = self._sim.run("carry", self._sim.mover.duration)
         numbers = off_target(above, self._sim.simulation.T_world_object)
         if not fault and ending.release is None:
             fault, goal = at_goal(above, self._sim.simulation.T_world_object, self._criteria)
@@ -371,7 +372,7 @@ class Phases:
     def _lower(self, ending: Ending) -> Measured:
         target, duration = ending.T_world_target, self._timeline.lower * self._stretch
         self._sim.mover.go(self._sim.base_for(target), duration)
-        fault = self._sim.run("lower", duration)
+        fault = self._sim.run("lower", self._sim.mover.duration)
         return fault, off_target(target, self._sim.simulation.T_world_object)
 
     def _let_go(self, phase: ManipulationPhase, duration: float, ending: Ending) -> Measured:
@@ -381,7 +382,7 @@ class Phases:
     def _retreat(self, ending: Ending) -> Measured:
         out = self._plan.way_out(self._sim.T_world_base, ending)
         self._sim.mover.go(out, self._timeline.retreat)
-        fault = self._sim.run("retreat", self._timeline.retreat)
+        fault = self._sim.run("retreat", self._sim.mover.duration)
         if not fault and self._sim.touched:
             fault = "the hand still touches the object"
         return self._standing_at_target(fault, ending)
