@@ -339,6 +339,11 @@ between them leaves the line by less than 0.1 mm."""
 ROUNDING = 1e-9
 """A way longer than a whole number of steps by this share of one (-) has that number."""
 
+ARM_RATE, PEAK = 2.0, 1.875
+"""Largest rate (rad/s) of an arm's joint, and that of a minimum-jerk profile beside its mean (-).
+With a stretched elbow a turn of the wrist took 10 rad/s, the palm had 20 m/s^2, and a held cylinder
+slipped by 12 mm (``manipulate allegro_on_arm7 cylinder:0.03x0.08 --attitude sideways``)."""
+
 LARGEST_TURN = 0.35
 """Largest change (rad, m) of a joint between two postures of a path: more is a flip of the arm into
 another of its configurations, not a motion along a line."""
@@ -464,6 +469,17 @@ def palm_path(hand: Hand, q: FloatArray, T_base_palm: SE3) -> FloatArray | None:
         q = reached.q
         path.append(q[index].copy())
     return np.array(path)
+
+
+def posture_times(way: FloatArray, duration: float) -> FloatArray:
+    """Times (m,), s, at which an arm is at the postures (m, n) of a way of its palm.
+
+    Evenly in a time (s), and later where a joint would pass ``ARM_RATE`` as the whole way is gone
+    by a minimum-jerk profile.
+    """
+    farthest = np.abs(np.diff(way, axis=0)).max(axis=1)
+    times = np.maximum(duration / len(farthest), PEAK * farthest / ARM_RATE)
+    return np.concatenate([[0.0], np.cumsum(times)])
 
 
 def palm_pose(hand: Hand, q: FloatArray) -> SE3:

@@ -22,13 +22,13 @@ from planner.errors import FileFormatError, TaskError
 from planner.files import read_plan, write_plan
 from planner.files.movements import manipulation_from_dict, movement_to_dict
 from planner.hands.hand import Hand
-from planner.kinematics import HandState, palm_path, palm_pose
+from planner.kinematics import ARM_RATE, HandState, palm_path, palm_pose, posture_times
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.motion.path import ATTITUDES, ObjectPath
 from planner.motion.single_stroke import OnArm, lifted_blocked
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, interpolate_path, rotation_angle
+from planner.spatial import SE3, FloatArray, interpolate_path, minimum_jerk, rotation_angle
 from planner.task import Obstacle
 from sim.manipulation import manipulate
 from sim.scene.build import build_scene
@@ -457,6 +457,17 @@ def test_its_file_holds_the_way_out(turning: ManipulationPlan) -> None:
     data["ending"]["arm_out"] = None
     with pytest.raises(FileFormatError, match="way in and lift are missing"):
         manipulation_from_dict(data, "a file")
+
+
+def test_no_joint_of_an_arm_is_faster_than_it_may() -> None:
+    """A piece that is long in one joint takes longer; the others take what was asked for."""
+    way = np.cumsum([[0.0, 0.0], *[[0.01, 0.02]] * 4, [0.3, 0.0], *[[0.01, 0.02]] * 4], axis=0)
+    times = posture_times(way, 1.8)
+    np.testing.assert_allclose(np.delete(np.diff(times), 4), 0.2, rtol=1e-9)
+    share = np.linspace(0.0, 1.0, 20001)
+    at = np.array([np.interp(minimum_jerk(share), times / times[-1], row) for row in way.T])
+    fastest = np.abs(np.diff(at, axis=1)).max() / (times[-1] * share[1])
+    assert 0.9 * ARM_RATE < fastest <= ARM_RATE * (1 + 1e-3)
 
 
 def test_what_the_arm_cannot_do_is_refused(turning: ManipulationPlan) -> None:

@@ -26,6 +26,7 @@ from planner.motion.verify import FALLS, PRESSES, MovementVerifier, Waypoint, _f
 from planner.spatial import SE3, rotation_angle, shifted
 from planner.task import Obstacle
 from sim.cli.manipulate import TurnExecution
+from sim.controllers import ObjectImpedance
 from sim.manipulation import ManipulationReport, manipulate
 from sim.manipulation.driver import BaseMover
 from sim.manipulation.phases import Phases
@@ -216,7 +217,7 @@ def test_a_drift_to_the_other_side_of_where_it_was_is_a_drift(plan: Manipulation
 
     sim: Any = SimpleNamespace(
         recorder=SimpleNamespace(moved=lambda: (0.0, 0.0, np.append(side, [0.0, 0.0]))),
-        mover=SimpleNamespace(go_along=lambda poses, duration: None),
+        mover=SimpleNamespace(go_along=lambda poses, duration: None, duration=1.0),
         touching_fingers=plan.task.finger_names,
         run=ran,
     )
@@ -353,3 +354,22 @@ def test_an_arm_that_cannot_turn_the_hand_there_says_so(monkeypatch: pytest.Monk
     monkeypatch.setattr(high, 5.0)
     with pytest.raises(TaskError, match="does not reach the attitude"):
         plan_manipulation(task, angle=1.0, attitude="up")
+
+
+@pytest.mark.parametrize("on_arm", [False, True])
+def test_nothing_is_learned_while_a_palm_turns(on_arm: bool) -> None:
+    """The base of an arm stands; the learned load stays where it is in the world with either."""
+    turn = pin.exp3(np.array([0.1, 0.0, 0.0]))
+    still = np.eye(3)
+    loop: Any = SimpleNamespace(
+        law=SimpleNamespace(load=np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])),
+        _torques=SimpleNamespace(T_base_palm=SE3(turn if on_arm else still, np.zeros(3))),
+        **{"_loaded": still, "_turned": still, "_time": 2.0, "_turning_until": 0.0},
+        turning_time=ObjectImpedance.turning_time,
+    )
+    ObjectImpedance._turn_load(loop, still if on_arm else turn.T)
+    assert loop._turning_until == 2.0 + ObjectImpedance.turning_time
+    np.testing.assert_allclose(loop.law.load[:3], still[2] if on_arm else turn.T[:, 2])
+    loop._turning_until = 0.0
+    ObjectImpedance._turn_load(loop, still if on_arm else turn.T)
+    assert loop._turning_until == 0.0

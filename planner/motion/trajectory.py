@@ -26,7 +26,7 @@ import pinocchio as pin
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from planner.errors import TaskError
-from planner.kinematics import MovingHand, palm_path, palm_pose
+from planner.kinematics import MovingHand, palm_path, palm_pose, posture_times
 from planner.numerics.least_squares import Task, ik_step
 from planner.plan import GraspPlan, JointTrajectory
 from planner.spatial import SE3, FloatArray, IntArray, interpolate_path, minimum_jerk
@@ -115,7 +115,7 @@ class TrajectoryBuilder:
             phase: Name of the phase.
             T_world_base: Its pose at the end. Of an arm, whose root stands, that of a base that
                 moves with the palm and was at the root in the grasp; the arm's joints move.
-            duration: s.
+            duration: s; longer where a joint of an arm would be too fast (``posture_times``).
 
         Raises:
             TaskError: The arm cannot go there.
@@ -124,9 +124,7 @@ class TrajectoryBuilder:
 
     def move_along(self, phase: str, poses: Sequence[SE3], duration: float) -> None:
         """The base moves through poses evenly and without a stop, as by ``move_base``."""
-        share, begin = self._shares(duration), self._bases[-1]
-        hand, q = self._grasp.task.hand, self._positions[-1][-1]
-        joints = np.tile(q, (len(share), 1))
+        hand, q, begin = self._grasp.task.hand, self._positions[-1][-1], self._bases[-1]
         if hand.arm is not None:
             whole = [q[None, hand.arm_index]]
             for pose in poses:
@@ -137,10 +135,16 @@ class TrajectoryBuilder:
                 if path is None:
                     raise TaskError(f"the arm cannot {phase} within its limits; plan again")
                 whole.append(path[1:])
-            joints[:, hand.arm_index] = interpolate_path(np.concatenate(whole), share)
-            self._add(phase, duration, joints, [begin] * len(share))
+            arm = np.concatenate(whole)
+            times = posture_times(arm, duration)
+            share = self._shares(times[-1])
+            joints = np.tile(q, (len(share), 1))
+            index = np.interp(share, times / times[-1], np.linspace(0.0, 1.0, len(arm)))
+            joints[:, hand.arm_index] = interpolate_path(arm, index)
+            self._add(phase, float(times[-1]), joints, [begin] * len(share))
             return
-        way, last = [begin, *poses], len(poses) - 1
+        way, last, share = [begin, *poses], len(poses) - 1, self._shares(duration)
+        joints = np.tile(q, (len(share), 1))
         at = share * len(poses)
         before = np.minimum(at.astype(int), last).tolist()
         bases = [_between(way[k], way[k + 1], s - k) for k, s in zip(before, at, strict=True)]

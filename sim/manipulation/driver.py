@@ -31,7 +31,7 @@ from planner.collision.arm_path import ArmPath
 from planner.collision.pregrasp_ik import idle_joints, spread_idle
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
-from planner.kinematics import MovingHand, palm_path, palm_pose
+from planner.kinematics import PEAK, MovingHand, palm_path, palm_pose, posture_times
 from planner.motion.gait import Relocation
 from planner.motion.manipulation import ManipulationPlan
 from planner.motion.plan import MovementPlan
@@ -226,11 +226,6 @@ class BaseMover:
         data.ctrl[self._gantry.ctrl] = self._gantry.command(data, target, velocity)
 
 
-ARM_RATE = 2.0
-"""Largest rate (rad/s) of an arm's joint: with a stretched elbow a turn of the wrist took 10 rad/s,
-at 20 m/s^2 of the palm, and the object slipped by 12 mm."""
-
-
 class ArmMover(ArmCarrier):
     """The same by the arm that the hand is on; its root stands.
 
@@ -239,7 +234,7 @@ class ArmMover(ArmCarrier):
 
     Attributes:
         fault: As ``BaseMover``.
-        duration: As there; longer than was asked for where a joint would pass ``ARM_RATE``.
+        duration: As there; longer than was asked for where a joint would be too fast.
     """
 
     def __init__(self, plan: GraspPlan, path: ArmPath, scene: Scene) -> None:
@@ -272,12 +267,10 @@ class ArmMover(ArmCarrier):
                 return
             whole.append(way[1:])
         way = np.concatenate(whole)
-        farthest = np.abs(np.diff(way, axis=0)).max(axis=1)
-        times = np.maximum(duration / len(farthest), PEAK * farthest / ARM_RATE)
-        ends = np.concatenate([[0.0], np.cumsum(times)])
-        self._way, self.duration = way, float(ends[-1])
+        times = posture_times(way, duration)
+        self._way, self.duration = way, float(times[-1])
         # rates that jump from row to row shake the object: 20 mm/s of slip in a carry of 12 cm
-        self._smooth = CubicSpline(ends / ends[-1], way)
+        self._smooth = CubicSpline(times / times[-1], way)
 
     def T_world_base(self, simulation: Simulation) -> SE3:
         """Where the base is now, by the palm."""
@@ -315,9 +308,6 @@ DEEPEST = 0.008
 
 RATE_STEP = 1e-3
 """Share of the time (-) over which a rate is taken."""
-
-PEAK = 1.875
-"""Largest rate of a minimum-jerk profile beside its mean (-)."""
 
 SHORTEST = 1e-3
 """Change of joints (rad) that a piece of the way counts at least."""
