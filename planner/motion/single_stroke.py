@@ -190,7 +190,7 @@ def plan_single_stroke(
         path_tolerance: How far the object may leave its path, m; if None ``TURN_TOLERANCE``, or
             ``TILT_TOLERANCE`` or ``SHIFT_TOLERANCE`` where it is tilted or moved.
         seed: Same seed, same plan.
-        max_attempts: Budget in attempts.
+        max_attempts: Budget in attempts, for each attitude that an arm can choose from.
         rests: Tells whether an object stays where a task has it, as ``sim.manipulation.rests``;
             None takes geometry alone.
         attitude: As for ``plan_motion``.
@@ -209,50 +209,55 @@ def plan_single_stroke(
         turning = TILT_TOLERANCE if tilts(direction) else TURN_TOLERANCE
         path_tolerance = SHIFT_TOLERANCE if moved.any() else turning
     on_arm = None if task.hand.arm is None else OnArm(task)
-    turned = checked_attitude(attitude)
+    attitudes = [checked_attitude(attitude)]
     if on_arm is not None:
-        turned = on_arm.headed(turned, free=isinstance(attitude, str))
-    asked = ObjectPath(axis=direction, angle=angle, shift=moved, attitude=turned)
+        attitudes = on_arm.headed(attitudes[0], free=isinstance(attitude, str))
     made: list[MotionAttempt] = []
     tried: list[tuple[str, ...]] = []
-    found: list[ManipulationPlan] = []
-    fallen = 0
-    for fallback in fallback_schedule(task if on_arm is None else on_arm.alone):
-        attempts = fallback.attempts
-        if len(made) >= max_attempts or good_enough(found) or (attempts is None and found):
-            break
-        tried.append(fallback.task.finger_names)
-        path = _with_overshoot(asked, fallback.overshoot)
-        most = max_attempts if attempts is None else min(max_attempts, len(made) + attempts)
-        for attempt in motion_attempts(
-            fallback.task,
-            path,
-            path_tolerance=path_tolerance,
-            seed=seed,
-            reaches=None if on_arm is None else on_arm.reaches,
-        ):
-            if len(made) >= most or good_enough(found):
+    for turned in attitudes:
+        asked = ObjectPath(axis=direction, angle=angle, shift=moved, attitude=turned)
+        found: list[ManipulationPlan] = []
+        fallen, budget = 0, len(made) + max_attempts
+        if on_arm is not None and asked.turns_wrist:
+            on_arm.turned = turned
+        for fallback in fallback_schedule(task if on_arm is None else on_arm.alone):
+            attempts = fallback.attempts
+            done = len(made) >= budget or (fallen >= FALLEN and not found)
+            if done or good_enough(found) or (attempts is None and found):
                 break
-            made.append(attempt)
-            if attempt.plan is None:
-                fallen += attempt.failure is not None and attempt.failure.kind == FALLS
-                if fallen == FALLEN and not found:
-                    raise nothing_found(
-                        f"grasp of {task.object.name} by {task.hand.name} that holds it while the "
-                        "wrist turns: it falls in this attitude",
-                        made,
-                        "Try another attitude, a lighter object, more friction or other fingers",
-                    )
-                continue
-            whole = _whole(attempt.plan, on_arm, angle, moved, place, rests)
-            if isinstance(whole, Failure):
-                made[-1] = replace(attempt, plan=None, failure=whole)
-                continue
-            found.append(whole)
-    if found:
-        best = max(found, key=merit)
-        record = replace(best.record, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
-        return replace(best, record=record)
+            tried.append(fallback.task.finger_names)
+            path = _with_overshoot(asked, fallback.overshoot)
+            most = budget if attempts is None else min(budget, len(made) + attempts)
+            for attempt in motion_attempts(
+                fallback.task,
+                path,
+                path_tolerance=path_tolerance,
+                seed=seed,
+                reaches=None if on_arm is None else on_arm.reaches,
+            ):
+                fell = fallen >= FALLEN and not found
+                if len(made) >= most or good_enough(found) or fell:
+                    break
+                made.append(attempt)
+                if attempt.plan is None:
+                    fallen += attempt.failure is not None and attempt.failure.kind == FALLS
+                    continue
+                whole = _whole(attempt.plan, on_arm, angle, moved, place, rests)
+                if isinstance(whole, Failure):
+                    made[-1] = replace(attempt, plan=None, failure=whole)
+                    continue
+                found.append(whole)
+        if found:
+            best = max(found, key=merit)
+            record = replace(best.record, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
+            return replace(best, record=record)
+    if fallen >= FALLEN:
+        raise nothing_found(
+            f"grasp of {task.object.name} by {task.hand.name} that holds it while the "
+            "wrist turns: it falls in this attitude",
+            made,
+            "Try another attitude, a lighter object, more friction or other fingers",
+        )
     sets = " or ".join(", ".join(names) for names in dict.fromkeys(tried))
     raise nothing_found(
         f"way to turn or move {task.object.name} by {asked} with {task.hand.name} ({sets})",
@@ -331,6 +336,10 @@ WRIST_LIFT, NOMINAL = 0.2, 12
 """Height (m) over the grasp at which an attitude is asked for before there is a plan, and number of
 palm poses that are drawn for that."""
 
+ARM_CLEARANCE = 5e-3
+"""Distance (m) that an arm keeps from everything while it turns the wrist. With none planned a link
+met the table with 3.4 N."""
+
 HEADINGS = np.arange(4) * np.pi / 2
 """Turns (rad) about the vertical of the axis of a named attitude."""
 
@@ -344,6 +353,7 @@ class OnArm:
 
     Attributes:
         alone: The task for the hand alone, whose base is free.
+        turned: The attitude (3, 3) that ``reaches`` asks for too; None for none.
     """
 
     def __init__(self, task: GraspTask) -> None:
@@ -364,7 +374,7 @@ class OnArm:
         if task.hand.rolls:
             hand = hand.rolling
         self.alone = replace(task, hand=hand, T_world_base=None)
-        self._turned: FloatArray | None = None
+        self.turned: FloatArray | None = None
 
     def reaches(self, T_world_base: SE3, q: FloatArray) -> bool:
         """Whether the arm brings the palm there that the hand alone has at a base pose and q.
@@ -373,7 +383,7 @@ class OnArm:
         """
         if self._reached(self.alone, T_world_base, q) is None:
             return False
-        return self._turned is None or self._reaches_turned(T_world_base, q, self._turned)
+        return self.turned is None or self._reaches_turned(T_world_base, q, self.turned)
 
     def _reaches_turned(self, T_world_base: SE3, q: FloatArray, turn: FloatArray) -> bool:
         center = self._task.T_world_object.translation
@@ -381,8 +391,8 @@ class OnArm:
         there = SE3(turn, center - turn @ center + lift) * T_world_base
         return self._reached(self.alone, there, q) is not None
 
-    def headed(self, attitude: FloatArray, *, free: bool) -> FloatArray:
-        """An attitude that the arm reaches, which ``reaches`` asks for from now on.
+    def headed(self, attitude: FloatArray, *, free: bool) -> list[FloatArray]:
+        """Attitudes that the arm reaches, that from most palm poses first.
 
         Args:
             attitude: Rotation (3, 3), world.
@@ -392,7 +402,7 @@ class OnArm:
             TaskError: It reaches none.
         """
         if rotation_angle(attitude) <= UNTURNED:
-            return attitude
+            return [attitude]
         turns = [pin.exp3(np.array([0.0, 0.0, h])) for h in HEADINGS[: None if free else 1]]
         seeder, rng = turning_seeder_for(self.alone), np.random.default_rng(0)
         starts = [seeder.draw(rng) for _ in range(NOMINAL)]
@@ -404,16 +414,14 @@ class OnArm:
         able = [pose for pose in poses if self._reached(self.alone, *pose) is not None]
         found = [turn @ attitude @ turn.T for turn in turns]
         reached = [sum(self._reaches_turned(*pose, turn) for pose in able) for turn in found]
-        best = int(np.argmax(reached))
-        if not reached[best]:
+        if not any(reached):
             raise TaskError(
                 f"{self._task.hand.name} does not reach the attitude: of {len(able)} palm poses "
                 "over the object that it reaches it turns none there, about the object 0.2 m above "
                 "its place; give another attitude, or T_world_base, the pose of the arm's root"
             )
-        chosen: FloatArray = found[best]
-        self._turned = chosen
-        return chosen
+        best_first = np.argsort(-np.array(reached), kind="stable").tolist()
+        return [found[k] for k in best_first if reached[k]]
 
     def carried(self, motion: MovementPlan) -> MovementPlan | Failure:
         """A motion of the hand alone with the arm below it, judged again; or why it fails."""
@@ -540,7 +548,8 @@ def lifted_blocked(
         path = palm_path(task.hand, q, root.inverse() * pose * T_root_palm)
         if path is None:
             return Failure(kind="arm_unreachable", text=f"the arm cannot {what}")
-        touched = verify_arm_path(world, root, motion.grasp.q, path, clearance=0.0, held=True)
+        clearance = ARM_CLEARANCE if what.startswith("turn") else 0.0
+        touched = verify_arm_path(world, root, motion.grasp.q, path, clearance=clearance, held=True)
         if touched:
             return touched.at(what.partition(":")[0])
         q[task.hand.arm_index] = path[-1]
