@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from benchmarks.conditions import FRICTION, REGRASP_FRICTION
 from benchmarks.manipulate import Turn
-from planner.collision.pair_table import lift_to_rest
+from planner.collision.pair_table import TABLE, lift_to_rest
 from planner.collision.world import CollisionWorld
 from planner.contacts import Contact, ContactSet
 from planner.errors import NoGraspFoundError, TaskError
@@ -259,6 +259,29 @@ def test_idle_fingers_are_led_out_of_the_way(plan: ManipulationPlan) -> None:
         assert gap(plan, after.T_world_object, after.q) > 0.0025
     least = [min(gap(plan, k.T_world_object, k.q) for k in m.knots[1:]) for m in (motion, led)]
     assert least[1] > least[0]
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.009])
+def test_idle_fingers_stay_out_of_the_table(
+    plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch, depth: float
+) -> None:
+    """Where the hand puts the object down: one was led 9 mm into it, and pressed with 20 N."""
+    seen: list[float | None] = []
+
+    def spread(world: CollisionWorld, base: SE3, q: FloatArray) -> FloatArray:
+        seen.append(world.task.table_height)
+        return q
+
+    def nearest(_: CollisionWorld, base: SE3, q: FloatArray, moving: frozenset[str]) -> Any:
+        assert moving == {TABLE}
+        return SimpleNamespace(distance=0.001 - depth)
+
+    monkeypatch.setattr("sim.manipulation.driver.spread_idle", spread)
+    monkeypatch.setattr(CollisionWorld, "nearest_of", nearest)
+    out_of_the_way(plan.motion)
+    last = plan.motion.grasp.task.table_height if depth else None
+    assert seen[0] is None and seen[-1] == last
+    assert len(seen) == (2 if depth else 1) * (len(plan.motion.knots) - 1)
 
 
 def test_idle_fingers_follow_the_motion(plan: ManipulationPlan) -> None:

@@ -28,16 +28,18 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from planner.collision.arm_path import ArmPath
+from planner.collision.pair_table import TABLE
 from planner.collision.pregrasp_ik import idle_joints, spread_idle
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.kinematics import PEAK, MovingHand, palm_path, palm_pose, posture_times
 from planner.motion.gait import Relocation
 from planner.motion.manipulation import ManipulationPlan
-from planner.motion.plan import MovementPlan
+from planner.motion.plan import Knot, MovementPlan
 from planner.plan import GraspPlan
 from planner.search.beyond import SEARCH_DAMPING
 from planner.spatial import SE3, FloatArray, minimum_jerk
+from planner.task import GraspTask
 from sim.controllers import Event, HasOwnAim, Observation, Phase, Recloses
 from sim.controllers.follow import MotionReference
 from sim.controllers.hand_dynamics import MotorServo, motor_servo
@@ -395,16 +397,32 @@ def out_of_the_way(motion: MovementPlan) -> MovementPlan:
     """The motion with idle fingers moved away from everything else.
 
     The first knot stays: it is the grasp. From one knot to the next they move by at most two steps
-    of a joint, 4 degrees. A hand without idle fingers gets its motion back.
+    of a joint, 4 degrees. A hand without idle fingers gets its motion back. The table counts only
+    where one would be in it as the object is put down: in the air there is none.
     """
-    task = replace(motion.grasp.task, table_height=None, obstacles=())
+    task = motion.grasp.task
     if not idle_joints(task.hand, task.finger_names):
         return motion
+    led = _led(motion, replace(task, table_height=None, obstacles=()))
+    if task.table_height is None:
+        return led
+    end = led.knots[-1]
+    nearest = CollisionWorld(task).nearest_of(_base_at(motion, end), end.q, frozenset({TABLE}))
+    return led if nearest.distance > 0.0 else _led(motion, task)
+
+
+def _led(motion: MovementPlan, task: GraspTask) -> MovementPlan:
+    """The motion with idle fingers away from everything else that a task has."""
     world = CollisionWorld(task)
     offset, knots = np.zeros(task.hand.nq), [motion.knots[0]]
     for knot in motion.knots[1:]:
-        T_world_base = task.T_world_object * knot.T_world_object.inverse() * motion.T_world_base
-        q = spread_idle(world, T_world_base, knot.q + offset)
+        q = spread_idle(world, _base_at(motion, knot), knot.q + offset)
         offset = q - knot.q
         knots.append(replace(knot, q=q))
     return motion.with_knots(knots)
+
+
+def _base_at(motion: MovementPlan, knot: Knot) -> SE3:
+    """Pose of the base at a knot with the object where the task has it, on the table."""
+    first = motion.grasp.task.T_world_object
+    return first * knot.T_world_object.inverse() * motion.T_world_base
