@@ -344,6 +344,14 @@ ARM_RATE, PEAK = 2.0, 1.875
 With a stretched elbow a turn of the wrist took 10 rad/s, the palm had 20 m/s^2, and a held cylinder
 slipped by 12 mm (``manipulate allegro_on_arm7 cylinder:0.03x0.08 --attitude sideways``)."""
 
+ARM_ACCELERATION = 2.0
+"""Largest acceleration (rad/s^2) of an arm's joint between two pieces of a way. Where one came to
+its end the others went on at other rates at once, and the palm had 2 m/s^2 and 17 rad/s^2: pads
+slipped, and the friction that was believed from then on was too small for the turn."""
+
+BRAKING = 0.5
+"""Largest acceleration (m/s^2) of a palm before and after where it has to be slow."""
+
 LARGEST_TURN = 0.35
 """Largest change (rad, m) of a joint between two postures of a path: more is a flip of the arm into
 another of its configurations, not a motion along a line."""
@@ -474,11 +482,19 @@ def palm_path(hand: Hand, q: FloatArray, T_base_palm: SE3) -> FloatArray | None:
 def posture_times(way: FloatArray, duration: float) -> FloatArray:
     """Times (m,), s, at which an arm is at the postures (m, n) of a way of its palm.
 
-    Evenly in a time (s), and later where a joint would pass ``ARM_RATE`` as the whole way is gone
-    by a minimum-jerk profile.
+    Evenly in a time (s), and later where a joint would pass ``ARM_RATE`` or ``ARM_ACCELERATION`` as
+    the whole way is gone by a minimum-jerk profile; around there as ``BRAKING`` allows.
     """
-    farthest = np.abs(np.diff(way, axis=0)).max(axis=1)
+    pieces = np.diff(way, axis=0)
+    farthest = np.abs(pieces).max(axis=1)
     times = np.maximum(duration / len(farthest), PEAK * farthest / ARM_RATE)
+    bent = PEAK * np.sqrt(np.abs(np.diff(pieces, axis=0)).max(axis=1) / ARM_ACCELERATION)
+    times[1:], times[:-1] = np.maximum(times[1:], bent), np.maximum(times[:-1], bent)
+    for back in (False, True):
+        for k in range(1, len(times)):
+            this, other = (-k - 1, -k) if back else (k, k - 1)
+            rate = np.hypot(1.0 / times[other], np.sqrt(2.0 * BRAKING / PATH_STEP) / PEAK)
+            times[this] = max(times[this], 1.0 / rate)
     return np.concatenate([[0.0], np.cumsum(times)])
 
 

@@ -22,7 +22,16 @@ from planner.errors import FileFormatError, TaskError
 from planner.files import read_plan, write_plan
 from planner.files.movements import manipulation_from_dict, movement_to_dict
 from planner.hands.hand import Hand
-from planner.kinematics import ARM_RATE, HandState, palm_path, palm_pose, posture_times
+from planner.kinematics import (
+    ARM_RATE,
+    BRAKING,
+    PATH_STEP,
+    PEAK,
+    HandState,
+    palm_path,
+    palm_pose,
+    posture_times,
+)
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.motion.path import ATTITUDES, ObjectPath
 from planner.motion.single_stroke import OnArm, lifted_blocked
@@ -460,14 +469,19 @@ def test_its_file_holds_the_way_out(turning: ManipulationPlan) -> None:
 
 
 def test_no_joint_of_an_arm_is_faster_than_it_may() -> None:
-    """A piece that is long in one joint takes longer; the others take what was asked for."""
-    way = np.cumsum([[0.0, 0.0], *[[0.01, 0.02]] * 4, [0.3, 0.0], *[[0.01, 0.02]] * 4], axis=0)
-    times = posture_times(way, 1.8)
-    np.testing.assert_allclose(np.delete(np.diff(times), 4), 0.2, rtol=1e-9)
+    """A piece that is long in one joint takes longer, those around it as long as braking takes."""
+    even = np.outer(np.arange(201), [0.01, 0.02])
+    np.testing.assert_allclose(posture_times(even, 8.0), np.linspace(0.0, 8.0, 201), rtol=1e-9)
+    way = even + np.where(np.arange(201) > 100, 0.3, 0.0)[:, None]
+    times = posture_times(way, 6.0)
     share = np.linspace(0.0, 1.0, 20001)
     at = np.array([np.interp(minimum_jerk(share), times / times[-1], row) for row in way.T])
-    fastest = np.abs(np.diff(at, axis=1)).max() / (times[-1] * share[1])
-    assert 0.9 * ARM_RATE < fastest <= ARM_RATE * (1 + 1e-3)
+    assert np.abs(np.diff(at, axis=1)).max() / (times[-1] * share[1]) < ARM_RATE
+    taken = np.diff(times)
+    assert taken[0] == pytest.approx(6.0 / 200)
+    assert taken[100] == pytest.approx(taken.max()) and taken[100] > 10 * taken[0]
+    speeds = PEAK * PATH_STEP / taken
+    assert np.abs(np.diff(speeds**2)).max() <= 2 * BRAKING * PATH_STEP * (1 + 1e-9)
 
 
 def test_what_the_arm_cannot_do_is_refused(turning: ManipulationPlan) -> None:
