@@ -14,6 +14,7 @@ from planner.collision.world import Clearance, CollisionWorld
 from planner.errors import PlannerError
 from planner.failure import Failure
 from planner.files import read_manipulation, write_manipulation
+from planner.motion import tool_gait
 from planner.motion.plan import Knot, ManipulationPlan
 from planner.motion.regrasp import FingerPaths
 from planner.motion.tool_gait import handle_cylinder, posture_blocked
@@ -26,6 +27,7 @@ from sim.cli import main
 from sim.manipulation.machine import StateMachine
 from sim.tools import FingersTrial, UseTimeline, UseTrial, plan_fingers, use_tool
 from sim.tools.fingers import standing
+from sim.tools.trial import task_of_use
 from sim.verdict import Verdict
 
 
@@ -265,3 +267,15 @@ def test_fingers_turn_a_screw_by_strokes_and_regrasps(gait: ManipulationPlan) ->
     assert np.nanmax(report.samples.slip_deg[used]) < 10.0
     fewest = (report.samples.contacts[used] > 0).sum(axis=1).min()
     assert fewest == 3  # a finger moved on
+
+
+def test_all_sets_of_fingers_are_searched_with_long_strokes_then_with_short_ones() -> None:
+    task, _ = task_of_use("shadow_hand", standing(load_tool("screwdriver")))
+    searches = [(one.finger_names, strokes) for one, strokes in tool_gait._searches(task)]
+    first, second = searches[:4], searches[4:8]
+    assert len({names for names, _ in first}) == 4 and [n for n, _ in second] == [
+        n for n, _ in first
+    ]
+    assert np.mean(first[0][1]) > np.mean(second[0][1])
+    assert len({s for _, s in first}) == len({s for _, s in second}) == 1
+    assert searches[8] == first[0] and len(searches) == tool_gait.SEARCHES

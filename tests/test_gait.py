@@ -286,6 +286,14 @@ def test_an_object_that_does_not_look_the_same_is_told(allegro: Hand) -> None:
     assert isinstance(told, Failure) and "does not look the same to the hand" in told.text
 
 
+def test_a_stroke_is_as_long_as_asked_in_whole_numbers_of_them(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "cylinder:0.03x0.1", mu=0.3)
+    with pytest.raises(NoGraspFoundError, match=r"for 12 strokes of 15\.0 degrees"):
+        plan_gait(task, angle=math.pi, max_attempts=1, strokes=(math.pi / 12, math.pi / 6))
+    with pytest.raises(TaskError, match=r"stroke is 0.*rad"):
+        plan_gait(task, angle=math.pi, strokes=(0.5, 0.0))
+
+
 @pytest.mark.slow
 def test_a_search_in_vain_says_why(allegro: Hand) -> None:
     task = GraspTask.create(allegro, "cylinder:0.03x0.1", mu=0.3)

@@ -54,8 +54,8 @@ __all__ = [
 ]
 
 STROKES = tuple(np.deg2rad([30.0, 24.0, 36.0, 20.0]))
-"""Angles (rad) of a stroke; attempts alternate between them. Longer strokes need fewer cycles,
-shorter ones leave the fingers more room to reach around the object while one of them is away."""
+"""Angles (rad) of a stroke unless told; attempts alternate between them. Longer strokes need fewer
+cycles, shorter ones leave the fingers more room to reach around the object while one is away."""
 
 STROKE_SHIFT = 0.01
 """Translation (m) of a stroke."""
@@ -76,6 +76,7 @@ def plan_gait(
     path_tolerance: float = PATH_TOLERANCE,
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
+    strokes: Sequence[float] = STROKES,
     options: SynthesisOptions = MOTION_OPTIONS,
     attitude: AnyAttitude = "down",
 ) -> MovementPlan:
@@ -93,6 +94,7 @@ def plan_gait(
         path_tolerance: How far the object may leave its path during a stroke, m.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
+        strokes: Angles (rad) of about which a stroke is; attempts alternate between them.
         options: Margins and weights at each knot.
         attitude: As for ``plan_motion``.
 
@@ -107,7 +109,7 @@ def plan_gait(
     check_task(task, path_tolerance, seed)
     _check_fingers(task)
     shift = checked_shift(shift)
-    pieces = _pieces(checked_axis(axis), angle, shift, checked_attitude(attitude))
+    pieces = _pieces(checked_axis(axis), angle, shift, checked_attitude(attitude), strokes)
 
     contexts = [
         partial(
@@ -166,7 +168,11 @@ def _nothing_found(
 
 
 def _pieces(
-    axis: FloatArray, angle: float, shift: FloatArray, attitude: FloatArray
+    axis: FloatArray,
+    angle: float,
+    shift: FloatArray,
+    attitude: FloatArray,
+    strokes: Sequence[float],
 ) -> list[tuple[ObjectPath, int, bool]]:
     """What attempts alternate between: a stroke, the number of cycles, whether lifts are required.
 
@@ -174,7 +180,8 @@ def _pieces(
     """
     checked_number("angle", angle, least=-MOST_ANGLE, most=MOST_ANGLE, unit="rad", error=TaskError)
     counts: list[int] = []
-    for turn in STROKES:
+    for turn in strokes:
+        checked_number("stroke", turn, above=0.0, most=MOST_ANGLE, unit="rad", error=TaskError)
         pieces = max(abs(angle) / turn, float(np.linalg.norm(shift)) / STROKE_SHIFT)
         count = max(1, int(np.ceil(pieces - LONGER)))
         if count not in counts:

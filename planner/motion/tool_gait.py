@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, cycle, islice, product
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from planner.collision.world import CollisionWorld
 from planner.errors import NoGraspFoundError, ObjectError
 from planner.failure import Failure
 from planner.motion.ending import let_go
-from planner.motion.gait import MAX_ATTEMPTS, plan_gait
+from planner.motion.gait import MAX_ATTEMPTS, STROKES, plan_gait
 from planner.motion.plan import ManipulationPlan, MovementPlan, Stroke
 from planner.motion.regrasp import LOADED_ROOM
 from planner.motion.search import MOTION_OPTIONS
@@ -50,8 +50,13 @@ END = 0.7
 FEWEST = 4
 """Fewest fingers of a gait of point contacts: three hold while one moves on."""
 
-ROUNDS = 6
-"""How often the sets of fingers are searched again, where all postures collide or none is found."""
+SEARCHES = 24
+"""Searches before giving up: of the sets of fingers in turn, each of some 7 s of CPU."""
+
+SHORT_STROKES = tuple(np.deg2rad([15.0, 12.0, 18.0, 20.0]))
+"""Angles (rad) of a stroke in every other round of the sets. Around a handle of 28 mm fingers of
+16 mm have room for no more: of two such screws six searches each with strokes of 20 to 36 degrees
+found nothing, these the third and the fourth time."""
 
 
 def handle_cylinder(tool: Tool) -> Tool:
@@ -106,7 +111,7 @@ def plan_tool_gait(
         task: From ``planner.tools.use_task``, the tool with its tip in the fixture.
         angle: Turn, rad, with its sign about the world's z.
         seed: Same seed, same plan.
-        max_attempts: Budget in attempts, of each set of fingers in each round.
+        max_attempts: Budget in attempts of each of ``SEARCHES`` searches.
 
     Returns:
         Strokes and regrasps of a cylinder (``handle_cylinder``); the tool ends where it stands.
@@ -121,13 +126,14 @@ def plan_tool_gait(
     rounded = replace(task, object=handle_cylinder(tool))
     why: list[str] = []
     attempts, cpu_s = 0, 0.0
-    for number, one in enumerate(_searches(rounded)):
+    for number, (one, strokes) in enumerate(_searches(rounded)):
         try:
             gait = plan_gait(
                 one,
                 angle=angle,
                 seed=seed + number * SEEDS_APART,
                 max_attempts=max_attempts,
+                strokes=strokes,
                 options=replace(MOTION_OPTIONS, clear_fingers=ASKED_CLEARANCE),
             )
         except NoGraspFoundError as error:
@@ -155,15 +161,18 @@ def plan_tool_gait(
     )
 
 
-def _searches(task: GraspTask) -> Iterator[GraspTask]:
-    """The task with all fingers of the hand, then with one less, for each but the first."""
+def _searches(task: GraspTask) -> Iterator[tuple[GraspTask, tuple[float, ...]]]:
+    """The task with all fingers of the hand, then with one less, for each but the first; strokes.
+
+    Long strokes of all sets of fingers, then short ones, and so on.
+    """
     names = tuple(task.hand.fingers) if task.may_spare_fingers else task.finger_names
     sets = [names]
     if task.may_spare_fingers and len(names) > FEWEST:
         sets = [one for one in combinations(names, len(names) - 1) if one[0] == names[0]]
-    for _ in range(ROUNDS):
-        for one in sets:
-            yield task.with_fingers(one)
+    rounds = product((STROKES, SHORT_STROKES), sets)
+    for strokes, one in islice(cycle(rounds), SEARCHES):
+        yield task.with_fingers(one), strokes
 
 
 IDLE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
