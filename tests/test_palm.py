@@ -17,7 +17,7 @@ from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.spatial import FloatArray
 from sim.palm import PalmReport, PalmSettings, reorient_in_palm
 from sim.palm.control import PalmController, _Problem
-from sim.palm.loop import FRICTIONS, _Branch, _Driver, _LookAhead, _rubbed, turn
+from sim.palm.loop import AGAIN, FRICTIONS, _Branch, _Driver, _LookAhead, _rubbed, turn
 from sim.palm.model import ContactStep, PalmModel, Plant, plant_of
 from sim.palm.run import AHEAD, CRADLES, LIFT, _settle, lay_down, palm_scene
 
@@ -300,6 +300,61 @@ def test_the_worst_friction_counts(
     assert look.choose(now) is drawn[1]
 
 
+@pytest.mark.parametrize("least", [0, 1])
+def test_what_more_frictions_drop_is_not_done(
+    lying: Any, monkeypatch: pytest.MonkeyPatch, least: int
+) -> None:
+    """Two openings, 10 to 30 and 40 degrees; with one of four more the first drops the object."""
+    now, look = drive(lying, 60.0, branches=2)
+    drawn = look._openings(now)
+    risky, safe = drawn[least], drawn[1 - least]
+    monkeypatch.setattr(look, "_openings", lambda *_, **__: drawn)
+    spread, risks = 20.0, (4,)
+
+    def value(which: int, _: Any, branch: _Branch) -> float:
+        if branch is risky:
+            return np.inf if which in risks else 10.0 + spread * (which == 1)
+        return 40.0 if branch is safe else 70.0
+
+    monkeypatch.setattr(look, "value", value)
+    assert look.choose(now) is safe
+    spread = 5.0  # ends that are alike are not tried again
+    assert look.choose(now) is risky
+    spread, risks = 20.0, ()  # and if none drops, the first is done
+    assert look.choose(now) is risky
+
+
+def test_going_on_is_tried_with_more_frictions_too(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """40 and 20 degrees by going on, which one or two more frictions in four drop: 85, 130."""
+    now, look = drive(lying, 60.0, branches=2)
+    values = [40.0, 20.0, 20.0, 20.0, 20.0, np.inf, 20.0]
+    monkeypatch.setattr(
+        look, "value", lambda which, _, branch: np.inf if branch.away is not None else values[which]
+    )
+    monkeypatch.setattr(look, "_onward", lambda _, __, value: value)
+    best = look.choose(now)
+    assert best.away is None and not best.rests  # 25 more than now, with 30 the fingers stay
+    values[3] = np.inf
+    assert look.choose(now).rests
+
+
+def test_openings_become_wider_while_the_object_is_held(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, look = drive(lying, 60.0, branches=40)
+    monkeypatch.setattr(look, "value", lambda *_: np.inf)
+    costs = iter([60.0, *[59.0] * 9, 50.0])
+    monkeypatch.setattr(look, "_cost", lambda _: next(costs))
+    widths = []
+    for _ in range(11):
+        look.choose(now)
+        away = np.array([one.away for one in look._openings(now)])
+        widths.append(np.std(away - look._real.begun) / look._real.settings.scatter_rad)
+    assert np.allclose(widths, [1, 2, 3, 4, 5, 6, 6, 6, 6, 6, 1], rtol=0.15)
+
+
 def test_going_on_is_no_branch_once_it_is_stuck(
     lying: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -405,7 +460,7 @@ def test_a_look_ahead_counts_place_friction_and_a_fall(lying: Any) -> None:
     assert look._cost(now) == pytest.approx(angle + 2 * 2000.0 * 0.015, abs=0.2)
     assert FRICTIONS[0] < FRICTIONS[2] < 1.0 < FRICTIONS[1]
     model = lying[1].model
-    for rubbed, share in zip(look._models, FRICTIONS, strict=True):
+    for rubbed, share in zip(look._models, (*FRICTIONS, *AGAIN), strict=True):
         assert rubbed.opt.timestep == 2 * model.opt.timestep
         assert rubbed.geom_friction[:, 0] == pytest.approx(share * model.geom_friction[:, 0])
     pair = mujoco.MjModel.from_xml_string(
