@@ -42,7 +42,7 @@ def press(**numbers: float) -> Press:
 
 @pytest.fixture(scope="module")
 def plan() -> GraspPlan:
-    return plan_tool("allegro_hand", "spray_bottle", seed=0, max_attempts=300)
+    return plan_tool("allegro_hand", "spray_bottle", seed=0)
 
 
 def test_the_others_hold_and_balance_the_pressing_finger(plan: GraspPlan) -> None:
