@@ -6,20 +6,22 @@ the nail is 40 mm deep before 1000 of its steps are over.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from benchmarks.scenes_task import Served, Task, outcome
 from planner.errors import NoGraspFoundError, TaskError
 from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, pose_to_wxyz, shifted
 from planner.tools import plan_use
-from sim.controllers import AnyController
+from sim.controllers import AnyController, Observation
 from sim.foreign import ForeignRun, ForeignScene
 from sim.simulation import Simulation
 from sim.tables import Row
@@ -107,6 +109,17 @@ class Played:
             if not self.scene.reaches(pose):
                 raise TaskError(f"its arm does not reach {pose.translation.round(3)} m")
 
+    def in_base(self, q: FloatArray, body: str, point: Sequence[float]) -> FloatArray:
+        """Where (3,), m, base axes, a point of a body of the hand is with its joints at q (nq,)."""
+        copy = mujoco.MjData(self.served.model)
+        copy.qpos[:] = self.served.data.qpos
+        for name, value in zip(self.scene.hand.joint_names, q, strict=True):
+            copy.joint(name).qpos = value
+        mujoco.mj_kinematics(self.served.model, copy)
+        part, palm = copy.body(body), copy.body(PALM)
+        end = part.xpos + part.xmat.reshape(3, 3) @ point - palm.xpos
+        return np.asarray(palm.xmat.reshape(3, 3).T @ end)
+
     def send(self, T_world_flange: SE3, targets: FloatArray) -> None:
         """One of its steps: where the flange is wanted, and targets of the fingers' servos."""
         self.served.step(np.concatenate([*pose_to_wxyz(T_world_flange), targets]).tolist())
@@ -118,6 +131,24 @@ class Played:
         """Make no further step after its last one."""
         if self.served.told["ended"]:
             run.stop("its test or its steps ended it")
+
+
+class Posture:
+    """Keeps the hand's joints where they are wanted.
+
+    Attributes:
+        q: Those joints (nq,), rad.
+    """
+
+    def __init__(self, hand: Hand, given: Mapping[str, float]) -> None:
+        """Of a hand: joints by name, rad; the rest are zero."""
+        self.q = np.array([given.get(name, 0.0) for name in hand.joint_names])
+        still = np.zeros(hand.nq)
+        self._commands = hand.actuation.commands(self.q, still, still)
+
+    def step(self, _: Observation) -> FloatArray:
+        """The same commands (nu,) always."""
+        return self._commands
 
 
 class _Hammering(Played):

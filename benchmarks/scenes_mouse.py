@@ -10,18 +10,16 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
-from benchmarks.scenes_dexjoco import ATTEMPTS, PALM, Played
+from benchmarks.scenes_dexjoco import ATTEMPTS, Played, Posture
 from benchmarks.scenes_task import Served, Task, outcome
 from planner.errors import NoGraspFoundError
-from planner.hands.hand import Hand
 from planner.objects import Region, TouchRegion
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, shifted
 from planner.tools import plan_use
-from sim.controllers import GraspController, Observation
+from sim.controllers import GraspController
 from sim.foreign import ForeignRun
 from sim.tables import Row
 
@@ -55,19 +53,6 @@ OPENS, OPENING = -0.2, 0.6
 
 CLEAR = 0.12
 """How far (m) the hand rises from the mouse."""
-
-
-class _Posture:
-    """Keeps joints (nq,) where they are wanted."""
-
-    def __init__(self, hand: Hand, q: FloatArray) -> None:
-        """Of a hand."""
-        still = np.zeros(hand.nq)
-        self._commands = hand.actuation.commands(q, still, still)
-
-    def step(self, _: Observation) -> FloatArray:
-        """The same commands (nu,) always."""
-        return self._commands
 
 
 class _Clicking(Played):
@@ -111,18 +96,9 @@ class _Clicking(Played):
 
     def _click(self, run: ForeignRun) -> str:
         """Press the button; where it ended."""
-        hand, (model, data) = self.scene.hand, (self.served.model, self.served.data)
-        q = np.array([POKE.get(name, 0.0) for name in hand.joint_names])
-        run.controller = _Posture(hand, q)
-        copy = mujoco.MjData(model)
-        copy.qpos[:] = data.qpos
-        for name, value in zip(hand.joint_names, q, strict=True):
-            copy.joint(name).qpos = value
-        mujoco.mj_kinematics(model, copy)
-        tip, palm = copy.body(TIP), copy.body(PALM)
-        end = tip.xpos + tip.xmat.reshape(3, 3) @ TIP_AT - palm.xpos
+        run.controller = poke = Posture(self.scene.hand, POKE)
         level = self._home.rotation
-        place = self._button() - level @ palm.xmat.reshape(3, 3).T @ end
+        place = self._button() - level @ self.in_base(poke.q, TIP, TIP_AT)
         above, below = (SE3(level, place + far * UP) for far in (ABOVE, -BELOW))
         run.move(above, 2.0, wait=1.0)
         run.move(below, 2.5, wait=2.0, until=lambda _: run.ended)

@@ -1,0 +1,161 @@
+"""DexJoCo's bucket: a box put into it, and lifted by its handle by 0.15 m, in 1200 of its steps.
+
+The box weighs 0.6 kg and the bucket 1.7 kg. A grasp of the box is planned. The handle, a flat bar
+between two arms on a hinge, lies beside the rim: three fingers, curled in a posture that is given
+and not planned, press on its inner side, raise it by friction past the vertical until it falls
+into the hook that they are, and lift.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from benchmarks.scenes_dexjoco import ATTEMPTS, CLEAR, Played, Posture
+from benchmarks.scenes_task import Served, Task, outcome
+from planner.errors import NoGraspFoundError
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray, minimum_jerk, shifted
+from planner.tools import plan_use
+from sim.controllers import GraspController
+from sim.foreign import ForeignRun
+from sim.tables import Row
+
+REST = 20
+"""Steps that it is left alone for after a reset: the box rises out of the table by 7 mm."""
+
+DROP = 0.06
+"""How far (m) above the bucket's floor the box is let go."""
+
+OPENS, OPENING = -0.2, 0.5
+"""Change of the pressing forces in a step (-), and time (s), when the box is let go."""
+
+HOOK = {f"{finger}j{k}": q for finger in ("ff", "mf", "rf") for k, q in ((1, 0.6), (2, 1.2), (3, 1.2))}
+"""Joints (rad) of the hook: ends of the fingers 30 degrees above the level as the hand is held."""
+
+PITCH = (0.4, 1.1)
+"""Angle (rad) between flange and vertical, towards the arm's own base, as the handle lies and when
+it is raised: so fingers roll less on the bar."""
+
+TIP, TIP_AT, TIP_RADIUS = "mf_tip", (0.0, 0.0, 0.029), 0.012
+"""Body of the middle finger's end, the middle of its round end in it, m, and its radius, m."""
+
+PRESSED, BELOW = 0.008, 0.014
+"""How far (m) beyond the bar's inner side the fingers are sent, some 1 N of each, and below its
+middle: they roll upwards on it."""
+
+OVER, RAISING = 1.95, 4.0
+"""Angle of the handle (rad) to which it is raised, and the time that this takes, s."""
+
+LIFT = 0.25
+"""How far (m) the hand then rises; asked for is 0.15 m of every corner of the floor."""
+
+LAG = (0.4, 0.57)
+"""Times (s) by which its arm follows a way and a turn: its controller's damping by its stiffness.
+What is made of them in that time is added to where the hand is sent, of turns at most ``AHEAD``."""
+
+AHEAD = 0.3
+"""Most of a turn (rad) that is added: its controller's errors of large angles go astray."""
+
+REACHED_X = -0.38
+"""Where (m) along the table the hand is then: nearer to its base its arm reaches higher."""
+
+
+class _Filling(Played):
+    """One episode."""
+
+    def __init__(self, served: Served, hand: Path) -> None:
+        """As every episode."""
+        super().__init__(served, hand, "boxed_food_0", rest=REST)
+        self._home = self.scene.T_world_base
+        self._before = self._home
+
+    def row(self, seed: int) -> Row:
+        """What came of it."""
+        try:
+            plan = plan_use(
+                self.scene.task(), self._way, seed=seed, max_attempts=ATTEMPTS, best_of=1
+            )
+        except NoGraspFoundError as error:
+            return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
+        fingers = GraspController(plan)
+        run = self.run(plan, fingers)
+        ended = self._fill(run, fingers) or self._hook(run)
+        done = bool(self.served.told["succeed"])
+        return outcome(run, done=done, ended=ended, steps=self.served.steps)
+
+    def _step(self, T_world_base: SE3, targets: FloatArray) -> None:
+        """Ahead of where the base is wanted, as far as its arm lags."""
+        turned = pin.log3(T_world_base.rotation @ self._before.rotation.T)
+        turned *= LAG[1] / self.served.period
+        turned *= AHEAD / max(float(np.linalg.norm(turned)), AHEAD)
+        way = T_world_base.translation - self._before.translation
+        turn = pin.exp3(turned)
+        place = T_world_base.translation + way * LAG[0] / self.served.period
+        self._before = T_world_base
+        super()._step(SE3(turn @ T_world_base.rotation, place), targets)
+
+    def _fill(self, run: ForeignRun, fingers: GraspController) -> str:
+        """Put the box into the bucket; what went wrong."""
+        plan = run.plan
+        run.move(shifted(plan.T_world_base_start, [0.0, 0.0, CLEAR]), 1.0, phase="approach")
+        run.move(plan.T_world_base_start, 0.8, wait=0.5, phase="approach")
+        if not run.grasp():
+            return "not grasped"
+        for pose in self._way(plan):
+            run.move(pose, 1.2, wait=0.6)
+        if run.touching() < plan.task.fingers_needed:
+            return "lost"
+        for _ in run.run("hold", OPENING):
+            fingers.share += OPENS
+        run.move(shifted(run.wanted, [0.0, 0.0, CLEAR]), 1.0, phase="approach")
+        return ""
+
+    def _hook(self, run: ForeignRun) -> str:
+        """Raise the handle and lift; where it ended."""
+        run.controller = hook = Posture(self.scene.hand, HOOK)
+        end = self.in_base(hook.q, TIP, TIP_AT)
+        for back, up, time in ((0.05, 0.15, 1.5), (0.03, 0.0, 1.0), (-PRESSED, 0.0, 0.5)):
+            run.move(shifted(self._inside(end, 0.0, back), [0.0, 0.0, up]), time, wait=0.5)
+        run.follow(lambda t: self._inside(end, OVER * float(minimum_jerk(np.asarray(t / RAISING))), -PRESSED), RAISING)
+        far = REACHED_X - run.wanted.translation[0]
+        run.move(shifted(run.wanted, [far, 0.0, LIFT]), 3.0, wait=2.0, until=lambda _: run.ended)
+        return "not lifted"
+
+    def _inside(self, end: FloatArray, angle: float, back: float) -> SE3:
+        """Where the base has fingers at the bar's inner side.
+
+        Args:
+            end: Middle (3,) of the middle finger's end, base axes, m.
+            angle: Of the handle, rad.
+            back: Distance from the bar, m.
+        """
+        hinge, bar = self.served.data.joint("bucket_joint_0"), self.served.data.geom("handle1")
+        along = hinge.xaxis * np.sign(hinge.xaxis[1])
+        yaw = np.arctan2(-along[0], along[1])
+        pitch = np.interp(angle, (0.0, OVER), PITCH)
+        turn = pin.rpy.rpyToMatrix(0.0, pitch, yaw) @ self._home.rotation
+        arm = pin.exp3((angle - float(hinge.qpos[0])) * hinge.xaxis) @ (bar.xpos - hinge.xanchor)
+        out = arm / np.linalg.norm(arm)
+        half = float(self.served.model.geom("handle1").size[0])
+        at = hinge.xanchor + arm - (half + TIP_RADIUS + back) * out
+        return SE3(turn, at - BELOW * np.cross(hinge.xaxis, out) - turn @ end)
+
+    def _way(self, plan: GraspPlan) -> list[SE3]:
+        """Up, over the bucket's middle, and down; the arm must reach all of it."""
+        up = [0.0, 0.0, CLEAR]
+        across = self.served.data.geom("bucket_bottom").xpos - self.scene.T_world_object.translation
+        low = np.array([*across[:2], DROP])
+        way = [shifted(plan.T_world_base, by) for by in (up, low + up, low)]
+        self.check_reach([plan.T_world_base_start, *way])
+        return way
+
+
+BUCKET = Task(
+    name="pick_bucket",
+    project="github brave-eai/dexjoco",
+    model="dexjoco/dexjoco/sim/envs/xmls/arena_arm_hand_bucket_pick.xml",
+    play=lambda served, hand, seed: _Filling(served, hand).row(seed),
+)
