@@ -21,6 +21,7 @@ from benchmarks.bench import Options as Shared
 from benchmarks.scenes_adroit import HAMMER as ADROIT_HAMMER
 from benchmarks.scenes_bucket import BUCKET
 from benchmarks.scenes_dexjoco import HAMMER as DEXJOCO_HAMMER
+from benchmarks.scenes_glasses import GLASSES
 from benchmarks.scenes_mouse import MOUSE
 from benchmarks.scenes_task import Served
 from benchmarks.scenes_tongs import TONGS
@@ -28,7 +29,7 @@ from benchmarks.summary import counted, of, share, summary
 from planner.errors import NotFoundError
 from sim.tables import Row
 
-TASKS = {task.name: task for task in (DEXJOCO_HAMMER, TONGS, MOUSE, BUCKET, ADROIT_HAMMER)}
+TASKS = {task.name: task for task in (DEXJOCO_HAMMER, TONGS, MOUSE, BUCKET, GLASSES, ADROIT_HAMMER)}
 """By name."""
 
 

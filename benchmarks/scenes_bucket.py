@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.scenes_dexjoco import ATTEMPTS, CLEAR, Played, Posture
+from benchmarks.scenes_dexjoco import ATTEMPTS, CLEAR, Ahead
 from benchmarks.scenes_task import Served, Task, outcome
 from planner.errors import NoGraspFoundError
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, minimum_jerk, shifted
+from planner.spatial import SE3, FloatArray, shifted
 from planner.tools import plan_use
 from sim.controllers import GraspController
 from sim.foreign import ForeignRun
@@ -52,25 +52,16 @@ OVER, RAISING = 1.95, 4.0
 LIFT = 0.25
 """How far (m) the hand then rises; asked for is 0.15 m of every corner of the floor."""
 
-LAG = (0.4, 0.57)
-"""Times (s) by which its arm follows a way and a turn: its controller's damping by its stiffness.
-What is made of them in that time is added to where the hand is sent, of turns at most ``AHEAD``."""
-
-AHEAD = 0.3
-"""Most of a turn (rad) that is added: its controller's errors of large angles go astray."""
-
 REACHED_X = -0.38
 """Where (m) along the table the hand is then: nearer to its base its arm reaches higher."""
 
 
-class _Filling(Played):
+class _Filling(Ahead):
     """One episode."""
 
     def __init__(self, served: Served, hand: Path) -> None:
         """As every episode."""
         super().__init__(served, hand, "boxed_food_0", rest=REST)
-        self._home = self.scene.T_world_base
-        self._before = self._home
 
     def row(self, seed: int) -> Row:
         """What came of it."""
@@ -82,20 +73,9 @@ class _Filling(Played):
             return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
         fingers = GraspController(plan)
         run = self.run(plan, fingers)
-        ended = self._fill(run, fingers) or self._hook(run)
+        ended = self._fill(run, fingers) or self._hook()
         done = bool(self.served.told["succeed"])
         return outcome(run, done=done, ended=ended, steps=self.served.steps)
-
-    def _step(self, T_world_base: SE3, targets: FloatArray) -> None:
-        """Ahead of where the base is wanted, as far as its arm lags."""
-        turned = pin.log3(T_world_base.rotation @ self._before.rotation.T)
-        turned *= LAG[1] / self.served.period
-        turned *= AHEAD / max(float(np.linalg.norm(turned)), AHEAD)
-        way = T_world_base.translation - self._before.translation
-        turn = pin.exp3(turned)
-        place = T_world_base.translation + way * LAG[0] / self.served.period
-        self._before = T_world_base
-        super()._step(SE3(turn @ T_world_base.rotation, place), targets)
 
     def _fill(self, run: ForeignRun, fingers: GraspController) -> str:
         """Put the box into the bucket; what went wrong."""
@@ -113,15 +93,16 @@ class _Filling(Played):
         run.move(shifted(run.wanted, [0.0, 0.0, CLEAR]), 1.0, phase="approach")
         return ""
 
-    def _hook(self, run: ForeignRun) -> str:
+    def _hook(self) -> str:
         """Raise the handle and lift; where it ended."""
-        run.controller = hook = Posture(self.scene.hand, HOOK)
-        end = self.in_base(hook.q, TIP, TIP_AT)
-        for back, up, time in ((0.05, 0.15, 1.5), (0.03, 0.0, 1.0), (-PRESSED, 0.0, 0.5)):
-            run.move(shifted(self._inside(end, 0.0, back), [0.0, 0.0, up]), time, wait=0.5)
-        run.follow(lambda t: self._inside(end, OVER * float(minimum_jerk(np.asarray(t / RAISING))), -PRESSED), RAISING)
-        far = REACHED_X - run.wanted.translation[0]
-        run.move(shifted(run.wanted, [far, 0.0, LIFT]), 3.0, wait=2.0, until=lambda _: run.ended)
+        q = self.posture(HOOK)
+        end = self.in_base(q, TIP, TIP_AT)
+        for back, up, time in ((0.05, 0.15, 2.0), (0.03, 0.0, 1.0), (-PRESSED, 0.0, 0.5)):
+            self.move(q, shifted(self._inside(end, 0.0, back), [0.0, 0.0, up]), time)
+        self.follow(q, lambda share: self._inside(end, share * OVER, -PRESSED), RAISING)
+        far = REACHED_X - self.sent.translation[0]
+        self.move(q, shifted(self.sent, [far, 0.0, LIFT]), 3.0)
+        self.move(q, self.sent, 2.0)
         return "not lifted"
 
     def _inside(self, end: FloatArray, angle: float, back: float) -> SE3:
@@ -136,7 +117,7 @@ class _Filling(Played):
         along = hinge.xaxis * np.sign(hinge.xaxis[1])
         yaw = np.arctan2(-along[0], along[1])
         pitch = np.interp(angle, (0.0, OVER), PITCH)
-        turn = pin.rpy.rpyToMatrix(0.0, pitch, yaw) @ self._home.rotation
+        turn = pin.rpy.rpyToMatrix(0.0, pitch, yaw) @ self.home.rotation
         arm = pin.exp3((angle - float(hinge.qpos[0])) * hinge.xaxis) @ (bar.xpos - hinge.xanchor)
         out = arm / np.linalg.norm(arm)
         half = float(self.served.model.geom("handle1").size[0])

@@ -6,22 +6,22 @@ the nail is 40 mm deep before 1000 of its steps are over.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from benchmarks.scenes_task import Served, Task, outcome
 from planner.errors import NoGraspFoundError, TaskError
 from planner.hand_loading import load_hand
-from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.quality import force_closure
-from planner.spatial import SE3, FloatArray, pose_to_wxyz, shifted
+from planner.spatial import SE3, FloatArray, minimum_jerk, pose_to_wxyz, shifted
 from planner.tools import plan_use
-from sim.controllers import AnyController, Observation
+from sim.controllers import AnyController
 from sim.foreign import ForeignRun, ForeignScene
 from sim.simulation import Simulation
 from sim.tables import Row
@@ -44,6 +44,13 @@ constant of 0.4 s, so the face comes at about 0.4 m/s."""
 
 BLOWS, BLOW = 6, 0.8
 """Most blows, and longest time of one, s."""
+
+LAG = (0.4, 0.57)
+"""Times (s) by which its arm follows a way and a turn: its controller's damping by its stiffness.
+What is made of them in that time is added to where the hand is sent, of turns at most ``AHEAD``."""
+
+AHEAD = 0.3
+"""Most of a turn (rad) that is added: its controller's errors of large angles go astray."""
 
 DEPTH = 0.04
 """Depth (m) that its test asks for."""
@@ -133,22 +140,59 @@ class Played:
             run.stop("its test or its steps ended it")
 
 
-class Posture:
-    """Keeps the hand's joints where they are wanted.
+class Ahead(Played):
+    """One whose arm is sent ahead, by as far as it lags.
 
     Attributes:
-        q: Those joints (nq,), rad.
+        home: Where the hand's base was when the scene was read first.
+        sent: Where it was wanted last.
     """
 
-    def __init__(self, hand: Hand, given: Mapping[str, float]) -> None:
-        """Of a hand: joints by name, rad; the rest are zero."""
-        self.q = np.array([given.get(name, 0.0) for name in hand.joint_names])
-        still = np.zeros(hand.nq)
-        self._commands = hand.actuation.commands(self.q, still, still)
+    def __init__(self, *args: Any, **given: Any) -> None:
+        """As every episode."""
+        super().__init__(*args, **given)
+        self.home = self.sent = self.scene.T_world_base
 
-    def step(self, _: Observation) -> FloatArray:
-        """The same commands (nu,) always."""
-        return self._commands
+    def posture(self, given: Mapping[str, float]) -> FloatArray:
+        """Joints (nq,), rad, of the hand, by name; the rest are zero."""
+        return np.array([given.get(name, 0.0) for name in self.scene.hand.joint_names])
+
+    def move(self, q: FloatArray, T_world_base: SE3, duration: float) -> None:
+        """Bring the base to a pose, straight, while the fingers keep q (nq,)."""
+        begin, turn = self.sent, pin.log3(self.sent.rotation.T @ T_world_base.rotation)
+        way = T_world_base.translation - begin.translation
+
+        def between(part: float) -> SE3:
+            share = float(minimum_jerk(np.asarray(part)))
+            return SE3(begin.rotation @ pin.exp3(share * turn), begin.translation + share * way)
+
+        self.follow(q, between, duration)
+
+    def follow(self, q: FloatArray, way: Callable[[float], SE3], duration: float) -> None:
+        """Bring the base along a way, while the fingers keep q (nq,).
+
+        Args:
+            q: Those joints, rad.
+            way: Where the base is wanted at a share of the duration.
+            duration: Of the way, s.
+        """
+        still = np.zeros_like(q)
+        targets = self.scene.hand.actuation.commands(q, still, still)
+        steps = round(duration / self.served.period)
+        for k in range(steps):
+            if self.served.told["ended"]:
+                return
+            self._step(way((k + 1) / steps), targets)
+
+    def _step(self, T_world_base: SE3, targets: FloatArray) -> None:
+        """Ahead of where the base is wanted."""
+        turned = pin.log3(T_world_base.rotation @ self.sent.rotation.T)
+        turned *= LAG[1] / self.served.period
+        turned *= AHEAD / max(float(np.linalg.norm(turned)), AHEAD)
+        way = (T_world_base.translation - self.sent.translation) * LAG[0] / self.served.period
+        turn = pin.exp3(turned) @ T_world_base.rotation
+        self.sent = T_world_base
+        super()._step(SE3(turn, T_world_base.translation + way), targets)
 
 
 class _Hammering(Played):

@@ -89,6 +89,7 @@ SERVED: dict[str, Any] = {
     "pinch_tongs": lambda *given: DexJoCo("PinchTongs", ("pinch_count",), *given),
     "click_mouse": lambda *given: DexJoCo("ClickMouse", (), *given),
     "pick_bucket": lambda *given: DexJoCo("PickBucket", (), *given),
+    "fold_glasses": lambda *given: DexJoCo("FoldGlasses", (), *given),
     "adroit_hammer": Adroit,
 }
 """How each task is made; takes a checkout and a seed."""

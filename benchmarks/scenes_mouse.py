@@ -12,14 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.scenes_dexjoco import ATTEMPTS, Played, Posture
+from benchmarks.scenes_dexjoco import ATTEMPTS, Played
 from benchmarks.scenes_task import Served, Task, outcome
 from planner.errors import NoGraspFoundError
+from planner.hands.hand import Hand
 from planner.objects import Region, TouchRegion
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, shifted
 from planner.tools import plan_use
-from sim.controllers import GraspController
+from sim.controllers import GraspController, Observation
 from sim.foreign import ForeignRun
 from sim.tables import Row
 
@@ -53,6 +54,19 @@ OPENS, OPENING = -0.2, 0.6
 
 CLEAR = 0.12
 """How far (m) the hand rises from the mouse."""
+
+
+class _Posture:
+    """Keeps joints (nq,) where they are wanted."""
+
+    def __init__(self, hand: Hand, q: FloatArray) -> None:
+        """Of a hand."""
+        still = np.zeros(hand.nq)
+        self._commands = hand.actuation.commands(q, still, still)
+
+    def step(self, _: Observation) -> FloatArray:
+        """The same commands (nu,) always."""
+        return self._commands
 
 
 class _Clicking(Played):
@@ -96,9 +110,11 @@ class _Clicking(Played):
 
     def _click(self, run: ForeignRun) -> str:
         """Press the button; where it ended."""
-        run.controller = poke = Posture(self.scene.hand, POKE)
+        hand = self.scene.hand
+        q = np.array([POKE.get(name, 0.0) for name in hand.joint_names])
+        run.controller = _Posture(hand, q)
         level = self._home.rotation
-        place = self._button() - level @ self.in_base(poke.q, TIP, TIP_AT)
+        place = self._button() - level @ self.in_base(q, TIP, TIP_AT)
         above, below = (SE3(level, place + far * UP) for far in (ABOVE, -BELOW))
         run.move(above, 2.0, wait=1.0)
         run.move(below, 2.5, wait=2.0, until=lambda _: run.ended)

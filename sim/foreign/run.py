@@ -109,23 +109,6 @@ class ForeignRun(Simulation):
             pass
         return self._arrived()
 
-    def follow(
-        self, way: Callable[[float], SE3], duration: float, *, phase: Phase = "hold"
-    ) -> None:
-        """Bring the hand's base along a way of the caller's.
-
-        Args:
-            way: Where the base is wanted at a time (s) since it began.
-            duration: Of the way, s.
-            phase: What the controller is told.
-        """
-
-        def before(time: float) -> None:
-            self._from = self._to = way(time)
-
-        for _ in self.run(phase, duration, before=before):
-            pass
-
     def grasp(self, timeline: Timeline | None = None, *, wait: float = 1.0) -> bool:
         """Approach, close and squeeze as the plan does, from where its approach begins.
 
