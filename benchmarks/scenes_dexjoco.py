@@ -15,13 +15,14 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks.scenes_task import Served, Task, outcome
-from planner.errors import NoGraspFoundError, TaskError
+from planner.errors import TaskError
 from planner.hand_loading import load_hand
+from planner.objects import Region
 from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, minimum_jerk, pose_to_wxyz, shifted
 from planner.tools import plan_use
-from sim.controllers import AnyController
+from sim.controllers import AnyController, GraspController
 from sim.foreign import ForeignRun, ForeignScene
 from sim.simulation import Simulation
 from sim.tables import Row
@@ -58,6 +59,9 @@ DEPTH = 0.04
 BEST_OF, ATTEMPTS = 3, 300
 """Grasps to choose from, and attempts to find them."""
 
+OPENS, OPENING = -0.2, 0.6
+"""Change of the pressing forces in a step (-), and time (s), when an object is let go."""
+
 
 class Played:
     """One episode of one of its tasks.
@@ -65,6 +69,7 @@ class Played:
     Attributes:
         served: The task.
         scene: As it was read last.
+        home: Where the hand's base was when it was read first.
     """
 
     def __init__(
@@ -93,6 +98,7 @@ class Played:
             self.send(T_world_flange, home)
         self._given = {"hand": hand_now, "object": object, "table": TABLE, **given}
         self.read()
+        self.home = self.scene.T_world_base
 
     def read(self, **changes: Any) -> None:
         """Read the scene as it is now, with other arguments of ``ForeignScene`` if given."""
@@ -106,15 +112,45 @@ class Played:
         run.on_step = self._end
         return run
 
-    def check_reach(self, way: Sequence[SE3]) -> None:
-        """Refuse a way of the base that its arm does not reach.
+    def plan(self, seed: int, *, best_of: int = 1, **given: Any) -> GraspPlan:
+        """A grasp from which its arm reaches the approach and all of the route.
+
+        Args:
+            seed: Same seed, same plan.
+            best_of: As ``plan_use``.
+            given: As ``ForeignScene.task``.
 
         Raises:
-            TaskError: It does not.
+            NoGraspFoundError: There is none.
         """
-        for pose in way:
-            if not self.scene.reaches(pose):
-                raise TaskError(f"its arm does not reach {pose.translation.round(3)} m")
+
+        def way(plan: GraspPlan) -> list[SE3]:
+            route = self.route(plan)
+            for pose in (plan.T_world_base_start, *route):
+                if not self.scene.reaches(pose):
+                    raise TaskError(f"its arm does not reach {pose.translation.round(3)} m")
+            return route
+
+        task = self.scene.task(**given)
+        return plan_use(task, way, seed=seed, max_attempts=ATTEMPTS, best_of=best_of)
+
+    def route(self, plan: GraspPlan) -> list[SE3]:
+        """Where the base takes the object after the grasp."""
+        raise NotImplementedError
+
+    def region(self, corners: tuple[Sequence[float], Sequence[float]], name: str = "") -> Region:
+        """A box of the object's surface by two corners (m), in the axes of its body."""
+        lower, upper = np.array(corners) - self.scene.T_body_object.translation
+        return Region(name=name, lower=tuple(lower), upper=tuple(upper))
+
+    def posture(self, given: Mapping[str, float]) -> FloatArray:
+        """Joints (nq,), rad, of the hand, by name; the rest are zero."""
+        return np.array([given.get(name, 0.0) for name in self.scene.hand.joint_names])
+
+    def let_go(self, run: ForeignRun, fingers: GraspController) -> None:
+        """Press less and less, then pull back."""
+        for _ in run.run("hold", OPENING):
+            fingers.share += OPENS
 
     def in_base(self, q: FloatArray, body: str, point: Sequence[float]) -> FloatArray:
         """Where (3,), m, base axes, a point of a body of the hand is with its joints at q (nq,)."""
@@ -144,18 +180,19 @@ class Ahead(Played):
     """One whose arm is sent ahead, by as far as it lags.
 
     Attributes:
-        home: Where the hand's base was when the scene was read first.
-        sent: Where it was wanted last.
+        sent: Where the hand's base was wanted last.
     """
 
     def __init__(self, *args: Any, **given: Any) -> None:
         """As every episode."""
         super().__init__(*args, **given)
-        self.home = self.sent = self.scene.T_world_base
+        self.sent = self.home
 
-    def posture(self, given: Mapping[str, float]) -> FloatArray:
-        """Joints (nq,), rad, of the hand, by name; the rest are zero."""
-        return np.array([given.get(name, 0.0) for name in self.scene.hand.joint_names])
+    def run(self, plan: GraspPlan, controller: AnyController | None = None) -> ForeignRun:
+        """A run that goes on from where the base was wanted last."""
+        run = super().run(plan, controller)
+        run.wanted = self.sent
+        return run
 
     def move(self, q: FloatArray, T_world_base: SE3, duration: float) -> None:
         """Bring the base to a pose, straight, while the fingers keep q (nq,)."""
@@ -208,13 +245,7 @@ class _Hammering(Played):
 
     def row(self, seed: int) -> Row:
         """What came of it."""
-        try:
-            plan = plan_use(
-                self.scene.task(), self._way, seed=seed, max_attempts=ATTEMPTS, best_of=BEST_OF
-            )
-        except NoGraspFoundError as error:
-            return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
-        run = self.run(plan)
+        run = self.run(self.plan(seed, best_of=BEST_OF))
         ended = self._episode(run)
         told = self.served.told
         about: dict[str, Any] = {
@@ -253,17 +284,11 @@ class _Hammering(Played):
         data = self.served.data
         return np.array(data.xpos[self._nail] + [0.0, 0.0, HOVER] - data.geom_xpos[self._face])
 
-    def _way(self, plan: GraspPlan) -> list[SE3]:
-        """Over and into the nail; the arm must reach all of it.
-
-        Raises:
-            TaskError: It does not.
-        """
+    def route(self, plan: GraspPlan) -> list[SE3]:
+        """Over and into the nail."""
         low = self._over() - [0.0, 0.0, HOVER + DEPTH]
         up = [0.0, 0.0, CLEAR]
-        way = [shifted(plan.T_world_base, by) for by in (np.zeros(3), up, low + up, low)]
-        self.check_reach([plan.T_world_base_start, *way])
-        return way
+        return [shifted(plan.T_world_base, by) for by in (np.zeros(3), up, low + up, low)]
 
 
 HAMMER = Task(

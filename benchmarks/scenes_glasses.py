@@ -14,14 +14,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.scenes_dexjoco import ATTEMPTS, Ahead
+from benchmarks.scenes_dexjoco import Ahead
 from benchmarks.scenes_mouse import POKE, TIP, TIP_AT, TIP_RADIUS
 from benchmarks.scenes_task import Served, Task, outcome
-from planner.errors import NoGraspFoundError
-from planner.objects import Region, TouchRegion
+from planner.objects import TouchRegion
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, shifted
-from planner.tools import plan_use
 from sim.controllers import GraspController
 from sim.foreign import ForeignRun
 from sim.scene.carrier import Timeline
@@ -41,20 +39,22 @@ FOLDED, SWEEP = 1.4, 3.0
 """Angle (rad) to which each temple is sent, and the time of it, s: asked is 1.1, and the frame
 gives way by a few cm."""
 
-FRONT, BACK = ((-0.06, -np.inf, 0.0535), (0.06, np.inf, np.inf)), (
-    (-0.06, -np.inf, -np.inf),
-    (0.06, np.inf, 0.045),
+FRONT, BACK = (
+    ((-0.06, -np.inf, 0.0535), (0.06, np.inf, np.inf)),
+    (
+        (-0.06, -np.inf, -np.inf),
+        (0.06, np.inf, 0.045),
+    ),
 )
 """Corners (m) of boxes, in the axes of their body: the middle of the front, and what of the folded
 temples is behind it."""
 
-GRIP, HARDER = 2.0, 3.0
-"""Least planned force (N) of a finger, and how many times (-) the planned forces they then press
-with: the temples have yielded to them up to their stops."""
+GRIP, HARDER, HARDENING = 2.0, 3.0, 0.4
+"""Least planned force (N) of a finger, how many times (-) the planned forces they then press with,
+and the time (s) until the temples have yielded to them up to their stops."""
 
 CLEAR = 0.13
 """How far (m) the folded glasses are lifted: the box is 0.1 m high."""
-
 
 FLOOR = 0.008
 """How far (m) above where they stood they are laid down: the box's floor is 5 mm thick."""
@@ -72,17 +72,12 @@ class _Folding(Ahead):
         self._fold()
         self.read()
         thumb, *others = self.scene.hand.description.default_fingers
-        regions = dict.fromkeys(others, self._region(BACK)) | {thumb: self._region(FRONT)}
+        regions = dict.fromkeys(others, self.region(BACK)) | {thumb: self.region(FRONT)}
         touch = TouchRegion(required=regions)
         self.scene.object = replace(self.scene.object, touch=touch)
-        task = self.scene.task(grip_force=GRIP)
-        try:
-            plan = plan_use(task, self._way, seed=seed, max_attempts=ATTEMPTS, best_of=1)
-        except NoGraspFoundError as error:
-            return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
+        plan = self.plan(seed, grip_force=GRIP)
         fingers = GraspController(plan)
         run = self.run(plan, fingers)
-        run.wanted = self.sent
         ended = self._lay(run, fingers)
         done = bool(self.served.told["succeed"])
         return outcome(run, done=done, ended=ended, steps=self.served.steps)
@@ -108,8 +103,13 @@ class _Folding(Ahead):
 
         def beside(angle: float, gap: float, up: float = 0.0) -> SE3:
             along = pin.exp3(angle * axis) @ -frame[:, 2]
-            at = anchor + ALONG * along - BELOW * frame[:, 1] + (TIP_RADIUS + gap) * np.cross(along, axis)
-            return SE3(level, at + [0.0, 0.0, up] - level @ end)
+            at = (
+                anchor
+                + ALONG * along
+                - BELOW * frame[:, 1]
+                + (TIP_RADIUS + gap) * np.cross(along, axis)
+            )
+            return shifted(SE3(level, at - level @ end), [0.0, 0.0, up])
 
         self.move(q, beside(first, BESIDE, ABOVE), 1.2)
         self.move(q, beside(first, BESIDE), 0.6)
@@ -118,27 +118,26 @@ class _Folding(Ahead):
         self.move(q, beside(FOLDED, BESIDE), 0.3)
         self.move(q, beside(FOLDED, BESIDE, ABOVE), 0.6)
 
-    def _region(self, corners: Any) -> Region:
-        lower, upper = np.array(corners) - self.scene.T_body_object.translation
-        return Region(name="", lower=tuple(lower), upper=tuple(upper))
-
     def _lay(self, run: ForeignRun, fingers: GraspController) -> str:
         """Lift, carry and lower them; where it ended."""
         plan = run.plan
         run.move(shifted(plan.T_world_base_start, [0.0, 0.0, 0.1]), 1.0, phase="approach")
         run.move(plan.T_world_base_start, 0.6, wait=0.3, phase="approach")
-        if not run.grasp(Timeline(approach=0.6, close=0.4, close_wait=0.4, squeeze=0.4)):
-            return "not grasped"
+        run.grasp(Timeline(approach=0.6, close=0.4, close_wait=0.4, squeeze=0.4))
         fingers.share = HARDER
-        for pose, time in zip(self._way(plan), (1.0, 1.5, 1.0), strict=True):
+        run.move(run.wanted, HARDENING)
+        if run.touching() < 2:
+            return "not grasped"
+        run.held = run.T_palm_object
+        for pose, time in zip(self.route(plan), (1.0, 1.5, 1.0), strict=True):
             run.move(pose, time, wait=0.3)
         run.move(run.wanted, 3.0)
         return "not folded in the box"
 
-    def _way(self, plan: GraspPlan) -> list[SE3]:
-        """Up, over the box, and down; the arm must reach all of it."""
+    def route(self, plan: GraspPlan) -> list[SE3]:
+        """Up, over the box, and down, in line with it."""
         data = self.served.data
-        floor, table = data.geom("box_bottom"), data.geom("table_collision")
+        floor = data.geom("box_bottom")
         wide, deep = data.body("glass").xmat.reshape(3, 3)[:, 0], floor.xmat.reshape(3, 3)[:, 1]
         angle = np.arctan2(deep[1], deep[0]) - np.arctan2(wide[1], wide[0])
         turn = pin.exp3(np.array([0.0, 0.0, (angle + np.pi / 2) % np.pi - np.pi / 2]))
@@ -147,9 +146,7 @@ class _Folding(Ahead):
         place[2] = base.translation[2] + FLOOR
         down = SE3(turn @ base.rotation, place)
         up = [0.0, 0.0, CLEAR]
-        way = [shifted(base, up), shifted(down, up), down]
-        self.check_reach([plan.T_world_base_start, *way])
-        return way
+        return [shifted(base, up), shifted(down, up), down]
 
 
 GLASSES = Task(

@@ -12,14 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.scenes_dexjoco import ATTEMPTS, Played
+from benchmarks.scenes_dexjoco import Played
 from benchmarks.scenes_task import Served, Task, outcome
-from planner.errors import NoGraspFoundError
 from planner.hands.hand import Hand
 from planner.objects import Region, TouchRegion
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, shifted
-from planner.tools import plan_use
 from sim.controllers import GraspController, Observation
 from sim.foreign import ForeignRun
 from sim.tables import Row
@@ -49,9 +47,6 @@ how far (m) above to how far below its top the finger is sent."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
-OPENS, OPENING = -0.2, 0.6
-"""Change of the pressing forces in a step (-), and time (s), when the mouse is let go."""
-
 CLEAR = 0.12
 """How far (m) the hand rises from the mouse."""
 
@@ -75,18 +70,13 @@ class _Clicking(Played):
     def __init__(self, served: Served, hand: Path) -> None:
         """As every episode."""
         super().__init__(served, hand, "link_3")
-        self._home = self.scene.T_world_base
         upper = (np.inf, np.inf, BACK - float(self.scene.T_body_object.translation[2]))
         touch = TouchRegion(allowed=(Region(name="back", upper=upper),))
         self.scene.object = replace(self.scene.object, mass=CARRIED, touch=touch)
 
     def row(self, seed: int) -> Row:
         """What came of it."""
-        task = self.scene.task(grip_force=GRIP)
-        try:
-            plan = plan_use(task, self._way, seed=seed, max_attempts=ATTEMPTS, best_of=1)
-        except NoGraspFoundError as error:
-            return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
+        plan = self.plan(seed, grip_force=GRIP)
         fingers = GraspController(plan)
         run = self.run(plan, fingers)
         ended = self._bring(run, fingers) or self._click(run)
@@ -102,18 +92,16 @@ class _Clicking(Played):
             return "not grasped"
         far = self._left()
         run.move(shifted(run.wanted, [*far, 0.0]), 3.0, wait=1.5, until=lambda _: self._away < NEAR)
-        for _ in run.run("hold", OPENING):
-            fingers.share += OPENS
+        self.let_go(run, fingers)
         run.wanted = run.T_world_base
         run.move(shifted(run.wanted, [0.0, 0.0, CLEAR]), 1.0, phase="approach")
         return "" if self._away < ON_PAD else "not on the pad"
 
     def _click(self, run: ForeignRun) -> str:
         """Press the button; where it ended."""
-        hand = self.scene.hand
-        q = np.array([POKE.get(name, 0.0) for name in hand.joint_names])
-        run.controller = _Posture(hand, q)
-        level = self._home.rotation
+        q = self.posture(POKE)
+        run.controller = _Posture(self.scene.hand, q)
+        level = self.home.rotation
         place = self._button() - level @ self.in_base(q, TIP, TIP_AT)
         above, below = (SE3(level, place + far * UP) for far in (ABOVE, -BELOW))
         run.move(above, 2.0, wait=1.0)
@@ -145,11 +133,9 @@ class _Clicking(Played):
     def _away(self) -> float:
         return float(np.linalg.norm(self._left()))
 
-    def _way(self, plan: GraspPlan) -> list[SE3]:
-        """To the pad; the arm must reach it."""
-        there = shifted(plan.T_world_base, [*self._left(), 0.0])
-        self.check_reach([plan.T_world_base_start, plan.T_world_base, there])
-        return [plan.T_world_base, there]
+    def route(self, plan: GraspPlan) -> list[SE3]:
+        """To the pad."""
+        return [plan.T_world_base, shifted(plan.T_world_base, [*self._left(), 0.0])]
 
 
 MOUSE = Task(
