@@ -22,7 +22,7 @@ from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, minimum_jerk, pose_to_wxyz, shifted
 from planner.tools import plan_use
-from sim.controllers import AnyController, GraspController
+from sim.controllers import AnyController
 from sim.foreign import ForeignRun, ForeignScene
 from sim.simulation import Simulation
 from sim.tables import Row
@@ -58,9 +58,6 @@ DEPTH = 0.04
 
 BEST_OF, ATTEMPTS = 3, 300
 """Grasps to choose from, and attempts to find them."""
-
-OPENS, OPENING = -0.2, 0.6
-"""Change of the pressing forces in a step (-), and time (s), when an object is let go."""
 
 
 class Played:
@@ -146,11 +143,6 @@ class Played:
     def posture(self, given: Mapping[str, float]) -> FloatArray:
         """Joints (nq,), rad, of the hand, by name; the rest are zero."""
         return np.array([given.get(name, 0.0) for name in self.scene.hand.joint_names])
-
-    def let_go(self, run: ForeignRun, fingers: GraspController) -> None:
-        """Press less and less, then pull back."""
-        for _ in run.run("hold", OPENING):
-            fingers.share += OPENS
 
     def in_base(self, q: FloatArray, body: str, point: Sequence[float]) -> FloatArray:
         """Where (3,), m, base axes, a point of a body of the hand is with its joints at q (nq,)."""

@@ -47,6 +47,9 @@ how far (m) above to how far below its top the finger is sent."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
+OPENS, OPENING = -0.2, 0.6
+"""Change of the pressing forces in a step (-), and time (s), when the mouse is let go."""
+
 CLEAR = 0.12
 """How far (m) the hand rises from the mouse."""
 
@@ -92,7 +95,8 @@ class _Clicking(Played):
             return "not grasped"
         far = self._left()
         run.move(shifted(run.wanted, [*far, 0.0]), 3.0, wait=1.5, until=lambda _: self._away < NEAR)
-        self.let_go(run, fingers)
+        for _ in run.run("hold", OPENING):
+            fingers.share += OPENS
         run.wanted = run.T_world_base
         run.move(shifted(run.wanted, [0.0, 0.0, CLEAR]), 1.0, phase="approach")
         return "" if self._away < ON_PAD else "not on the pad"
