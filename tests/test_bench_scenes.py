@@ -11,6 +11,7 @@ from unittest.mock import MagicMock
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from benching import run_bench
 
@@ -234,6 +235,29 @@ def test_fingers_are_inside_the_handle_as_it_will_be(ahead: Ahead, angle: float)
     # inwards by half the bar, the finger's radius and the gap; across: below the bar
     wanted = [0.002 + scenes_bucket.TIP_RADIUS + 0.003, 0.0, -scenes_bucket.BELOW]
     np.testing.assert_allclose(seen, wanted, atol=1e-9)
+
+
+def test_the_box_is_carried_over_the_bucket_by_a_hand_that_is_turned_little(ahead: Ahead) -> None:
+    model = mujoco.MjModel.from_xml_string(BUCKET)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    filling = object.__new__(scenes_bucket._Filling)
+    filling.served, filling.home = MagicMock(model=model, data=data), ahead.home
+    box = np.array([-0.3, 0.15, 0.4])
+    filling.scene = MagicMock(T_world_object=SE3(np.eye(3), box))
+    # beyond: the arm ends at a stop beside the grasp (start 1041 of development)
+    for degrees in (85.0, -85.0, 161.0):
+        base = SE3(pin.exp3(np.deg2rad(degrees) * np.array([0.0, 0.0, 1.0])), box + 0.1)
+        plan: Any = SimpleNamespace(T_world_base=base)
+        if degrees > 100.0:
+            with pytest.raises(TaskError, match="does not turn"):
+                filling.route(plan)
+            continue
+        up, over, down = filling.route(plan)
+        np.testing.assert_allclose(up.translation[:2], base.translation[:2])
+        for pose, height in ((over, scenes_dexjoco.CLEAR), (down, 0.0)):
+            place = (pose * base.inverse()).act(box)
+            np.testing.assert_allclose(place, [0.1, 0.2, 0.4 + scenes_bucket.DROP + height])
 
 
 GLASSES = """
