@@ -19,15 +19,17 @@ import typer
 
 from benchmarks.bench import Options as Shared
 from benchmarks.scenes_adroit import HAMMER as ADROIT_HAMMER
+from benchmarks.scenes_bucket import BUCKET
 from benchmarks.scenes_dexjoco import HAMMER as DEXJOCO_HAMMER
+from benchmarks.scenes_glasses import GLASSES
 from benchmarks.scenes_mouse import MOUSE
 from benchmarks.scenes_task import Served
 from benchmarks.scenes_tongs import TONGS
 from benchmarks.summary import counted, of, share, summary
-from planner.errors import NotFoundError
+from planner.errors import NoGraspFoundError, NotFoundError
 from sim.tables import Row
 
-TASKS = {task.name: task for task in (DEXJOCO_HAMMER, TONGS, MOUSE, ADROIT_HAMMER)}
+TASKS = {task.name: task for task in (DEXJOCO_HAMMER, TONGS, MOUSE, BUCKET, GLASSES, ADROIT_HAMMER)}
 """By name."""
 
 
@@ -69,6 +71,8 @@ def measure(case: Row) -> Row:
     served = Served(task, where.scene, where.python, case["seed"])
     try:
         return task.play(served, where.hand, case["seed"])
+    except NoGraspFoundError as error:
+        return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
     finally:
         served.close()
 

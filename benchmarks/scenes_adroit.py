@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from benchmarks.scenes_task import Served, Task, outcome
-from planner.errors import NoGraspFoundError, TaskError
+from planner.errors import TaskError
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.quality import force_closure
@@ -147,10 +147,7 @@ class _Hammering:
         )
         options = SynthesisOptions(clear_table=CLEAR_TABLE)
         given: dict[str, Any] = {"max_attempts": ATTEMPTS, "best_of": BEST_OF}
-        try:
-            plan = plan_use(task, self._way, seed=seed, options=options, **given)
-        except NoGraspFoundError as error:
-            return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
+        plan = plan_use(task, self._way, seed=seed, options=options, **given)
         run = self._lifted(plan)
         closed = self._closed(run)
         ended = self._driven(run) if run.touching() > 1 else "not grasped"

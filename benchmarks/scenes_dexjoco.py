@@ -6,18 +6,21 @@ the nail is 40 mm deep before 1000 of its steps are over.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
+import pinocchio as pin
 
 from benchmarks.scenes_task import Served, Task, outcome
-from planner.errors import NoGraspFoundError, TaskError
+from planner.errors import TaskError
 from planner.hand_loading import load_hand
+from planner.objects import Region
 from planner.plan import GraspPlan
 from planner.quality import force_closure
-from planner.spatial import SE3, FloatArray, pose_to_wxyz, shifted
+from planner.spatial import SE3, FloatArray, minimum_jerk, pose_to_wxyz, shifted
 from planner.tools import plan_use
 from sim.controllers import AnyController
 from sim.foreign import ForeignRun, ForeignScene
@@ -43,6 +46,13 @@ constant of 0.4 s, so the face comes at about 0.4 m/s."""
 BLOWS, BLOW = 6, 0.8
 """Most blows, and longest time of one, s."""
 
+LAG = (0.4, 0.57)
+"""Times (s) by which its arm follows a way and a turn: its controller's damping by its stiffness.
+What is made of them in that time is added to where the hand is sent, of turns at most ``AHEAD``."""
+
+AHEAD = 0.3
+"""Most of a turn (rad) that is added: its controller's errors of large angles go astray."""
+
 DEPTH = 0.04
 """Depth (m) that its test asks for."""
 
@@ -56,6 +66,7 @@ class Played:
     Attributes:
         served: The task.
         scene: As it was read last.
+        home: Where the hand's base was when it was read first.
     """
 
     def __init__(
@@ -84,6 +95,7 @@ class Played:
             self.send(T_world_flange, home)
         self._given = {"hand": hand_now, "object": object, "table": TABLE, **given}
         self.read()
+        self.home = self.scene.T_world_base
 
     def read(self, **changes: Any) -> None:
         """Read the scene as it is now, with other arguments of ``ForeignScene`` if given."""
@@ -97,15 +109,51 @@ class Played:
         run.on_step = self._end
         return run
 
-    def check_reach(self, way: Sequence[SE3]) -> None:
-        """Refuse a way of the base that its arm does not reach.
+    def plan(self, seed: int, *, best_of: int = 1, **given: Any) -> GraspPlan:
+        """A grasp from which its arm reaches the approach and all of the route.
+
+        Args:
+            seed: Same seed, same plan.
+            best_of: As ``plan_use``.
+            given: As ``ForeignScene.task``.
 
         Raises:
-            TaskError: It does not.
+            NoGraspFoundError: There is none.
         """
-        for pose in way:
-            if not self.scene.reaches(pose):
-                raise TaskError(f"its arm does not reach {pose.translation.round(3)} m")
+
+        def way(plan: GraspPlan) -> list[SE3]:
+            route = self.route(plan)
+            for pose in (plan.T_world_base_start, *route):
+                if not self.scene.reaches(pose):
+                    raise TaskError(f"its arm does not reach {pose.translation.round(3)} m")
+            return route
+
+        task = self.scene.task(**given)
+        return plan_use(task, way, seed=seed, max_attempts=ATTEMPTS, best_of=best_of)
+
+    def route(self, plan: GraspPlan) -> list[SE3]:
+        """Where the base takes the object after the grasp."""
+        raise NotImplementedError
+
+    def region(self, corners: tuple[Sequence[float], Sequence[float]], name: str = "") -> Region:
+        """A box of the object's surface by two corners (m), in the axes of its body."""
+        lower, upper = np.array(corners) - self.scene.T_body_object.translation
+        return Region(name=name, lower=tuple(lower), upper=tuple(upper))
+
+    def posture(self, given: Mapping[str, float]) -> FloatArray:
+        """Joints (nq,), rad, of the hand, by name; the rest are zero."""
+        return np.array([given.get(name, 0.0) for name in self.scene.hand.joint_names])
+
+    def in_base(self, q: FloatArray, body: str, point: Sequence[float]) -> FloatArray:
+        """Where (3,), m, base axes, a point of a body of the hand is with its joints at q (nq,)."""
+        copy = mujoco.MjData(self.served.model)
+        copy.qpos[:] = self.served.data.qpos
+        for name, value in zip(self.scene.hand.joint_names, q, strict=True):
+            copy.joint(name).qpos = value
+        mujoco.mj_kinematics(self.served.model, copy)
+        part, palm = copy.body(body), copy.body(PALM)
+        end = part.xpos + part.xmat.reshape(3, 3) @ point - palm.xpos
+        return np.asarray(palm.xmat.reshape(3, 3).T @ end)
 
     def send(self, T_world_flange: SE3, targets: FloatArray) -> None:
         """One of its steps: where the flange is wanted, and targets of the fingers' servos."""
@@ -118,6 +166,62 @@ class Played:
         """Make no further step after its last one."""
         if self.served.told["ended"]:
             run.stop("its test or its steps ended it")
+
+
+class Ahead(Played):
+    """One whose arm is sent ahead, by as far as it lags.
+
+    Attributes:
+        sent: Where the hand's base was wanted last.
+    """
+
+    def __init__(self, *args: Any, **given: Any) -> None:
+        """As every episode."""
+        super().__init__(*args, **given)
+        self.sent = self.home
+
+    def run(self, plan: GraspPlan, controller: AnyController | None = None) -> ForeignRun:
+        """A run that goes on from where the base was wanted last."""
+        run = super().run(plan, controller)
+        run.wanted = self.sent
+        return run
+
+    def move(self, q: FloatArray, T_world_base: SE3, duration: float) -> None:
+        """Bring the base to a pose, straight, while the fingers keep q (nq,)."""
+        begin, turn = self.sent, pin.log3(self.sent.rotation.T @ T_world_base.rotation)
+        way = T_world_base.translation - begin.translation
+
+        def between(part: float) -> SE3:
+            share = float(minimum_jerk(np.asarray(part)))
+            return SE3(begin.rotation @ pin.exp3(share * turn), begin.translation + share * way)
+
+        self.follow(q, between, duration)
+
+    def follow(self, q: FloatArray, way: Callable[[float], SE3], duration: float) -> None:
+        """Bring the base along a way, while the fingers keep q (nq,).
+
+        Args:
+            q: Those joints, rad.
+            way: Where the base is wanted at a share of the duration.
+            duration: Of the way, s.
+        """
+        still = np.zeros_like(q)
+        targets = self.scene.hand.actuation.commands(q, still, still)
+        steps = round(duration / self.served.period)
+        for k in range(steps):
+            if self.served.told["ended"]:
+                return
+            self._step(way((k + 1) / steps), targets)
+
+    def _step(self, T_world_base: SE3, targets: FloatArray) -> None:
+        """Ahead of where the base is wanted."""
+        turned = pin.log3(T_world_base.rotation @ self.sent.rotation.T)
+        turned *= LAG[1] / self.served.period
+        turned *= AHEAD / max(float(np.linalg.norm(turned)), AHEAD)
+        way = (T_world_base.translation - self.sent.translation) * LAG[0] / self.served.period
+        turn = pin.exp3(turned) @ T_world_base.rotation
+        self.sent = T_world_base
+        super()._step(SE3(turn, T_world_base.translation + way), targets)
 
 
 class _Hammering(Played):
@@ -133,13 +237,7 @@ class _Hammering(Played):
 
     def row(self, seed: int) -> Row:
         """What came of it."""
-        try:
-            plan = plan_use(
-                self.scene.task(), self._way, seed=seed, max_attempts=ATTEMPTS, best_of=BEST_OF
-            )
-        except NoGraspFoundError as error:
-            return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
-        run = self.run(plan)
+        run = self.run(self.plan(seed, best_of=BEST_OF))
         ended = self._episode(run)
         told = self.served.told
         about: dict[str, Any] = {
@@ -178,17 +276,11 @@ class _Hammering(Played):
         data = self.served.data
         return np.array(data.xpos[self._nail] + [0.0, 0.0, HOVER] - data.geom_xpos[self._face])
 
-    def _way(self, plan: GraspPlan) -> list[SE3]:
-        """Over and into the nail; the arm must reach all of it.
-
-        Raises:
-            TaskError: It does not.
-        """
+    def route(self, plan: GraspPlan) -> list[SE3]:
+        """Over and into the nail."""
         low = self._over() - [0.0, 0.0, HOVER + DEPTH]
         up = [0.0, 0.0, CLEAR]
-        way = [shifted(plan.T_world_base, by) for by in (np.zeros(3), up, low + up, low)]
-        self.check_reach([plan.T_world_base_start, *way])
-        return way
+        return [shifted(plan.T_world_base, by) for by in (np.zeros(3), up, low + up, low)]
 
 
 HAMMER = Task(

@@ -88,6 +88,8 @@ SERVED: dict[str, Any] = {
     "hammer_nail": lambda *given: DexJoCo("HammerNail", ("nail_depth", "hammer_hit"), *given),
     "pinch_tongs": lambda *given: DexJoCo("PinchTongs", ("pinch_count",), *given),
     "click_mouse": lambda *given: DexJoCo("ClickMouse", (), *given),
+    "pick_bucket": lambda *given: DexJoCo("PickBucket", (), *given),
+    "fold_glasses": lambda *given: DexJoCo("FoldGlasses", (), *given),
     "adroit_hammer": Adroit,
 }
 """How each task is made; takes a checkout and a seed."""

@@ -10,17 +10,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
-from benchmarks.scenes_dexjoco import ATTEMPTS, PALM, Played
+from benchmarks.scenes_dexjoco import Played
 from benchmarks.scenes_task import Served, Task, outcome
-from planner.errors import NoGraspFoundError
 from planner.hands.hand import Hand
 from planner.objects import Region, TouchRegion
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, shifted
-from planner.tools import plan_use
 from sim.controllers import GraspController, Observation
 from sim.foreign import ForeignRun
 from sim.tables import Row
@@ -76,18 +73,13 @@ class _Clicking(Played):
     def __init__(self, served: Served, hand: Path) -> None:
         """As every episode."""
         super().__init__(served, hand, "link_3")
-        self._home = self.scene.T_world_base
         upper = (np.inf, np.inf, BACK - float(self.scene.T_body_object.translation[2]))
         touch = TouchRegion(allowed=(Region(name="back", upper=upper),))
         self.scene.object = replace(self.scene.object, mass=CARRIED, touch=touch)
 
     def row(self, seed: int) -> Row:
         """What came of it."""
-        task = self.scene.task(grip_force=GRIP)
-        try:
-            plan = plan_use(task, self._way, seed=seed, max_attempts=ATTEMPTS, best_of=1)
-        except NoGraspFoundError as error:
-            return {"done": False, "ended": "no plan", "detail": str(error)[:200]}
+        plan = self.plan(seed, grip_force=GRIP)
         fingers = GraspController(plan)
         run = self.run(plan, fingers)
         ended = self._bring(run, fingers) or self._click(run)
@@ -111,18 +103,10 @@ class _Clicking(Played):
 
     def _click(self, run: ForeignRun) -> str:
         """Press the button; where it ended."""
-        hand, (model, data) = self.scene.hand, (self.served.model, self.served.data)
-        q = np.array([POKE.get(name, 0.0) for name in hand.joint_names])
-        run.controller = _Posture(hand, q)
-        copy = mujoco.MjData(model)
-        copy.qpos[:] = data.qpos
-        for name, value in zip(hand.joint_names, q, strict=True):
-            copy.joint(name).qpos = value
-        mujoco.mj_kinematics(model, copy)
-        tip, palm = copy.body(TIP), copy.body(PALM)
-        end = tip.xpos + tip.xmat.reshape(3, 3) @ TIP_AT - palm.xpos
-        level = self._home.rotation
-        place = self._button() - level @ palm.xmat.reshape(3, 3).T @ end
+        q = self.posture(POKE)
+        run.controller = _Posture(self.scene.hand, q)
+        level = self.home.rotation
+        place = self._button() - level @ self.in_base(q, TIP, TIP_AT)
         above, below = (SE3(level, place + far * UP) for far in (ABOVE, -BELOW))
         run.move(above, 2.0, wait=1.0)
         run.move(below, 2.5, wait=2.0, until=lambda _: run.ended)
@@ -153,11 +137,9 @@ class _Clicking(Played):
     def _away(self) -> float:
         return float(np.linalg.norm(self._left()))
 
-    def _way(self, plan: GraspPlan) -> list[SE3]:
-        """To the pad; the arm must reach it."""
-        there = shifted(plan.T_world_base, [*self._left(), 0.0])
-        self.check_reach([plan.T_world_base_start, plan.T_world_base, there])
-        return [plan.T_world_base, there]
+    def route(self, plan: GraspPlan) -> list[SE3]:
+        """To the pad."""
+        return [plan.T_world_base, shifted(plan.T_world_base, [*self._left(), 0.0])]
 
 
 MOUSE = Task(

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.scenes_dexjoco import ATTEMPTS, CLEAR, Played
+from benchmarks.scenes_dexjoco import CLEAR, Played
 from benchmarks.scenes_task import Served, Task, outcome
 from planner.errors import NoGraspFoundError
 from planner.objects import Region, TouchRegion
 from planner.plan import GraspPlan
 from planner.spatial import SE3, shifted
-from planner.tools import plan_use
 from sim.controllers import GraspController, Phase
 from sim.foreign import ForeignRun
 from sim.scene.carrier import Timeline
@@ -66,14 +65,14 @@ class _Pinching(Played):
         """What came of it."""
         thumb, *others = self.scene.hand.description.default_fingers
         for near, far in (("right", "left"), ("left", "right")):
-            regions = dict.fromkeys(others, self._region(far)) | {thumb: self._region(near)}
+            regions = dict.fromkeys(others, self._at(far)) | {thumb: self._at(near)}
             try:
                 plan = self._plan(TouchRegion(required=regions), GRIP, seed)
                 break
             except NoGraspFoundError as error:
-                said = str(error)
+                none = error
         else:
-            return {"done": False, "ended": "no plan", "detail": said[:200]}
+            raise none
         fingers = GraspController(plan)
         run = self.run(plan, fingers)
         ended = self._pinch(run, fingers)
@@ -81,7 +80,7 @@ class _Pinching(Played):
             self._raise(run, "approach", 0.0)
             self.read()
             try:
-                plan = self._plan(TouchRegion(allowed=(self._region("middle"),)), None, seed)
+                plan = self._plan(TouchRegion(allowed=(self._at("middle"),)), None, seed)
             except NoGraspFoundError as error:
                 return {"done": False, "ended": "no second plan", "detail": str(error)[:200]}
             run = self.run(plan)
@@ -97,8 +96,7 @@ class _Pinching(Played):
             NoGraspFoundError: There is none.
         """
         self.scene.object = replace(self.scene.object, touch=touch)
-        task = self.scene.task(grip_force=grip)
-        return plan_use(task, self._way, seed=seed, max_attempts=ATTEMPTS, best_of=1)
+        return self.plan(seed, grip_force=grip)
 
     def _pinch(self, run: ForeignRun, fingers: GraspController) -> str:
         """Pinch where the tongs lie; what went wrong."""
@@ -143,15 +141,12 @@ class _Pinching(Played):
         """Its angle, rad."""
         return float(self.served.data.joint("joint_0").qpos[0])
 
-    def _region(self, handle: str) -> Region:
-        lower, upper = np.array(WHERE[handle]) - self.scene.T_body_object.translation
-        return Region(name=handle, lower=tuple(lower), upper=tuple(upper))
+    def _at(self, part: str) -> Region:
+        return self.region(WHERE[part], part)
 
-    def _way(self, plan: GraspPlan) -> list[SE3]:
-        """Up; the arm must reach it."""
-        way = [plan.T_world_base, shifted(plan.T_world_base, [0.0, 0.0, LIFT])]
-        self.check_reach([plan.T_world_base_start, *way])
-        return way
+    def route(self, plan: GraspPlan) -> list[SE3]:
+        """Up."""
+        return [plan.T_world_base, shifted(plan.T_world_base, [0.0, 0.0, LIFT])]
 
 
 TONGS = Task(
