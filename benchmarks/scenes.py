@@ -10,6 +10,7 @@ A task is one ``Task`` in a file of its project, and one name in ``TASKS``.
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,6 +67,7 @@ def cases(options: Options) -> Iterator[Row]:
 
 def measure(case: Row) -> Row:
     """One start of its own, played once."""
+    gc.collect()  # the models of the start before, 250 MB of DexJoCo's, are in reference cycles
     where: Where = case["where"]
     task = TASKS[case["task"]]
     served = Served(task, where.scene, where.python, case["seed"])
