@@ -96,6 +96,9 @@ pressed on each other."""
 ASKED_CLEARANCE = 0.004
 """Distance (m) of fingers that synthesis asks for in a grasp for a use without options."""
 
+FLAT = 1e-8
+"""Added to J J^T (m^2): a stretched finger has a direction in which it does not move."""
+
 WAY_CLEARANCE = 0.002
 """Least distance (m) of the hand from what stands around on the way of a use."""
 
@@ -528,6 +531,7 @@ def plan_use(
     options: SynthesisOptions | None = None,
     progress: Callable[[Attempt[GraspPlan]], object] | None = None,
     fit: Callable[[GraspPlan, GraspTask], GraspPlan | Failure] | None = None,
+    gives_way: float = 0.0,
 ) -> GraspPlan:
     """A grasp for the use of a tool: needed wrenches with margin, and a way that is free.
 
@@ -544,6 +548,8 @@ def plan_use(
         progress: Called after every attempt.
         fit: What makes of a grasp without needed wrenches one of the task, or says why it cannot;
             grasps are searched with needed wrenches if None.
+        gives_way: How far the tool may give way before the fingers for a moment, m: see
+            ``followed``.
 
     Raises:
         NoGraspFoundError: The budget ended; says which needed wrench failed, and by which limit.
@@ -557,7 +563,8 @@ def plan_use(
         searched = task if fit is None else replace(task, needed=())
         for attempt in attempts(searched, seed=seed, options=asked):
             plan = attempt.plan
-            found = plan and (_too_near(plan) or (plan if fit is None else fit(plan, task)))
+            near = plan and _too_near(plan, gives_way)
+            found = plan and (near or (plan if fit is None else fit(plan, task)))
             if isinstance(found, GraspPlan) and way is not None:
                 try:
                     found = way_blocked(found, way(found)) or found
@@ -586,13 +593,41 @@ def plan_use(
     return best_of_made(plan, made, metric="needed_margin", value=needed_margin(plan))
 
 
-def _too_near(plan: GraspPlan) -> Failure | None:
+def _too_near(plan: GraspPlan, gives_way: float = 0.0) -> Failure | None:
     """Which links come nearer than ``LOADED_CLEARANCE``; None if none do."""
     near = min(plan.verification.closest, key=lambda pair: pair.distance, default=None)
-    if near is None or near.distance >= LOADED_CLEARANCE:
+    if near is not None and near.distance < LOADED_CLEARANCE:
+        text = f"{near} apart; fingers that bear the use yield, {1e3 * LOADED_CLEARANCE:g} mm are"
+        return Failure(kind="use_clearance", text=f"{text} kept")
+    if gives_way == 0.0:
         return None
-    text = f"{near} apart; fingers that bear the use yield, {1e3 * LOADED_CLEARANCE:g} mm are kept"
+    q = followed(plan, gives_way)
+    near = CollisionWorld(plan.task).between_fingers(plan.T_world_base, q, LOADED_CLEARANCE)
+    if near is None:
+        return None
+    text = f"{near} apart where the tool gives way by {1e3 * gives_way:g} mm"
     return Failure(kind="use_clearance", text=text)
+
+
+def followed(plan: GraspPlan, way: float) -> FloatArray:
+    """Joints (nq,) with every finger moved on along its contact's normal, to first order.
+
+    A blow takes the tool away from fingers, which then follow with the force that they pressed
+    with, and nothing holds them aside: fingers that press from two sides of a ridge come together.
+
+    Args:
+        plan: The grasp.
+        way: How far, m.
+    """
+    state, q = HandState(plan.task.hand, plan.q), plan.q.copy()
+    contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+    for finger, point, normal in zip(
+        plan.task.fingers, contacts.positions, contacts.normals, strict=True
+    ):
+        own = finger.q_index
+        jac = state.point_jacobian(finger.pad.joint_id, point)[:3, own]
+        q[own] += jac.T @ np.linalg.solve(jac @ jac.T + FLAT * np.eye(3), way * normal)
+    return q
 
 
 def needed_margin(plan: GraspPlan) -> float:

@@ -20,13 +20,15 @@ from planner.errors import NoGraspFoundError, PlannerError
 from planner.failure import Failure
 from planner.files import read_plan, write_plan
 from planner.files.plans import plan_from_dict, plan_to_dict
+from planner.kinematics import HandState
 from planner.objects import parse_object
-from planner.spatial import SE3
+from planner.spatial import SE3, shifted
 from planner.synthesis.options import SynthesisOptions, needed_options
 from planner.tools import (
     LOADED_CLEARANCE,
     Tool,
     _too_near,
+    followed,
     needed_margin,
     read_tool,
     tool_names,
@@ -36,9 +38,12 @@ from planner.verification import verify_grasp
 from sim import UseTrial, plan_tool
 from sim.cli import main
 from sim.cli.grasp import UseOptions
-from sim.controllers.object_impedance import ObjectImpedance
+from sim.controllers import PadReading
+from sim.controllers.monitors import ALARM_TIME
+from sim.controllers.object_impedance import GRIP_STEP, ObjectImpedance
 from sim.report_file import ReportFile, read_report, write_report_of
 from sim.scene.build import OBJECT
+from sim.scene.gantry import GANTRY_FREQUENCY
 from sim.scene.physics import PhysicsOptions
 from sim.show.trial_page import trial_page
 from sim.simulation import Simulation
@@ -234,6 +239,29 @@ def test_links_of_a_grasp_for_a_use_keep_apart(plan: GraspPlan) -> None:
     assert "1.5 mm are kept" in failure.text
 
 
+def test_fingers_that_follow_a_blow_keep_apart(plan: GraspPlan) -> None:
+    q = followed(plan, 1e-4)
+    before, after = (HandState(plan.task.hand, joints) for joints in (plan.q, q))
+    contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+    for finger, point, normal in zip(
+        plan.task.fingers, contacts.positions, contacts.normals, strict=True
+    ):
+        joint = finger.pad.joint_id
+        moved = after.joint_pose(joint).act(before.joint_pose(joint).actInv(point)) - point
+        assert moved == pytest.approx(1e-4 * normal, abs=2e-6)
+    assert _too_near(plan) is None
+    failure = _too_near(plan, 0.03)  # they meet where the screwdriver's handle was
+    assert failure is not None
+    assert "where the tool gives way by 30 mm" in failure.text
+
+
+def test_a_strike_is_planned_for_fingers_that_follow(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[str, Any] = {}
+    monkeypatch.setattr("sim.tools.trial.plan_use", lambda *_, **kwargs: given.update(kwargs))
+    plan_tool("allegro_hand", "hammer")
+    assert given["gives_way"] == Strike.gives_way > 0
+
+
 def test_the_way_of_a_use_keeps_off_the_workpiece(plan: GraspPlan) -> None:
     assert way_blocked(plan, use_of(load_tool("screwdriver")).way(plan)) is None
     low = SE3(plan.T_world_base.rotation, plan.T_world_base.translation - [0, 0, 0.2])
@@ -316,6 +344,41 @@ def test_of_a_guided_tool_only_the_torque_about_the_axis_is_learned(plan: GraspP
     guided.take(learned.ravel())
     given = guided.give().reshape(2, 3) @ turn.T
     assert given == pytest.approx(np.array([[0.0, 0.0, -3.0], [0.0, 0.0, -0.09]]), abs=1e-9)
+
+
+def pads(plan: GraspPlan, *, pressed: float, speed: float = 0.0) -> PadReading:
+    """Every finger presses with ``pressed`` N and no friction; the tool slides at m/s."""
+    contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+    force = pressed * contacts.normals
+    sliding = speed * contacts.frames[:, :, 1]
+    return PadReading(
+        normal_force=np.full(len(force), pressed),
+        force=force,
+        position=contacts.positions,
+        normal=contacts.normals,
+        sliding=sliding,
+    )
+
+
+@pytest.mark.parametrize("learns", [True, False])
+def test_sliding_in_a_blow_tells_no_friction(plan: GraspPlan, learns: bool) -> None:
+    controller = UseController(plan, learns=learns)
+    controller.schedule.touching[:], controller.schedule.share[:] = True, 1.0
+    for _ in range(round(5 * ALARM_TIME / 0.002)):
+        controller._tighten(0.002, pads(plan, pressed=3.0, speed=0.1))
+    assert controller._grip == (GRIP_STEP if learns else 1.0)
+    believed = plan.task.mu
+    assert (controller._mu < believed).all() if learns else (controller._mu == believed).all()
+
+
+@pytest.mark.parametrize("learns", [True, False])
+def test_a_finger_off_the_tool_gives_nothing_aside(plan: GraspPlan, learns: bool) -> None:
+    """Of 4 N and 2 N along the surface 0.5 times what is felt is left in a blow."""
+    controller = UseController(plan, learns=learns)
+    controller.forces[:] = [4.0, 2.0, 0.0, 0.0]
+    for felt, left in ((0.0, 0.0), (2.0, 1.0), (4.0, 2.0), (9.0, 2.0)):
+        given = controller._given(pads(plan, pressed=felt))
+        assert given == pytest.approx(np.tile([4.0, 2.0 if learns else left, 0.0], (len(given), 1)))
 
 
 def test_a_guided_tool_is_wanted_where_it_is_across_the_axis(plan: GraspPlan) -> None:
@@ -410,6 +473,26 @@ def test_a_phase_begins_where_the_hand_is(trial: UseTrial, monkeypatch: pytest.M
     sped = forward()[2] / gantry.gains[1][2]
     assert np.isclose(sped, 1e-6 / simulation.timestep, rtol=1e-3)
     data.qpos[:] = before
+
+
+def test_the_wrist_brakes_without_lag_in_a_blow(
+    trial: UseTrial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 50 m/s2 a servo of 60 rad/s that is told the velocity alone lags by 14 mm."""
+    gantry, data = trial.simulation.scene.gantry, trial.simulation.data
+    assert gantry is not None
+    step, carried = trial.simulation.timestep, gantry.gains[0][2] / GANTRY_FREQUENCY**2
+    heights = [0.0, -50.0 * step**2]
+    forces = []
+    for lasting in (True, False):
+        monkeypatch.setattr(type(trial.use), "lasting", lasting)
+        way = iter([shifted(trial.simulation.T_world_base, [0.0, 0.0, z]) for z in heights])
+        monkeypatch.setattr(trial.use, "motion", lambda *_, way=way: Motion(T_world_base=next(way)))
+        trial.carrier.begin(data)
+        for _ in heights:
+            trial.carrier.drive(data, "withdraw", 0.0)
+        forces.append(gantry.gains[0][2] * data.ctrl[gantry.ctrl[2]])
+    assert forces[1] - forces[0] == pytest.approx(-50.0 * carried)
 
 
 def test_a_use_ends_when_the_tool_is_gone_and_says_so(

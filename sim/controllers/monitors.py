@@ -40,11 +40,13 @@ class ContactSchedule:
         share: (n,), share of its force that each finger has, in [0, 1].
         wanted: (n,), which fingers are to hold the object.
         touching: (n,), which pads feel it.
+        lost_time: How long (s) a pad must feel nothing for its contact to be lost; may be set.
     """
 
     def __init__(self, touching: NDArray[np.bool_]) -> None:
         """All fingers are wanted; those that touch (n,) hold at once."""
         self.touching = np.array(touching, dtype=bool)
+        self.lost_time = LOST_TIME
         self.wanted = np.ones(len(touching), dtype=bool)
         self.share = self.touching.astype(np.float64)
         self._lasting = np.zeros(len(touching))
@@ -78,7 +80,7 @@ class ContactSchedule:
             return self._none, self._none
         changes = np.where(self.touching, normal_force < LOST_FORCE, normal_force > TOUCH_FORCE)
         self._lasting = np.where(changes, self._lasting + elapsed, 0.0)
-        due = self._lasting >= np.where(self.touching, LOST_TIME, TOUCH_TIME) - elapsed / 2
+        due = self._lasting >= np.where(self.touching, self.lost_time, TOUCH_TIME) - elapsed / 2
         lost, found = due & self.touching, due & ~self.touching
         self.touching = self.touching ^ due
         self._lasting[due] = 0.0

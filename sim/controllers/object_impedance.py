@@ -348,13 +348,18 @@ class ObjectImpedance:
             self._judge(elapsed, wrench, missed)
         if carries and not self.gave_up and self._time >= self._turning_until:
             self.law.learn(elapsed, missed)
-        forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
+        forces = (self._frames @ self._given(pads)[:, :, None])[:, :, 0]
         normals = self._frames[:, :, 0]
         return self._torques.commands(
             *(forces, normals, holding, self.schedule.searching, corrected, read),
             moments=self.forces[:, 3] if self._soft else None,
             further=further,
         )
+
+    def _given(self, pads: PadReading) -> FloatArray:
+        """Contact forces (n, 3) that the fingers are to give, contact frames, N."""
+        del pads
+        return self.forces[:, :3]
 
     def _palm_moments(self, missed: FloatArray) -> tuple[FloatArray | None, FloatArray]:
         """Joint torques (nq,) by which palms give torque that is missing, and what still is (6,).

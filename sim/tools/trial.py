@@ -28,12 +28,13 @@ from planner.spatial import SE3, FloatArray, IntArray, signed_twist
 from planner.task import GraspTask
 from planner.tools import Tool, load_tool, plan_use, use_data, use_task
 from sim.controllers import PHASES, Observation, Phase
+from sim.controllers.base import PadReading
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.object_impedance import ObjectImpedance
 from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
 from sim.scene.carrier import Timeline, carrier_of
-from sim.scene.gantry import Gantry
+from sim.scene.gantry import GANTRY_FREQUENCY, Gantry
 from sim.simulation import Simulation
 from sim.tools.use import DOWN, OwnFinger, Use, needs_gantry, use_of
 from sim.trial import Trial, TrialKeywords, TrialOptions, run_grasp_phase, why_not_lifted
@@ -152,6 +153,7 @@ class UseController(ObjectImpedance):
         if not learns:
             self.law = ImpedanceLaw(replace(self.law.gains, learning_rate=0.0))
         self._before_use: FloatArray | None = None
+        self._learns = learns
         self._finger = finger
         self._guided = GuidedLoad(plan, share=0.0) if guided else None
         pressed = [float(found.forces[:, 0].mean()) for found in plan.needed]
@@ -167,6 +169,8 @@ class UseController(ObjectImpedance):
             self.law.load = self.law.load + self._finger.load - before
         if observation.phase in USING:
             self.grip = self._firm
+            if not self._learns:
+                self.schedule.lost_time = GONE
             turn = observation.T_world_base.rotation  # the load is in base axes, and the base turns
             if observation.phase == "use":
                 if self._before_use is None:
@@ -183,6 +187,29 @@ class UseController(ObjectImpedance):
         if own is None or self._finger is None:
             return ctrl
         return np.where(self._finger.actuators, own, ctrl)
+
+    def _tighten(self, elapsed: float, pads: PadReading) -> None:
+        """Answer to slips, but not to those of a blow.
+
+        A blow makes every pad slide for milliseconds, whatever its friction: believed to be 0.1
+        where it was 0.77, and with three times the grip, the forces were none of the actuators'.
+        """
+        if self._learns:
+            super()._tighten(elapsed, pads)
+
+    def _given(self, pads: PadReading) -> FloatArray:
+        """Contact forces (n, 3) that the fingers are to give, contact frames, N.
+
+        In a blow no more along the surface than the normal force that is felt bears: a finger off
+        the tool that gives the rest runs aside.
+        """
+        forces = super()._given(pads)
+        if self._learns:
+            return forces
+        along = np.linalg.norm(forces[:, 1:], axis=1, keepdims=True)
+        most = (self._mu * pads.normal_force)[:, None]
+        share = np.divide(most, along, out=np.ones_like(along), where=along > most)
+        return np.hstack([forces[:, :1], share * forces[:, 1:]])
 
     def _yield_to_fixture(self, observation: Observation, elapsed: float) -> None:
         """Want the tool as far from the axis as the fixture has it."""
@@ -203,12 +230,13 @@ class UseCarrier:
         """Note what is moved."""
         self._trial, self._gantry = trial, gantry
         self._grasping = carrier_of(trial.plan, trial.simulation.scene, timeline)
-        self._target = np.zeros(6)
+        self._target, self._velocity = np.zeros((2, 6))
         self.done = False
 
     def begin(self, data: Any) -> None:
         """A phase begins where the hand is: there its targets begin too."""
         self._target, self.done = data.qpos[self._gantry.qpos].copy(), False
+        self._velocity = np.zeros(6)
 
     def drive(self, data: Any, phase: Phase, share: float) -> None:
         """Set the gantry's commands."""
@@ -221,7 +249,10 @@ class UseCarrier:
         target = gantry.coordinates(wanted.T_world_base)
         target[3:] += 2 * np.pi * np.round((self._target[3:] - target[3:]) / (2 * np.pi))
         velocity = (target - self._target) / simulation.timestep
+        before, self._velocity = self._velocity, velocity
         self._target, target = target, target.copy()
+        if not self._trial.use.lasting:  # a blow: what accelerates the carried mass, too
+            target += (velocity - before) / simulation.timestep / GANTRY_FREQUENCY**2
         if wanted.push is not None:  # a force in place of a height, damped as the servo is
             force = np.array([0.0, 0.0, -wanted.push])
             lever = self._trial.use.mouth - simulation.T_world_base.translation
@@ -530,4 +561,5 @@ def plan_tool(
         progress=progress,
         best_of=use.best_of,
         fit=use.fitting(),
+        gives_way=use.gives_way,
     )

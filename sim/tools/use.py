@@ -98,6 +98,9 @@ class Use(ABC):
     lasting: ClassVar[bool] = True
     """Whether the tool is loaded for longer than moments, so that the hand may learn the load."""
 
+    gives_way: ClassVar[float] = 0.0
+    """How far (m) the use takes the tool away from fingers for moments: those then follow."""
+
     guided: ClassVar[bool] = False
     """Whether the fixture guides the tool, so that the hand is to learn only the torque about the
     vertical."""
