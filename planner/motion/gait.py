@@ -19,7 +19,7 @@ import numpy as np
 from planner.arrays import checked_number
 from planner.errors import NoGraspFoundError, TaskError
 from planner.kinematics import HandState
-from planner.motion.context import MotionContext, attempts_in_turn
+from planner.motion.context import MotionContext, Reaches, attempts_in_turn
 from planner.motion.order import NO_ORDER, Lift, NoOrder, Order, find_order
 from planner.motion.path import (
     AnyAttitude,
@@ -78,6 +78,7 @@ def plan_gait(
     max_attempts: int = MAX_ATTEMPTS,
     options: SynthesisOptions = MOTION_OPTIONS,
     attitude: AnyAttitude = "down",
+    reaches: Reaches | None = None,
 ) -> MovementPlan:
     """A motion of the object in the hand that is longer than one grasp allows, by regrasping.
 
@@ -95,6 +96,7 @@ def plan_gait(
         max_attempts: Budget in attempts.
         options: Margins and weights at each knot.
         attitude: As for ``plan_motion``.
+        reaches: As for ``motion_attempts``.
 
     Raises:
         NoGraspFoundError: The budget ended; carries every attempt and its failure.
@@ -121,6 +123,7 @@ def plan_gait(
             exact_end=True,
             stances=_stances(task, path) if held and cycles > 1 else (),
             cycles=cycles,
+            reaches=reaches,
         )
         for path, cycles, held in pieces
     ]
