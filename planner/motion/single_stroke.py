@@ -29,7 +29,7 @@ from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.arm import read_mount
 from planner.hands.hand import Hand
-from planner.kinematics import HandState, palm_path, palm_pose, reach, straight_path
+from planner.kinematics import HandState, follow, palm_path, palm_pose, reach, straight_path
 from planner.motion.context import OUT_OF_REACH, Reaches, tripods, with_rolling_pads
 from planner.motion.ending import Rests, planned_ending, standing
 from planner.motion.path import (
@@ -356,6 +356,13 @@ met the table with 3.4 N."""
 HEADINGS = np.arange(4) * np.pi / 2
 """Turns (rad) about the vertical of the axis of a named attitude."""
 
+POSTURES = 8
+"""Postures of the arm at a grasp of which one is to bring the hand to its attitude."""
+
+SHORT = 1e-4
+"""How much less (rad) than half a turn an arm turns the palm up, so that it may go either way
+around."""
+
 SPARE = 0.02
 """How much farther (m) than planned the arm must reach at the target: the object lies in the hand
 by some millimetres and degrees otherwise than planned, and the hand makes up for that."""
@@ -413,16 +420,52 @@ class OnArm:
     def reaches(self, T_world_base: SE3, q: FloatArray, turned: FloatArray | None = None) -> bool:
         """Whether the arm brings the palm there that the hand alone has at a base pose and q.
 
-        With an attitude (3, 3) also along the way there: straight up and around the object.
+        With an attitude (3, 3) also along the way there, straight up and around the object, with
+        its links clear wherever forces are verified.
         """
-        whole = self._reached(self.alone, T_world_base, q)
-        if whole is None or turned is None:
-            return whole is not None
-        path, center = ObjectPath.of_wrist(turned), self._task.T_world_object.translation
-        up = np.array([0.0, 0.0, rise_for(self._task, self._root, [whole], path)])
+        return self._posture(T_world_base, q, turned) is not None
+
+    def _posture(
+        self, T_world_base: SE3, q: FloatArray, turned: FloatArray | None
+    ) -> FloatArray | None:
+        """All joints (nq,) with the arm where it does what ``reaches`` asks for; None if none do.
+
+        An arm with a joint to spare has many postures for one pose of the palm; some are drawn.
+        """
+        wanted = self._root.inverse() * T_world_base * HandState(self.alone.hand, q).T_base_palm
+        hand, whole = self._task.hand, np.array(self._first)
+        whole[self._columns] = q
+        first = reach(hand, wanted, whole)
+        if turned is None or not first.there:
+            return first.q if first.there else None
+        rng, index = np.random.default_rng(0), hand.arm_index
+        for _ in range(POSTURES):
+            if first.there and self._turns(first.q, turned):
+                return first.q
+            whole[index] = rng.uniform(hand.q_lower[index], hand.q_upper[index])
+            first = follow(hand, wanted, whole)
+        return None
+
+    def _turns(self, q: FloatArray, turned: FloatArray) -> bool:
+        """Whether the arm goes from joints (nq,) to an attitude, with its links clear there."""
+        now, path, center = (
+            q.copy(),
+            ObjectPath.of_wrist(turned),
+            self._task.T_world_object.translation,
+        )
+        up = np.array([0.0, 0.0, rise_for(self._task, self._root, [q], path)])
         turns = [path.wrist(share) for share in path.wrist_shares]
         stops = [SE3(turn, center - turn @ center + up) * self._root for turn in turns]
-        return all(way is not None for way in arm_way(self._task.hand, self._root, whole, stops))
+        ways = arm_way(self._task.hand, self._root, q, stops)
+        for pose, way in zip(stops, ways, strict=False):  # ways end where there is none
+            if way is None:
+                return False
+            now[self._task.hand.arm_index] = way[-1]
+            held = pose * self._root.inverse() * self._task.T_world_object
+            nearest = self._world.nearest_on_arm(self._root, now, T_world_object=held)
+            if nearest.distance < ARM_CLEARANCE:
+                return False
+        return True
 
     def headed(self, attitude: FloatArray, *, free: bool) -> list[FloatArray]:
         """Attitudes that the arm reaches, that from most palm poses first.
@@ -445,7 +488,10 @@ class OnArm:
             if isinstance(start, Start)
         ]
         able = [pose for pose in poses if self.reaches(*pose)]
-        found = [turn @ attitude @ turn.T for turn in turns]
+        about = pin.log3(attitude)
+        if free:
+            about *= min(1.0, (np.pi - SHORT) / float(np.linalg.norm(about)))
+        found = [pin.exp3(turn @ about) for turn in turns]
         reached = [sum(self.reaches(*pose, turned) for pose in able) for turned in found]
         if not any(reached):
             raise TaskError(
@@ -459,10 +505,12 @@ class OnArm:
     def carried(self, motion: MovementPlan) -> MovementPlan | Failure:
         """A motion of the hand alone with the arm below it, judged again; or why it fails."""
         alone = motion.grasp.task
-        arm = self._reached(alone, motion.T_world_base, motion.grasp.q)
+        turned = motion.path.attitude if motion.path.turns_wrist else None
+        arm = self._posture(motion.T_world_base, motion.grasp.q, turned)
         if arm is None:
             return Failure(
-                kind=OUT_OF_REACH, text="the arm cannot bring the palm to where the motion is"
+                kind=OUT_OF_REACH,
+                text="the arm cannot bring the palm to where the motion is and turn it there",
             )
         hand = self._task.hand.rolling if alone.hand.rolls else self._task.hand
         task = replace(alone, hand=hand, T_world_base=self._root)
@@ -529,13 +577,9 @@ class OnArm:
             now[hand.arm_index] = path[-1]
         return None
 
-    def _reached(self, task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray | None:
-        """All joints (nq,) with the arm where it brings the palm there; None if it cannot."""
-        T_world_palm = T_world_base * HandState(task.hand, q).T_base_palm
-        whole = np.array(self._first)
-        whole[self._columns] = q
-        reached = reach(self._task.hand, self._root.inverse() * T_world_palm, whole)
-        return reached.q if reached.there else None
+    @cached_property
+    def _world(self) -> CollisionWorld:
+        return CollisionWorld(self._task)
 
     @cached_property
     def _first(self) -> FloatArray:
