@@ -486,7 +486,8 @@ def regrasping() -> ManipulationPlan:
 @pytest.mark.slow
 def test_an_arm_carries_what_the_hand_turns_by_regrasps(regrasping: ManipulationPlan) -> None:
     """All of the hand on its arm is judged, and the palm is up while fingers move on."""
-    hand, tilts = regrasping.task.hand, []
+    hand = regrasping.task.hand
+    tilts: list[float] = []
     assert regrasping.cycles == 2 and set(regrasping.order) == set(hand.fingers)
     for one in regrasping.regrasps:
         arm = one.postures[:, hand.arm_index]
@@ -508,7 +509,8 @@ def test_an_arm_carries_what_the_hand_turns_by_regrasps(regrasping: Manipulation
 
 def test_headings_of_an_arm_are_tried_for_regrasps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gaits are planned for the hand alone where the arm reaches; what stops it there is told."""
-    task, asked = task_of("cylinder:0.03x0.08", "allegro_on_arm7"), []
+    task = task_of("cylinder:0.03x0.08", "allegro_on_arm7")
+    asked: list[tuple[Any, Any]] = []
     record = SimpleNamespace(attempts=1, cpu_s=0.0)
 
     def gait(alone: GraspTask, **given: Any) -> Any:
@@ -589,6 +591,25 @@ def test_what_the_arm_cannot_do_is_refused(turning: ManipulationPlan) -> None:
     base = turning.grasp.T_world_palm * palm.inverse()
     assert carrier.reaches(base, q[columns])
     assert not carrier.reaches(moved * task.T_world_base.inverse() * base, q[columns])
+
+
+def test_the_way_back_from_an_attitude_is_checked_to_where_it_is_put_down(
+    turning: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The arm comes back in another posture, from which it could not carry the object on."""
+    asked: list[Any] = []
+
+    def stuck(motion: Any, height: float, via: Any = (), ending: Any = None) -> Failure:
+        asked.append(ending)
+        return Failure(kind="arm_unreachable", text="no way back")
+
+    monkeypatch.setattr("planner.motion.single_stroke.lifted_blocked", stuck)
+    carrier = OnArm(task_of("cylinder:0.03x0.08", "allegro_on_arm7", mass=0.1))
+    assert carrier.blocked(turning.motion, turning.ending) is None and not asked
+    path = dataclasses.replace(turning.path, attitude=ATTITUDES["sideways"])
+    motion = dataclasses.replace(turning.motion, path=path)
+    found = carrier.blocked(motion, turning.ending)
+    assert found is not None and found.text == "no way back" and asked == [turning.ending]
 
 
 def test_the_way_of_a_carry_is_checked_before_anything_moves(turning: ManipulationPlan) -> None:

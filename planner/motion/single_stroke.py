@@ -553,6 +553,9 @@ class OnArm:
             return there
         world, hand, now = CollisionWorld(there), there.hand, np.array(end.q)
         lift = max(LIFT_HEIGHT, motion.rise)
+        # back from the attitude the arm is in another posture than it was lifted in
+        if motion.path.turns_wrist and (stuck := lifted_blocked(motion, lift, (), ending)):
+            return stuck
         to = ending.T_world_target.translation - end.T_world_object.translation
         up = np.array([0.0, 0.0, lift])
         assert ending.release is not None  # it ends on the table
