@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -15,10 +16,11 @@ from conftest import PlanOf
 from manipulations import QUICK, task_of
 
 from planner.collision.arm_path import LIFT_HEIGHT, _Radii, verify_arm_path, verify_lift
-from planner.collision.pair_table import Clearance
+from planner.collision.pair_table import Clearance, PairTable
 from planner.collision.pregrasp import APPROACH_CLEARANCE, Approach, verify_approach
 from planner.collision.world import CollisionWorld
-from planner.errors import FileFormatError, TaskError
+from planner.errors import FileFormatError, NoGraspFoundError, TaskError
+from planner.failure import Failure
 from planner.files import read_plan, write_plan
 from planner.files.movements import manipulation_from_dict, movement_to_dict
 from planner.hands.hand import Hand
@@ -32,13 +34,19 @@ from planner.kinematics import (
     palm_pose,
     posture_times,
 )
-from planner.motion.manipulation import ManipulationPlan, plan_manipulation
+from planner.motion.manipulation import (
+    GAITS,
+    ManipulationPlan,
+    plan_manipulation,
+    plan_regrasping,
+)
 from planner.motion.path import ATTITUDES, ObjectPath
+from planner.motion.plan import rise_for
 from planner.motion.single_stroke import OnArm, lifted_blocked
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, interpolate_path, minimum_jerk, rotation_angle
-from planner.task import Obstacle
+from planner.task import GraspTask, Obstacle
 from sim.manipulation import manipulate
 from sim.scene.build import build_scene
 from sim.scene.carrier import ArmCarrier, Timeline
@@ -468,6 +476,83 @@ def test_its_file_holds_the_way_out(turning: ManipulationPlan) -> None:
         manipulation_from_dict(data, "a file")
 
 
+@pytest.fixture(scope="module")
+def regrasping() -> ManipulationPlan:
+    """Two strokes with the palm up."""
+    task = task_of("cylinder:0.03x0.08", "allegro_on_arm7", mass=0.1)
+    return plan_regrasping(task, angle=np.deg2rad(45.0), place=(0.03, 0.06), attitude="up")
+
+
+@pytest.mark.slow
+def test_an_arm_carries_what_the_hand_turns_by_regrasps(regrasping: ManipulationPlan) -> None:
+    """All of the hand on its arm is judged, and the palm is up while fingers move on."""
+    hand = regrasping.task.hand
+    tilts: list[float] = []
+    assert regrasping.cycles == 2 and set(regrasping.order) == set(hand.fingers)
+    for one in regrasping.regrasps:
+        arm = one.postures[:, hand.arm_index]
+        np.testing.assert_array_equal(
+            arm, np.tile(regrasping.grasp.q[hand.arm_index], (len(arm), 1))
+        )
+
+    def watch(simulation: Simulation) -> None:
+        scene = simulation.scene
+        palm = scene.body_pose(simulation.data, scene.palm_body).rotation
+        tilts.append(rotation_angle(palm @ regrasping.grasp.T_world_palm.rotation.T))
+
+    report = manipulate(regrasping, timeline=QUICK, on_step=watch)
+    assert report.complete, str(report)
+    phases = [one.phase for one in report.results]
+    assert phases.count("regrasp") == len(hand.fingers) and phases.count("wrist back") == 1
+    assert max(tilts) > np.deg2rad(175.0)
+
+
+def test_headings_of_an_arm_are_tried_for_regrasps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gaits are planned for the hand alone where the arm reaches; what stops it there is told."""
+    task = task_of("cylinder:0.03x0.08", "allegro_on_arm7")
+    asked: list[tuple[Any, Any]] = []
+    record = SimpleNamespace(attempts=1, cpu_s=0.0)
+
+    def gait(alone: GraspTask, **given: Any) -> Any:
+        assert alone.hand.arm is None
+        asked.append((given["attitude"], given["reaches"]))
+        if len(asked) == 1:
+            raise NoGraspFoundError("none here", ())
+        return SimpleNamespace(record=record)
+
+    at = "planner.motion.manipulation"
+    blocked = Failure(kind="arm_collision", text="the table is in the way")
+    monkeypatch.setattr(f"{at}.plan_gait", gait)
+    monkeypatch.setattr(f"{at}.whole_plan", lambda *_, **__: blocked)
+    with pytest.raises(NoGraspFoundError, match="none here; the table is in the way"):
+        plan_regrasping(task, angle=2.0, attitude="up")
+    ways = {tuple(np.round(pin.log3(turn), 1).tolist()) for turn, _ in asked}
+    assert ways == {(3.1, 0.0, 0.0), (-3.1, 0.0, 0.0), (0.0, 3.1, 0.0), (0.0, -3.1, 0.0)}
+    assert len(asked) == 1 + 3 * GAITS and all(reaches is not None for _, reaches in asked)
+
+
+def test_an_arm_lifts_its_last_links_clear_of_the_table(turning: ManipulationPlan) -> None:
+    """They are below the hand with the palm up; without them link 6 came within 5 mm of it."""
+    task, grasp = turning.task, turning.grasp
+    up = ObjectPath.of_wrist("up")
+    height = rise_for(task, grasp.T_world_base, [grasp.q], up)
+    state, center = HandState(task.hand, grasp.q), task.T_world_object.translation
+    turned = SE3(up.attitude, center - up.attitude @ center + [0.0, 0.0, height])
+    for one in task.hand.geometries:
+        if one.name in ("arm/link6", "arm/link7"):
+            pose = turned * grasp.T_world_base * state.joint_pose(one.joint_id)
+            assert (pose * one.T_joint_geometry).translation[2] > 0.05, "its radius"
+    assert rise_for(task, grasp.T_world_base, [grasp.q], ObjectPath.of_wrist("down")) == 0.0
+
+
+def test_the_link_that_carries_the_hand_is_of_the_hand(turning: ManipulationPlan) -> None:
+    """Its distance from a finger is the same wherever the arm is: 3 mm refused all attitudes."""
+    table, arm = PairTable.of(turning.task), turning.task.hand.arm_geometries
+    pairs = [set(named) for named, of in zip(table.named, table.of_arm, strict=True) if of]
+    assert any("arm/link6" in pair for pair in pairs)
+    assert all(pair & (arm - {"arm/link7"}) for pair in pairs)
+
+
 def test_no_joint_of_an_arm_is_faster_than_it_may() -> None:
     """A piece that is long in one joint takes longer, those around it as long as braking takes."""
     even = np.outer(np.arange(201), [0.01, 0.02])
@@ -486,8 +571,6 @@ def test_no_joint_of_an_arm_is_faster_than_it_may() -> None:
 
 def test_what_the_arm_cannot_do_is_refused(turning: ManipulationPlan) -> None:
     task = turning.task
-    with pytest.raises(TaskError, match="is on an arm; turns with regrasps"):
-        plan_manipulation(task, angle=np.deg2rad(200.0))
     carrier = OnArm(task_of("cylinder:0.03x0.08", "allegro_on_arm7", mass=0.1))
     far = dataclasses.replace(
         turning.ending,
@@ -508,6 +591,25 @@ def test_what_the_arm_cannot_do_is_refused(turning: ManipulationPlan) -> None:
     base = turning.grasp.T_world_palm * palm.inverse()
     assert carrier.reaches(base, q[columns])
     assert not carrier.reaches(moved * task.T_world_base.inverse() * base, q[columns])
+
+
+def test_the_way_back_from_an_attitude_is_checked_to_where_it_is_put_down(
+    turning: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The arm comes back in another posture, from which it could not carry the object on."""
+    asked: list[Any] = []
+
+    def stuck(motion: Any, height: float, via: Any = (), ending: Any = None) -> Failure:
+        asked.append(ending)
+        return Failure(kind="arm_unreachable", text="no way back")
+
+    monkeypatch.setattr("planner.motion.single_stroke.lifted_blocked", stuck)
+    carrier = OnArm(task_of("cylinder:0.03x0.08", "allegro_on_arm7", mass=0.1))
+    assert carrier.blocked(turning.motion, turning.ending) is None and not asked
+    path = dataclasses.replace(turning.path, attitude=ATTITUDES["sideways"])
+    motion = dataclasses.replace(turning.motion, path=path)
+    found = carrier.blocked(motion, turning.ending)
+    assert found is not None and found.text == "no way back" and asked == [turning.ending]
 
 
 def test_the_way_of_a_carry_is_checked_before_anything_moves(turning: ManipulationPlan) -> None:

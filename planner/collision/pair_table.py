@@ -109,8 +109,8 @@ class PairTable:
         first: The first geometry of each pair (n_pairs,).
         joints: Pinocchio's joints that carry them (n_pairs, 2).
         hand_environment_pairs: Which pairs (n_pairs,) are of hand and surroundings;
-        of_arm: which have to do with the arm that carries the hand; of two, with what is above
-            their last links, which move with the hands;
+        of_arm: which have to do with the arm that carries the hand, or those of two, above its last
+            link, which moves with the hand;
         between_hands: which are of two hands, their arms included;
         between_fingers: which are of two different fingers;
         finger_pairs: which of those are of links on their last three joints;
@@ -156,7 +156,7 @@ class PairTable:
         pairs = _pairs(hand, names)
         named = [(names[a], names[b]) for a, b in pairs]
         n_hand = len(hand.geometries)
-        last = {s.carriage[-1] + 1 for s in hand.pair}
+        last = {s.carriage[-1] + 1 for s in hand.pair} | ({hand.arm.flange} if hand.arm else set())
         arm = hand.arm_geometries - {g.name for g in hand.geometries if g.joint_id in last}
         side_of = {
             name: s.name for s in hand.pair for name in names if name.startswith(s.called(""))

@@ -54,6 +54,9 @@ Reaches: TypeAlias = Callable[[SE3, FloatArray], bool]
 DRAWS = 50
 """Starts drawn per attempt until one is within reach: a few milliseconds each."""
 
+OUT_OF_REACH = "out_of_reach"
+"""Kind of a failure of a start that what carries the hand does not reach."""
+
 LEAST_SHARE = 0.02
 """Share of a path (-) below which nothing of it is reached."""
 
@@ -180,7 +183,7 @@ class MotionContext:
             if self.reaches(T_world_object * start.T_object_base, start.q):
                 return start
         return Failure(
-            kind="out_of_reach",
+            kind=OUT_OF_REACH,
             text=f"out of reach: of {DRAWS} palm poses drawn the arm reaches none",
         )
 

@@ -19,7 +19,7 @@ import numpy as np
 from planner.arrays import checked_number
 from planner.errors import NoGraspFoundError, TaskError
 from planner.kinematics import HandState
-from planner.motion.context import MotionContext, attempts_in_turn
+from planner.motion.context import MotionContext, Reaches, attempts_in_turn
 from planner.motion.order import NO_ORDER, Lift, NoOrder, Order, find_order
 from planner.motion.path import (
     AnyAttitude,
@@ -79,6 +79,7 @@ def plan_gait(
     strokes: Sequence[float] = STROKES,
     options: SynthesisOptions = MOTION_OPTIONS,
     attitude: AnyAttitude = "down",
+    reaches: Reaches | None = None,
 ) -> MovementPlan:
     """A motion of the object in the hand that is longer than one grasp allows, by regrasping.
 
@@ -97,6 +98,7 @@ def plan_gait(
         strokes: Angles (rad) of about which a stroke is; attempts alternate between them.
         options: Margins and weights at each knot.
         attitude: As for ``plan_motion``.
+        reaches: As for ``motion_attempts``.
 
     Raises:
         NoGraspFoundError: The budget ended; carries every attempt and its failure.
@@ -123,6 +125,7 @@ def plan_gait(
             exact_end=True,
             stances=_stances(task, path) if held and cycles > 1 else (),
             cycles=cycles,
+            reaches=reaches,
         )
         for path, cycles, held in pieces
     ]

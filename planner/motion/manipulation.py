@@ -35,8 +35,10 @@ from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
 from planner.motion.single_stroke import (
     LEAST_OVERSHOOT,
     MAX_ATTEMPTS,
+    carried_ways,
     merit,
     plan_single_stroke,
+    whole_plan,
 )
 from planner.motion.task import SEEDS_APART, manipulation_task, on_stand
 from planner.spatial import FloatArray
@@ -95,27 +97,35 @@ def plan_regrasping(
         raise TaskError("there is no table to pick from and to place on; give table_height")
     checked_number("angle", angle, unit="rad", error=TaskError)
     check_place(place)
-    why = ""
+    why: list[str] = []
     attempts, cpu_s = 0, 0.0
-    for again in range(GAITS):
-        gait = plan_gait(
-            task,
-            axis=axis,
-            angle=math.copysign(abs(angle) + LEAST_OVERSHOOT, angle),
-            seed=seed + again * SEEDS_APART,
-            max_attempts=max_attempts,
-            attitude=attitude,
-        )
-        attempts, cpu_s = attempts + gait.record.attempts, cpu_s + gait.record.cpu_s
-        ending = planned_ending(gait, angle, place, rests=rests)
-        if isinstance(ending, Failure) or ending.back:
-            why = ending.text if isinstance(ending, Failure) else ending.back
-            continue
-        made = replace(gait, record=replace(gait.record, attempts=attempts, cpu_s=cpu_s))
-        return ManipulationPlan.of(made, ending, angle=angle, shift=np.zeros(3))
+    for alone, turned, on_arm, reaches in carried_ways(task, attitude):
+        for again in range(GAITS):
+            try:
+                gait = plan_gait(
+                    alone,
+                    axis=axis,
+                    angle=math.copysign(abs(angle) + LEAST_OVERSHOOT, angle),
+                    seed=seed + again * SEEDS_APART,
+                    max_attempts=max_attempts,
+                    attitude=turned,
+                    reaches=reaches,
+                )
+            except NoGraspFoundError as error:
+                if on_arm is None:
+                    raise
+                why.append(str(error))
+                break
+            attempts, cpu_s = attempts + gait.record.attempts, cpu_s + gait.record.cpu_s
+            whole = whole_plan(gait, on_arm, angle, place, rests=rests)
+            if isinstance(whole, Failure):
+                why.append(whole.text)
+                continue
+            return replace(whole, record=replace(gait.record, attempts=attempts, cpu_s=cpu_s))
     raise NoGraspFoundError(
-        f"{GAITS} gaits of {task.object.name} with {task.hand.name} end where the object cannot be "
-        f"put down: {why}. Try another seed, a higher object or other fingers",
+        f"{len(why)} gaits of {task.object.name} with {task.hand.name} cannot be made from where "
+        f"it stands to where it is put down: {'; '.join(dict.fromkeys(why))}. Try another seed, a "
+        "higher object, another place or other fingers",
         (),
     )
 
@@ -159,8 +169,7 @@ def plan_manipulation(
 
     Raises:
         NoGraspFoundError: The budget ended; carries the failures of strokes and of regrasps.
-        TaskError: No table; no turn and no translation; a translation with regrasps; or regrasps by
-            a hand on an arm.
+        TaskError: No table; no turn and no translation; or a translation with regrasps.
     """
     checked_number("angle", angle, unit="rad", error=TaskError)
     check_place(place)
@@ -172,12 +181,6 @@ def plan_manipulation(
         )
     direction = checked_axis(axis)
     checked_attitude(attitude)
-    if task.hand.arm is not None and (regrasp or abs(angle) > LARGEST_TURN):
-        raise TaskError(
-            f"{task.hand.name} is on an arm; turns with regrasps are planned for hands whose base "
-            "is free: turn by half a turn at most, without regrasps, or take the hand alone"
-        )
-
     asked: dict[str, Any] = {
         "axis": axis,
         "angle": angle,
@@ -191,8 +194,7 @@ def plan_manipulation(
     strokes = partial(plan_regrasping, task, **asked)
     if regrasp or abs(angle) > LARGEST_TURN:
         return strokes()
-    on_arm = task.hand.arm is not None
-    if abs(angle) > ONE_STROKE and not (moved or on_arm or tilts(direction)):
+    if abs(angle) > ONE_STROKE and not (moved or tilts(direction)):
         try:
             return strokes()
         except PlannerError as error:
@@ -209,7 +211,7 @@ def plan_manipulation(
     except NoGraspFoundError as error:
         no_stroke = error
     unit = direction / np.linalg.norm(direction)
-    if moved or on_arm or not stands(task, unit, angle, rests=rests):
+    if moved or not stands(task, unit, angle, rests=rests):
         if made is not None:
             return made
         raise no_stroke

@@ -390,33 +390,9 @@ class MovementPlan(Shown):
 
     @cached_property
     def rise(self) -> float:
-        """How far (m) above the grasp the hand is before its wrist turns, 0 without an attitude.
-
-        Hand and object turn about the object's centre there, ``CLEAR`` of table and obstacles; at
-        the grasp if there is neither. A hand on an arm is above it by ``LIFT_HEIGHT`` at least,
-        from where on the arm's links are checked.
-        """
-        if not self.path.turns_wrist:
-            return 0.0
-        task, hand = self.task, self.task.hand
-        center = task.T_world_object.translation
-        radius = task.object.shape.bounding_radius
-        corners = [radius * np.vstack([np.eye(3), -np.eye(3)])]
-        for knot in (self.knots[0], self.knots[-1]):
-            state = HandState(hand, knot.q)
-            for one in hand.geometries:
-                if hand.arm is None or one.name not in hand.arm.geometries:
-                    pose = self.T_world_base * state.joint_pose(one.joint_id) * one.T_joint_geometry
-                    corners.append(one.corners @ pose.rotation.T)
-                    corners[-1] += pose.translation - center
-        turns = np.array([self.path.wrist(share) for share in self.path.wrist_shares])
-        lowest = float((np.vstack(corners) @ turns[:, 2].T).min())
-        tops = [-np.inf if task.table_height is None else task.table_height]
-        for o in task.obstacles:
-            half = np.abs(o.T_world_obstacle.rotation[2]) @ o.size / 2
-            tops.append(float(o.T_world_obstacle.translation[2] + half))
-        least = 0.0 if hand.arm is None else LIFT_HEIGHT
-        return max(least, max(tops) + CLEAR - lowest - float(center[2]))
+        """How far (m) above the grasp the hand is before its wrist turns; see ``rise_for``."""
+        ends = (self.knots[0].q, self.knots[-1].q)
+        return rise_for(self.task, self.T_world_base, ends, self.path)
 
     def turned_base(self, share: float) -> SE3:
         """Pose of the base, not lifted, at a share of the wrist's way to the attitude."""
@@ -722,6 +698,44 @@ MotionPlan: TypeAlias = MovementPlan
 
 GaitPlan: TypeAlias = MovementPlan
 """A movement of several strokes, as ``plan_gait`` gives it."""
+
+
+def rise_for(
+    task: GraspTask, T_world_base: SE3, postures: Sequence[FloatArray], path: ObjectPath
+) -> float:
+    """How far (m) above a grasp a hand is before its wrist turns, 0 without an attitude.
+
+    Hand and object turn about the object's centre there, ``CLEAR`` of table and obstacles; at the
+    grasp if there is neither. A hand on an arm is above it by ``LIFT_HEIGHT`` at least, from where
+    on the arm's links are checked; the last two are clear like the hand, below which they are with
+    the palm up.
+
+    Args:
+        task: Where the object is, and the hand.
+        T_world_base: Pose of the base at the grasp.
+        postures: Joints (nq,) of the hand meanwhile.
+        path: Tells the attitude.
+    """
+    if not path.turns_wrist:
+        return 0.0
+    hand, arm = task.hand, task.hand.arm
+    center = task.T_world_object.translation
+    corners = [task.object.shape.bounding_radius * np.vstack([np.eye(3), -np.eye(3)])]
+    near = 0 if arm is None else int(arm.chain[-2:][0]) + 1
+    for q in postures:
+        state = HandState(hand, q)
+        for one in hand.geometries:
+            if arm is None or one.name not in arm.geometries or one.joint_id >= near:
+                pose = T_world_base * state.joint_pose(one.joint_id) * one.T_joint_geometry
+                corners.append(one.corners @ pose.rotation.T + pose.translation - center)
+    turns = np.array([path.wrist(share) for share in path.wrist_shares])
+    lowest = float((np.vstack(corners) @ turns[:, 2].T).min())
+    tops = [-np.inf if task.table_height is None else task.table_height]
+    for o in task.obstacles:
+        half = np.abs(o.T_world_obstacle.rotation[2]) @ o.size / 2
+        tops.append(float(o.T_world_obstacle.translation[2] + half))
+    least = 0.0 if arm is None else LIFT_HEIGHT
+    return max(least, max(tops) + CLEAR - lowest - float(center[2]))
 
 
 def standing_under(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import pinocchio as pin
@@ -28,8 +28,9 @@ from planner.errors import HandError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.arm import read_mount
-from planner.kinematics import HandState, palm_path, palm_pose, reach, straight_path
-from planner.motion.context import tripods, with_rolling_pads
+from planner.hands.hand import Hand
+from planner.kinematics import HandState, follow, palm_path, palm_pose, reach, straight_path
+from planner.motion.context import OUT_OF_REACH, Reaches, tripods, with_rolling_pads
 from planner.motion.ending import Rests, planned_ending, standing
 from planner.motion.path import (
     LARGEST_TURN,
@@ -42,7 +43,7 @@ from planner.motion.path import (
     checked_shift,
     tilts,
 )
-from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
+from planner.motion.plan import Ending, ManipulationPlan, MovementPlan, rise_for
 from planner.motion.search import MotionAttempt, motion_attempts
 from planner.motion.task import with_fingers
 from planner.motion.verify import FALLS, MovementVerifier, Waypoint, pressed
@@ -208,19 +209,13 @@ def plan_single_stroke(
     if path_tolerance is None:
         turning = TILT_TOLERANCE if tilts(direction) else TURN_TOLERANCE
         path_tolerance = SHIFT_TOLERANCE if moved.any() else turning
-    on_arm = None if task.hand.arm is None else OnArm(task)
-    attitudes = [checked_attitude(attitude)]
-    if on_arm is not None:
-        attitudes = on_arm.headed(attitudes[0], free=isinstance(attitude, str))
     made: list[MotionAttempt] = []
     tried: list[tuple[str, ...]] = []
-    for turned in attitudes:
+    for alone, turned, on_arm, reaches in carried_ways(task, attitude):
         asked = ObjectPath(axis=direction, angle=angle, shift=moved, attitude=turned)
         found: list[ManipulationPlan] = []
-        fallen, budget = 0, len(made) + max_attempts
-        if on_arm is not None and asked.turns_wrist:
-            on_arm.turned = turned
-        for fallback in fallback_schedule(task if on_arm is None else on_arm.alone):
+        fallen, stopped, budget = 0, False, len(made) + max_attempts
+        for fallback in fallback_schedule(alone):
             attempts = fallback.attempts
             done = len(made) >= budget or (fallen >= FALLEN and not found)
             if done or good_enough(found) or (attempts is None and found):
@@ -233,24 +228,30 @@ def plan_single_stroke(
                 path,
                 path_tolerance=path_tolerance,
                 seed=seed,
-                reaches=None if on_arm is None else on_arm.reaches,
+                reaches=reaches,
             ):
                 fell = fallen >= FALLEN and not found
                 if len(made) >= most or good_enough(found) or fell:
                     break
                 made.append(attempt)
                 if attempt.plan is None:
-                    fallen += attempt.failure is not None and attempt.failure.kind == FALLS
+                    failure = attempt.failure
+                    fallen += failure is not None and failure.kind == FALLS
+                    stopped |= failure is not None and failure.kind == OUT_OF_REACH
                     continue
-                whole = _whole(attempt.plan, on_arm, angle, moved, place, rests)
+                whole = pivots(attempt.plan) or whole_plan(
+                    attempt.plan, on_arm, angle, place, shift=moved, rests=rests
+                )
                 if isinstance(whole, Failure):
-                    made[-1] = replace(attempt, plan=None, failure=whole)
+                    made[-1], stopped = replace(attempt, plan=None, failure=whole), True
                     continue
                 found.append(whole)
         if found:
             best = max(found, key=merit)
             record = replace(best.record, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
             return replace(best, record=record)
+        if not stopped:  # the hand's own limits are the same in every attitude of the arm's choice
+            break
     if fallen >= FALLEN:
         raise nothing_found(
             f"grasp of {task.object.name} by {task.hand.name} that holds it while the "
@@ -266,24 +267,37 @@ def plan_single_stroke(
     )
 
 
-def _whole(
+def whole_plan(
     motion: MovementPlan,
     on_arm: OnArm | None,
     angle: float,
-    shift: FloatArray,
     place: tuple[float, float] | None,
-    rests: Rests | None,
+    *,
+    shift: FloatArray | None = None,
+    rests: Rests | None = None,
 ) -> ManipulationPlan | Failure:
-    """A motion with its ending, made by the arm that the hand is on; or why there is none."""
-    carried = pivots(motion) or (motion if on_arm is None else on_arm.carried(motion))
+    """A movement with its ending, made by the arm that the hand is on; or why there is none.
+
+    Args:
+        motion: Of one stroke or several, by the hand alone.
+        on_arm: The arm; None where the base is free.
+        angle: Requested turn, rad.
+        place: As for ``plan_single_stroke``.
+        shift: Requested translation in the hand (3,), m, world; none if None.
+        rests: As for ``plan_single_stroke``.
+    """
+    carried = motion if on_arm is None else on_arm.carried(motion)
     if isinstance(carried, Failure):
         return carried
     ending = planned_ending(carried, angle, place, rests=rests)
     if isinstance(ending, Failure):
         return ending
+    if ending.back and motion.cycles > 1:
+        return Failure(kind="falls", text=ending.back)  # regrasps are not made backwards
     if on_arm is not None and (blocked := on_arm.blocked(carried, ending)):
         return blocked
-    return ManipulationPlan.of(carried, ending, angle=angle, shift=shift)
+    none = np.zeros(3) if shift is None else shift
+    return ManipulationPlan.of(carried, ending, angle=angle, shift=none)
 
 
 def good_enough(found: Sequence[ManipulationPlan]) -> bool:
@@ -332,9 +346,8 @@ def pivots(motion: MovementPlan) -> Failure | None:
     )
 
 
-WRIST_LIFT, NOMINAL = 0.2, 12
-"""Height (m) over the grasp at which an attitude is asked for before there is a plan, and number of
-palm poses that are drawn for that."""
+NOMINAL = 12
+"""Number of palm poses that are drawn to find the attitudes that an arm reaches."""
 
 ARM_CLEARANCE = 5e-3
 """Distance (m) that an arm keeps from everything while it turns the wrist. With none planned a link
@@ -343,9 +356,39 @@ met the table with 3.4 N."""
 HEADINGS = np.arange(4) * np.pi / 2
 """Turns (rad) about the vertical of the axis of a named attitude."""
 
+POSTURES = 8
+"""Postures of the arm at a grasp of which one is to bring the hand to its attitude."""
+
+SHORT = 1e-4
+"""How much less (rad) than half a turn an arm turns the palm up, so that it may go either way
+around."""
+
 SPARE = 0.02
 """How much farther (m) than planned the arm must reach at the target: the object lies in the hand
 by some millimetres and degrees otherwise than planned, and the hand makes up for that."""
+
+
+def carried_ways(
+    task: GraspTask, attitude: AnyAttitude
+) -> Iterator[tuple[GraspTask, FloatArray, OnArm | None, Reaches | None]]:
+    """What to plan for in turn: one entry, or one for each attitude that an arm can choose from.
+
+    Yields:
+        The task of the hand alone, the attitude (3, 3), the arm, and what the arm reaches; None
+        where the base is free.
+
+    Raises:
+        HandError: As ``OnArm``.
+        TaskError: As ``OnArm.headed``.
+    """
+    asked = checked_attitude(attitude)
+    if task.hand.arm is None:
+        yield task, asked, None, None
+        return
+    on_arm = OnArm(task)
+    for turned in on_arm.headed(asked, free=isinstance(attitude, str)):
+        there = turned if rotation_angle(turned) > UNTURNED else None
+        yield on_arm.alone, turned, on_arm, partial(on_arm.reaches, turned=there)
 
 
 class OnArm:
@@ -353,7 +396,6 @@ class OnArm:
 
     Attributes:
         alone: The task for the hand alone, whose base is free.
-        turned: The attitude (3, 3) that ``reaches`` asks for too; None for none.
     """
 
     def __init__(self, task: GraspTask) -> None:
@@ -374,22 +416,56 @@ class OnArm:
         if task.hand.rolls:
             hand = hand.rolling
         self.alone = replace(task, hand=hand, T_world_base=None)
-        self.turned: FloatArray | None = None
 
-    def reaches(self, T_world_base: SE3, q: FloatArray) -> bool:
+    def reaches(self, T_world_base: SE3, q: FloatArray, turned: FloatArray | None = None) -> bool:
         """Whether the arm brings the palm there that the hand alone has at a base pose and q.
 
-        Also where hand and object are in the attitude, about as high as they are lifted for it.
+        With an attitude (3, 3) also along the way there, straight up and around the object, with
+        its links clear wherever forces are verified.
         """
-        if self._reached(self.alone, T_world_base, q) is None:
-            return False
-        return self.turned is None or self._reaches_turned(T_world_base, q, self.turned)
+        return self._posture(T_world_base, q, turned) is not None
 
-    def _reaches_turned(self, T_world_base: SE3, q: FloatArray, turn: FloatArray) -> bool:
-        center = self._task.T_world_object.translation
-        lift = np.array([0.0, 0.0, WRIST_LIFT])
-        there = SE3(turn, center - turn @ center + lift) * T_world_base
-        return self._reached(self.alone, there, q) is not None
+    def _posture(
+        self, T_world_base: SE3, q: FloatArray, turned: FloatArray | None
+    ) -> FloatArray | None:
+        """All joints (nq,) with the arm where it does what ``reaches`` asks for; None if none do.
+
+        An arm with a joint to spare has many postures for one pose of the palm; some are drawn.
+        """
+        wanted = self._root.inverse() * T_world_base * HandState(self.alone.hand, q).T_base_palm
+        hand, whole = self._task.hand, np.array(self._first)
+        whole[self._columns] = q
+        first = reach(hand, wanted, whole)
+        if turned is None or not first.there:
+            return first.q if first.there else None
+        rng, index = np.random.default_rng(0), hand.arm_index
+        for _ in range(POSTURES):
+            if first.there and self._turns(first.q, turned):
+                return first.q
+            whole[index] = rng.uniform(hand.q_lower[index], hand.q_upper[index])
+            first = follow(hand, wanted, whole)
+        return None
+
+    def _turns(self, q: FloatArray, turned: FloatArray) -> bool:
+        """Whether the arm goes from joints (nq,) to an attitude, with its links clear there."""
+        now, path, center = (
+            q.copy(),
+            ObjectPath.of_wrist(turned),
+            self._task.T_world_object.translation,
+        )
+        up = np.array([0.0, 0.0, rise_for(self._task, self._root, [q], path)])
+        turns = [path.wrist(share) for share in path.wrist_shares]
+        stops = [SE3(turn, center - turn @ center + up) * self._root for turn in turns]
+        ways = arm_way(self._task.hand, self._root, q, stops)
+        for pose, way in zip(stops, ways, strict=False):  # ways end where there is none
+            if way is None:
+                return False
+            now[self._task.hand.arm_index] = way[-1]
+            held = pose * self._root.inverse() * self._task.T_world_object
+            nearest = self._world.nearest_on_arm(self._root, now, T_world_object=held)
+            if nearest.distance < ARM_CLEARANCE:
+                return False
+        return True
 
     def headed(self, attitude: FloatArray, *, free: bool) -> list[FloatArray]:
         """Attitudes that the arm reaches, that from most palm poses first.
@@ -411,14 +487,17 @@ class OnArm:
             for start in starts
             if isinstance(start, Start)
         ]
-        able = [pose for pose in poses if self._reached(self.alone, *pose) is not None]
-        found = [turn @ attitude @ turn.T for turn in turns]
-        reached = [sum(self._reaches_turned(*pose, turn) for pose in able) for turn in found]
+        able = [pose for pose in poses if self.reaches(*pose)]
+        about = pin.log3(attitude)
+        if free:
+            about *= min(1.0, (np.pi - SHORT) / float(np.linalg.norm(about)))
+        found = [pin.exp3(turn @ about) for turn in turns]
+        reached = [sum(self.reaches(*pose, turned) for pose in able) for turned in found]
         if not any(reached):
             raise TaskError(
                 f"{self._task.hand.name} does not reach the attitude: of {len(able)} palm poses "
-                "over the object that it reaches it turns none there, about the object 0.2 m above "
-                "its place; give another attitude, or T_world_base, the pose of the arm's root"
+                "over the object that it reaches it turns none there, lifted clear of the table; "
+                "give another attitude, or T_world_base, the pose of the arm's root"
             )
         best_first = np.argsort(-np.array(reached), kind="stable").tolist()
         return [found[k] for k in best_first if reached[k]]
@@ -426,10 +505,12 @@ class OnArm:
     def carried(self, motion: MovementPlan) -> MovementPlan | Failure:
         """A motion of the hand alone with the arm below it, judged again; or why it fails."""
         alone = motion.grasp.task
-        arm = self._reached(alone, motion.T_world_base, motion.grasp.q)
+        turned = motion.path.attitude if motion.path.turns_wrist else None
+        arm = self._posture(motion.T_world_base, motion.grasp.q, turned)
         if arm is None:
             return Failure(
-                kind="out_of_reach", text="the arm cannot bring the palm to where the motion is"
+                kind=OUT_OF_REACH,
+                text="the arm cannot bring the palm to where the motion is and turn it there",
             )
         hand = self._task.hand.rolling if alone.hand.rolls else self._task.hand
         task = replace(alone, hand=hand, T_world_base=self._root)
@@ -457,7 +538,12 @@ class OnArm:
         knots = verifier.verify_knots(self._root, waypoints, motion.path, motion.path_tolerance)
         if isinstance(knots, Failure):
             return knots.at("with the arm")
-        return replace(motion.with_knots(knots), grasp=grasp)
+        stroke = replace(motion.with_knots(knots), grasp=grasp)
+        height = max(LIFT_HEIGHT, stroke.rise)
+        if stroke.path.turns_wrist and (stuck := lifted_blocked(stroke, height)):
+            return stuck
+        repeated = verifier.repeated(stroke, motion.cycles)
+        return repeated.at("with the arm") if isinstance(repeated, Failure) else repeated
 
     def blocked(self, motion: MovementPlan, ending: Ending) -> Failure | None:
         """Why the arm cannot carry the object to where it is put down; None if it can."""
@@ -467,11 +553,12 @@ class OnArm:
             return there
         world, hand, now = CollisionWorld(there), there.hand, np.array(end.q)
         lift = max(LIFT_HEIGHT, motion.rise)
-        if motion.path.turns_wrist and (stuck := lifted_blocked(motion, lift)):
+        # back from the attitude the arm is in another posture than it was lifted in
+        if motion.path.turns_wrist and (stuck := lifted_blocked(motion, lift, (), ending)):
             return stuck
         to = ending.T_world_target.translation - end.T_world_object.translation
         up = np.array([0.0, 0.0, lift])
-        assert ending.release is not None  # a single stroke ends on the table
+        assert ending.release is not None  # it ends on the table
         out = way_back(hand, self._root, ending.release)
         away = ending.T_world_target.translation - self._root.translation
         away[2] = 0.0
@@ -493,13 +580,9 @@ class OnArm:
             now[hand.arm_index] = path[-1]
         return None
 
-    def _reached(self, task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray | None:
-        """All joints (nq,) with the arm where it brings the palm there; None if it cannot."""
-        T_world_palm = T_world_base * HandState(task.hand, q).T_base_palm
-        whole = np.array(self._first)
-        whole[self._columns] = q
-        reached = reach(self._task.hand, self._root.inverse() * T_world_palm, whole)
-        return reached.q if reached.there else None
+    @cached_property
+    def _world(self) -> CollisionWorld:
+        return CollisionWorld(self._task)
 
     @cached_property
     def _first(self) -> FloatArray:
@@ -509,6 +592,26 @@ class OnArm:
         assert arm is not None
         q[arm.index] = arm.ready
         return q
+
+
+def arm_way(
+    hand: Hand, root: SE3, q: FloatArray, poses: Sequence[SE3]
+) -> Iterator[FloatArray | None]:
+    """Arm postures (m, n) on a hand's way to each pose in turn; None, last, where there are none.
+
+    Args:
+        hand: On an arm.
+        root: Pose of the arm's root.
+        q: Joints (nq,) where the way begins.
+        poses: Of a base that moves with the palm, and that is at the root where the way begins.
+    """
+    q, T_root_palm = np.array(q), palm_pose(hand, q)
+    for pose in poses:
+        path = palm_path(hand, q, root.inverse() * pose * T_root_palm)
+        yield path
+        if path is None:
+            return
+        q[hand.arm_index] = path[-1]
 
 
 def lifted_blocked(
@@ -526,8 +629,8 @@ def lifted_blocked(
         ending: What follows at the last of them, up to above where the object is put down; nothing
             if None.
     """
-    task, q, root = motion.task, np.array(motion.grasp.q), motion.grasp.T_world_base
-    world, T_root_palm = CollisionWorld(task), palm_pose(task.hand, q)
+    task, q, root = motion.task, motion.grasp.q, motion.grasp.T_world_base
+    world = CollisionWorld(task)
     shares, there = motion.path.wrist_shares, np.array([0.0, 0.0, height])
     way = [("lift the object", 0.0, there)]
     for share in shares[1:]:
@@ -543,14 +646,13 @@ def lifted_blocked(
         end = motion.knots[0 if ending.back else -1].T_world_object.translation
         there = ending.T_world_target.translation - end + np.array([0.0, 0.0, height])
         way.append(("carry the object to where it is put down", 0.0, there))
-    for what, share, shift in way:
-        pose = shifted(motion.turned_base(share), shift)
-        path = palm_path(task.hand, q, root.inverse() * pose * T_root_palm)
+    poses = [shifted(motion.turned_base(share), shift) for _, share, shift in way]
+    paths = arm_way(task.hand, root, q, poses)
+    for (what, _, _), path in zip(way, paths, strict=False):  # paths end where there is none
         if path is None:
             return Failure(kind="arm_unreachable", text=f"the arm cannot {what}")
         clearance = ARM_CLEARANCE if what.startswith("turn") else 0.0
-        touched = verify_arm_path(world, root, motion.grasp.q, path, clearance=clearance, held=True)
+        touched = verify_arm_path(world, root, q, path, clearance=clearance, held=True)
         if touched:
             return touched.at(what.partition(":")[0])
-        q[task.hand.arm_index] = path[-1]
     return None
