@@ -528,7 +528,9 @@ def test_headings_of_an_arm_are_tried_for_regrasps(
             raise NoGraspFoundError("none here", (failed,))
         return SimpleNamespace(record=record)
 
-    failed = Attempt(index=0, plan=None, failure=Failure(kind=kind, text="-"), cpu_s=0.0)
+    failed: Attempt[Any] = Attempt(
+        index=0, plan=None, failure=Failure(kind=kind, text="-"), cpu_s=0.0
+    )
     at = "planner.motion.manipulation"
     blocked = Failure(kind="arm_collision", text="the table is in the way")
     monkeypatch.setattr(f"{at}.plan_gait", gait)

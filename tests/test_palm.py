@@ -309,7 +309,8 @@ def test_what_more_frictions_drop_is_not_done(
     drawn = look._openings(now)
     risky, safe = drawn[least], drawn[1 - least]
     monkeypatch.setattr(look, "_openings", lambda *_, **__: drawn)
-    spread, risks = 20.0, (4,)
+    spread = 20.0
+    risks: tuple[int, ...] = (4,)
 
     def value(which: int, _: Any, branch: _Branch) -> float:
         if branch is risky:
