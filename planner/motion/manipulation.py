@@ -20,7 +20,6 @@ import numpy as np
 from planner.arrays import checked_number
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.failure import Failure
-from planner.motion.context import OUT_OF_REACH
 from planner.motion.ending import Rests, planned_ending, stands
 from planner.motion.gait import plan_gait
 from planner.motion.path import (
@@ -115,10 +114,7 @@ def plan_regrasping(
             except NoGraspFoundError as error:
                 if on_arm is None:
                     raise
-                failed = [one.failure for one in error.attempts]
-                if not any(one is not None and one.kind == OUT_OF_REACH for one in failed):
-                    raise  # the hand's own limits are the same in every attitude
-                why.append(str(error))
+                why.append(str(error))  # each attitude that the arm reaches is a draw of its own
                 break
             attempts, cpu_s = attempts + gait.record.attempts, cpu_s + gait.record.cpu_s
             whole = whole_plan(gait, on_arm, angle, place, rests=rests)
