@@ -553,6 +553,13 @@ def test_the_link_that_carries_the_hand_is_of_the_hand(turning: ManipulationPlan
     assert all(pair & (arm - {"arm/link7"}) for pair in pairs)
 
 
+def test_a_way_without_a_bend_takes_as_long_as_its_fastest_joint_needs() -> None:
+    """1 rad at 2 rad/s at most, and 15/8 of the mean rate in the middle: 15/16 s."""
+    way = np.linspace([0.0, 0.0], [1.0, 0.2], 5)
+    assert np.allclose(posture_times(way, 0.1), np.linspace(0.0, 15 / 16, 5))
+    assert np.allclose(posture_times(way, 2.0), np.linspace(0.0, 2.0, 5)), "or as long as asked"
+
+
 def test_no_joint_of_an_arm_is_faster_than_it_may() -> None:
     """A piece that is long in one joint takes longer, those around it as long as braking takes."""
     even = np.outer(np.arange(201), [0.01, 0.02])
