@@ -41,7 +41,7 @@ from planner.motion.manipulation import (
     plan_regrasping,
 )
 from planner.motion.path import ATTITUDES, ObjectPath
-from planner.motion.plan import rise_for
+from planner.motion.plan import CLEAR, rise_for
 from planner.motion.single_stroke import OnArm, lifted_blocked
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
@@ -537,11 +537,15 @@ def test_an_arm_lifts_its_last_links_clear_of_the_table(turning: ManipulationPla
     up = ObjectPath.of_wrist("up")
     height = rise_for(task, grasp.T_world_base, [grasp.q], up)
     state, center = HandState(task.hand, grasp.q), task.T_world_object.translation
-    turned = SE3(up.attitude, center - up.attitude @ center + [0.0, 0.0, height])
-    for one in task.hand.geometries:
-        if one.name in ("arm/link6", "arm/link7"):
-            pose = turned * grasp.T_world_base * state.joint_pose(one.joint_id)
-            assert (pose * one.T_joint_geometry).translation[2] > 0.05, "its radius"
+    assert task.table_height is not None
+    for share in up.wrist_shares:
+        turn = up.wrist(share)
+        turned = SE3(turn, center - turn @ center + [0.0, 0.0, height]) * grasp.T_world_base
+        for one in task.hand.geometries:
+            if one.name in ("arm/link6", "arm/link7"):
+                pose = turned * state.joint_pose(one.joint_id) * one.T_joint_geometry
+                corners = one.corners @ pose.rotation.T + pose.translation
+                assert corners[:, 2].min() > task.table_height + CLEAR - 1e-9
     assert rise_for(task, grasp.T_world_base, [grasp.q], ObjectPath.of_wrist("down")) == 0.0
 
 
