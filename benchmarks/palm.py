@@ -32,6 +32,7 @@ from sim.cli.options import names
 from sim.palm import PalmSettings, reorient_in_palm
 from sim.palm.loop import angle_deg, turn
 from sim.palm.model import Plant
+from sim.palm.run import LONGEST_S
 from sim.tables import Row
 
 SHIFT = 0.005
@@ -52,7 +53,7 @@ class Options(BenchOptions):
     goals: Annotated[str, typer.Option(help="yaw, any; none of them: -.")] = "yaw,any"
     hand: Annotated[str, typer.Option(help="Its name.")] = "allegro_hand"
     longest: Annotated[float, typer.Option(min=1.0, help="Simulated time for any rotation, s.")] = (
-        120.0
+        LONGEST_S
     )
     published: Annotated[Path | None, typer.Option(help="Checkout of the published code.")] = None
 

@@ -6,6 +6,7 @@ the nail is 40 mm deep before 1000 of its steps are over.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,7 @@ BEST_OF, ATTEMPTS = 3, 300
 """Grasps to choose from, and attempts to find them."""
 
 
-class Played:
+class Played(ABC):
     """One episode of one of its tasks.
 
     Attributes:
@@ -131,9 +132,9 @@ class Played:
         task = self.scene.task(**given)
         return plan_use(task, way, seed=seed, max_attempts=ATTEMPTS, best_of=best_of)
 
+    @abstractmethod
     def route(self, plan: GraspPlan) -> list[SE3]:
         """Where the base takes the object after the grasp."""
-        raise NotImplementedError
 
     def region(self, corners: tuple[Sequence[float], Sequence[float]], name: str = "") -> Region:
         """A box of the object's surface by two corners (m), in the axes of its body."""

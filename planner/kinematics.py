@@ -19,7 +19,7 @@ minimum, so several are tried: the given posture, then random ones that are alwa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -477,6 +477,23 @@ def palm_path(hand: Hand, q: FloatArray, T_base_palm: SE3) -> FloatArray | None:
         q = reached.q
         path.append(q[index].copy())
     return np.array(path)
+
+
+def palm_paths(hand: Hand, q: FloatArray, goals: Iterable[SE3]) -> Iterator[FloatArray | None]:
+    """Arm postures (m, n) to each pose in turn, as by ``palm_path``; None, last, where it cannot.
+
+    Args:
+        hand: A hand on an arm.
+        q: Joints (nq,) where the first path begins.
+        goals: Where the palm goes, one after the other, in the arm's root.
+    """
+    q = np.array(q)
+    for goal in goals:
+        path = palm_path(hand, q, goal)
+        yield path
+        if path is None:
+            return
+        q[_arm(hand).index] = path[-1]
 
 
 def posture_times(way: FloatArray, duration: float) -> FloatArray:

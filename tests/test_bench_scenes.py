@@ -168,7 +168,7 @@ def test_a_grasp_is_refused_where_the_arm_does_not_reach_the_route(
 ) -> None:
     ways: list[Any] = []
     monkeypatch.setattr(scenes_dexjoco, "plan_use", lambda task, way, **_: ways.append(way))
-    played = object.__new__(Played)
+    played = object.__new__(scenes_dexjoco._Hammering)
     far, near = (SE3(np.eye(3), np.array([x, 0.0, 0.0])) for x in (2.0, 0.5))
     played.scene = MagicMock(reaches=lambda pose: pose.translation[0] < 1.0)
     monkeypatch.setattr(played, "route", lambda plan: [plan.T_world_base])
@@ -182,8 +182,8 @@ def test_a_grasp_is_refused_where_the_arm_does_not_reach_the_route(
 
 @pytest.fixture
 def ahead(monkeypatch: pytest.MonkeyPatch) -> Ahead:
-    """One without a scene; what is sent to its arm is kept in ``arm``."""
-    played = object.__new__(Ahead)
+    """An episode without a scene. Its ``served.arm`` lists the poses that the arm was sent to."""
+    played = object.__new__(scenes_glasses._Folding)
     played.served = MagicMock(period=0.02, told={"ended": False}, arm=[])
     played.scene = MagicMock()
     played.home = played.sent = SE3.Identity()

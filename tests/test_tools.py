@@ -373,7 +373,7 @@ def test_sliding_in_a_blow_tells_no_friction(plan: GraspPlan, learns: bool) -> N
 
 @pytest.mark.parametrize("learns", [True, False])
 def test_a_finger_off_the_tool_gives_nothing_aside(plan: GraspPlan, learns: bool) -> None:
-    """Of 4 N and 2 N along the surface 0.5 times what is felt is left in a blow."""
+    """Planned are 4 N and 2 N along the surface; at mu 0.5 a blow leaves half of the felt force."""
     controller = UseController(plan, learns=learns)
     controller.forces[:] = [4.0, 2.0, 0.0, 0.0]
     for felt, left in ((0.0, 0.0), (2.0, 1.0), (4.0, 2.0), (9.0, 2.0)):

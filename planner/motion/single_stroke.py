@@ -29,7 +29,7 @@ from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.arm import read_mount
 from planner.hands.hand import Hand
-from planner.kinematics import HandState, follow, palm_path, palm_pose, reach, straight_path
+from planner.kinematics import HandState, follow, palm_paths, palm_pose, reach, straight_path
 from planner.motion.context import OUT_OF_REACH, Reaches, tripods, with_rolling_pads
 from planner.motion.ending import Rests, planned_ending, standing
 from planner.motion.path import (
@@ -296,8 +296,8 @@ def whole_plan(
         return Failure(kind="falls", text=ending.back)  # regrasps are not made backwards
     if on_arm is not None and (blocked := on_arm.blocked(carried, ending)):
         return blocked
-    none = np.zeros(3) if shift is None else shift
-    return ManipulationPlan.of(carried, ending, angle=angle, shift=none)
+    moved = np.zeros(3) if shift is None else shift
+    return ManipulationPlan.of(carried, ending, angle=angle, shift=moved)
 
 
 def good_enough(found: Sequence[ManipulationPlan]) -> bool:
@@ -435,24 +435,23 @@ class OnArm:
         wanted = self._root.inverse() * T_world_base * HandState(self.alone.hand, q).T_base_palm
         hand, whole = self._task.hand, np.array(self._first)
         whole[self._columns] = q
-        first = reach(hand, wanted, whole)
-        if turned is None or not first.there:
-            return first.q if first.there else None
+        found = reach(hand, wanted, whole)
+        if not found.there:
+            return None
+        if turned is None or self._turns(found.q, turned):
+            return found.q
         rng, index = np.random.default_rng(0), hand.arm_index
-        for _ in range(POSTURES):
-            if first.there and self._turns(first.q, turned):
-                return first.q
+        for _ in range(POSTURES - 1):
             whole[index] = rng.uniform(hand.q_lower[index], hand.q_upper[index])
-            first = follow(hand, wanted, whole)
+            found = follow(hand, wanted, whole)
+            if found.there and self._turns(found.q, turned):
+                return found.q
         return None
 
     def _turns(self, q: FloatArray, turned: FloatArray) -> bool:
         """Whether the arm goes from joints (nq,) to an attitude, with its links clear there."""
-        now, path, center = (
-            q.copy(),
-            ObjectPath.of_wrist(turned),
-            self._task.T_world_object.translation,
-        )
+        now, path = q.copy(), ObjectPath.of_wrist(turned)
+        center = self._task.T_world_object.translation
         up = np.array([0.0, 0.0, rise_for(self._task, self._root, [q], path)])
         turns = [path.wrist(share) for share in path.wrist_shares]
         stops = [SE3(turn, center - turn @ center + up) * self._root for turn in turns]
@@ -605,13 +604,8 @@ def arm_way(
         q: Joints (nq,) where the way begins.
         poses: Of a base that moves with the palm, and that is at the root where the way begins.
     """
-    q, T_root_palm = np.array(q), palm_pose(hand, q)
-    for pose in poses:
-        path = palm_path(hand, q, root.inverse() * pose * T_root_palm)
-        yield path
-        if path is None:
-            return
-        q[hand.arm_index] = path[-1]
+    T_root_palm = palm_pose(hand, q)
+    return palm_paths(hand, q, [root.inverse() * pose * T_root_palm for pose in poses])
 
 
 def lifted_blocked(

@@ -26,7 +26,7 @@ import pinocchio as pin
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from planner.errors import TaskError
-from planner.kinematics import MovingHand, palm_path, palm_pose, posture_times
+from planner.kinematics import MovingHand, palm_paths, palm_pose, posture_times
 from planner.numerics.least_squares import Task, ik_step
 from planner.plan import GraspPlan, JointTrajectory
 from planner.spatial import SE3, FloatArray, IntArray, interpolate_path, minimum_jerk
@@ -126,12 +126,8 @@ class TrajectoryBuilder:
         """The base moves through poses evenly and without a stop, as by ``move_base``."""
         hand, q, begin = self._grasp.task.hand, self._positions[-1][-1], self._bases[-1]
         if hand.arm is not None:
-            whole = [q[None, hand.arm_index]]
-            for pose in poses:
-                q = q.copy()
-                q[hand.arm_index] = whole[-1][-1]
-                goal = begin.inverse() * pose * palm_pose(hand, self._grasp.q)
-                path = palm_path(hand, q, goal)
+            T_root_palm, whole = palm_pose(hand, self._grasp.q), [q[None, hand.arm_index]]
+            for path in palm_paths(hand, q, [begin.inverse() * p * T_root_palm for p in poses]):
                 if path is None:
                     raise TaskError(f"the arm cannot {phase} within its limits; plan again")
                 whole.append(path[1:])

@@ -32,7 +32,7 @@ from planner.collision.pair_table import TABLE
 from planner.collision.pregrasp_ik import idle_joints, spread_idle
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
-from planner.kinematics import PEAK, MovingHand, palm_path, palm_pose, posture_times
+from planner.kinematics import PEAK, MovingHand, palm_paths, palm_pose, posture_times
 from planner.motion.gait import Relocation
 from planner.motion.manipulation import ManipulationPlan
 from planner.motion.plan import Knot, MovementPlan
@@ -260,10 +260,9 @@ class ArmMover(ArmCarrier):
         """From where it was sent last through poses, the first of which is about there."""
         self.fault = ""
         q, whole = self._q_grasp.copy(), [self._way[-1:]]
-        for pose in poses[1:]:
-            q[self._hand.arm_index] = whole[-1][-1]
-            goal = self._root.inverse() * pose * self._T_root_palm
-            way = palm_path(self._hand, q, goal)
+        q[self._hand.arm_index] = self._way[-1]
+        goals = [self._root.inverse() * pose * self._T_root_palm for pose in poses[1:]]
+        for way in palm_paths(self._hand, q, goals):
             if way is None:
                 self.fault = "the arm cannot bring the hand there within its limits"
                 return

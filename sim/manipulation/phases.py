@@ -20,7 +20,7 @@ from planner.kinematics import PATH_STEP, ROUNDING
 from planner.motion.manipulation import Ending, ManipulationPlan
 from planner.motion.single_stroke import MOST_PIVOT
 from planner.quality import QualityReport, analyse
-from planner.spatial import FloatArray, shifted
+from planner.spatial import SE3, FloatArray, shifted
 from sim.contacts import hand_contacts, merge_per_finger
 from sim.controllers import Observation
 from sim.controllers.grasp import RECLOSING_TIME, closing_ended
@@ -114,9 +114,13 @@ class Phases:
         fault = self._sim.run("stand", self._timeline.stand)
         return self._standing(fault)
 
+    def _go(self, phase: ManipulationPhase, T_world_base: SE3, duration: float) -> str:
+        """Bring the base straight to a pose, in a time (s) if an arm can; what went wrong."""
+        self._sim.mover.go(T_world_base, duration)
+        return self._sim.run(phase, self._sim.mover.duration)
+
     def _approach(self) -> Measured:
-        self._sim.mover.go(self._plan.T_world_base, self._timeline.approach)
-        fault = self._sim.run("approach", self._sim.mover.duration)
+        fault = self._go("approach", self._plan.T_world_base, self._timeline.approach)
         return self._standing(fault)
 
     def _close(self) -> Measured:
@@ -164,8 +168,7 @@ class Phases:
     def _lift(self) -> Measured:
         simulation, height = self._sim.simulation, self.height
         duration = self._timeline.lift * self._stretch
-        self._sim.mover.go(shifted(self._plan.T_world_base, [0.0, 0.0, height]), duration)
-        fault = self._sim.run("lift", self._sim.mover.duration)
+        fault = self._go("lift", shifted(self._plan.T_world_base, [0.0, 0.0, height]), duration)
         numbers = self._in_hand()
         first = float(simulation.plan.task.T_world_object.translation[2])
         numbers["rise_mm"] = 1e3 * (float(simulation.T_world_object.translation[2]) - first)
@@ -361,8 +364,7 @@ class Phases:
 
     def _carry(self, ending: Ending) -> Measured:
         above = shifted(ending.T_world_target, [0.0, 0.0, self.height])
-        self._sim.mover.go(self._sim.base_for(above), self._timeline.carry)
-        fault = self._sim.run("carry", self._sim.mover.duration)
+        fault = self._go("carry", self._sim.base_for(above), self._timeline.carry)
         numbers = off_target(above, self._sim.simulation.T_world_object)
         if not fault and ending.release is None:
             fault, goal = at_goal(above, self._sim.simulation.T_world_object, self._criteria)
@@ -371,8 +373,7 @@ class Phases:
 
     def _lower(self, ending: Ending) -> Measured:
         target, duration = ending.T_world_target, self._timeline.lower * self._stretch
-        self._sim.mover.go(self._sim.base_for(target), duration)
-        fault = self._sim.run("lower", self._sim.mover.duration)
+        fault = self._go("lower", self._sim.base_for(target), duration)
         return fault, off_target(target, self._sim.simulation.T_world_object)
 
     def _let_go(self, phase: ManipulationPhase, duration: float, ending: Ending) -> Measured:
@@ -381,8 +382,7 @@ class Phases:
 
     def _retreat(self, ending: Ending) -> Measured:
         out = self._plan.way_out(self._sim.T_world_base, ending)
-        self._sim.mover.go(out, self._timeline.retreat)
-        fault = self._sim.run("retreat", self._sim.mover.duration)
+        fault = self._go("retreat", out, self._timeline.retreat)
         if not fault and self._sim.touched:
             fault = "the hand still touches the object"
         return self._standing_at_target(fault, ending)
