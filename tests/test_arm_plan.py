@@ -34,6 +34,7 @@ from planner.kinematics import (
     palm_pose,
     posture_times,
 )
+from planner.motion.context import OUT_OF_REACH
 from planner.motion.manipulation import (
     GAITS,
     ManipulationPlan,
@@ -42,9 +43,17 @@ from planner.motion.manipulation import (
 )
 from planner.motion.path import ATTITUDES, ObjectPath
 from planner.motion.plan import CLEAR, rise_for
-from planner.motion.single_stroke import OnArm, lifted_blocked
+from planner.motion.single_stroke import (
+    ARM_CLEARANCE,
+    POSTURES,
+    SHORT,
+    OnArm,
+    lifted_blocked,
+    plan_single_stroke,
+)
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
+from planner.search.attempt import Attempt
 from planner.spatial import SE3, FloatArray, interpolate_path, minimum_jerk, rotation_angle
 from planner.task import GraspTask, Obstacle
 from sim.manipulation import manipulate
@@ -529,6 +538,85 @@ def test_headings_of_an_arm_are_tried_for_regrasps(monkeypatch: pytest.MonkeyPat
     ways = {tuple(np.round(pin.log3(turn), 1).tolist()) for turn, _ in asked}
     assert ways == {(3.1, 0.0, 0.0), (-3.1, 0.0, 0.0), (0.0, 3.1, 0.0), (0.0, -3.1, 0.0)}
     assert len(asked) == 1 + 3 * GAITS and all(reaches is not None for _, reaches in asked)
+    # at half a turn rounding alone would decide which way around each goes
+    angles = np.array([rotation_angle(turn) for turn, _ in asked])
+    assert angles == pytest.approx(np.pi - SHORT, abs=1e-7)
+
+
+@pytest.mark.parametrize(("kind", "times"), [(OUT_OF_REACH, 4), ("penetration", 1)])
+def test_a_stroke_is_tried_in_another_attitude_where_the_arm_stops_it(
+    monkeypatch: pytest.MonkeyPatch, kind: str, times: int
+) -> None:
+    task = task_of("cylinder:0.03x0.08", "allegro_on_arm7")
+    at = "planner.motion.single_stroke"
+    ways = [(task, pin.exp3(np.array([x, 0.0, 0.0])), None, None) for x in (0.1, 0.2, 0.3, 0.4)]
+    asked: list[Any] = []
+
+    def attempts(_: Any, path: Any, **__: Any) -> Any:
+        asked.append(path)
+        failure = Failure(kind=kind, text="-")
+        yield Attempt(index=0, plan=None, failure=failure, cpu_s=0.0)
+
+    monkeypatch.setattr(f"{at}.carried_ways", lambda *_: iter(ways))
+    monkeypatch.setattr(f"{at}.motion_attempts", attempts)
+    with pytest.raises(NoGraspFoundError):
+        plan_single_stroke(task, angle=0.5, max_attempts=1)
+    assert len({id(path.attitude) for path in asked}) == times
+
+
+def test_an_arm_is_drawn_until_a_posture_turns_the_hand(
+    turning: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All of them bring the palm to the same pose, and no more than ``POSTURES`` are asked."""
+    carrier = OnArm(task_of("cylinder:0.03x0.08", "allegro_on_arm7", mass=0.1))
+    hand, root = turning.task.hand, turning.task.T_world_base
+    assert root is not None
+    q = turning.grasp.q[[hand.joint_names.index(n) for n in carrier.alone.hand.joint_names]]
+    base = turning.grasp.T_world_palm * HandState(carrier.alone.hand, q).T_base_palm.inverse()
+    asked: list[Any] = []
+    able = 3
+
+    def turns(self: OnArm, whole: Any, turned: Any) -> bool:
+        asked.append(whole)
+        return len(asked) >= able
+
+    monkeypatch.setattr(OnArm, "_turns", turns)
+    found = carrier._posture(base, q, ATTITUDES["sideways"])
+    assert found is not None and len(asked) == 3
+    assert not np.allclose(asked[0][hand.arm_index], found[hand.arm_index], atol=0.1)
+    for one in asked:
+        assert (root * palm_pose(hand, one)).isApprox(turning.grasp.T_world_palm, 1e-4)
+    able = 10 * POSTURES
+    assert carrier._posture(base, q, ATTITUDES["sideways"]) is None
+    assert len(asked) <= 3 + POSTURES
+
+
+def test_the_links_of_an_arm_keep_5_mm_clear_in_an_attitude(
+    turning: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    carrier = OnArm(task_of("cylinder:0.03x0.08", "allegro_on_arm7", mass=0.1))
+    path = np.tile(turning.grasp.q[turning.task.hand.arm_index], (2, 1))
+    monkeypatch.setattr("planner.motion.single_stroke.arm_way", lambda *_: iter([path] * 9))
+    for distance, free in ((ARM_CLEARANCE + 1e-6, True), (ARM_CLEARANCE - 1e-6, False)):
+        near = SimpleNamespace(distance=distance)
+        carrier.__dict__["_world"] = SimpleNamespace(nearest_on_arm=lambda *_, n=near, **__: n)
+        assert carrier._turns(turning.grasp.q, ATTITUDES["sideways"]) is free
+
+
+def test_an_arm_keeps_5_mm_clear_while_it_turns_the_wrist(
+    turning: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = dataclasses.replace(turning.path, attitude=ATTITUDES["sideways"])
+    motion = dataclasses.replace(turning.motion, path=path)
+    still = np.tile(motion.grasp.q[motion.task.hand.arm_index], (2, 1))
+    asked: list[float] = []
+    at = "planner.motion.single_stroke"
+    monkeypatch.setattr(f"{at}.arm_way", lambda *_: iter([still] * 9))
+    monkeypatch.setattr(
+        f"{at}.verify_arm_path", lambda *_, clearance, **__: asked.append(clearance)
+    )
+    assert lifted_blocked(motion, 0.1) is None
+    assert asked[0] == 0.0 and len(asked) > 1 and set(asked[1:]) == {ARM_CLEARANCE}
 
 
 def test_an_arm_lifts_its_last_links_clear_of_the_table(turning: ManipulationPlan) -> None:

@@ -231,6 +231,22 @@ def test_a_drift_to_the_other_side_of_where_it_was_is_a_drift(plan: Manipulation
     assert phases._hold()[1]["drift_mm"] == pytest.approx(10.0)
 
 
+def test_a_phase_lasts_as_long_as_an_arm_takes() -> None:
+    """Asked in 1 s, where the arm's joints need 3."""
+    ran: list[Any] = []
+    went: list[Any] = []
+    mover = SimpleNamespace(go=lambda *given: went.append(given), duration=3.0)
+
+    def run(*given: Any) -> str:
+        ran.append(given)
+        return "why"
+
+    phases = Phases.__new__(Phases)
+    phases._sim = SimpleNamespace(mover=mover, run=run)  # type: ignore[assignment]
+    assert phases._go("lift", SE3.Identity(), 1.0) == "why"
+    assert went == [(SE3.Identity(), 1.0)] and ran == [("lift", 3.0)]
+
+
 def test_a_gantry_turns_by_half_a_turn_about_any_axis() -> None:
     """Its coordinates give the pose back, and the first hinge alone turns."""
     rng = np.random.default_rng(4)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
+import weakref
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -158,7 +160,14 @@ def test_a_start_for_which_no_grasp_is_found_is_not_done(monkeypatch: pytest.Mon
     task = MagicMock(play=MagicMock(side_effect=NoGraspFoundError("none of 300", ())))
     monkeypatch.setitem(scenes.TASKS, "hammer_nail", task)
     where = scenes.Where(scene=Path("a"), python=Path("b"), hand=Path("c"))
+    left, collected = type("Episode", (), {})(), gc.isenabled()
+    left.itself, before = left, weakref.ref(left)
+    gc.disable()
+    del left
     row = scenes.measure({"task": "hammer_nail", "seed": 0, "where": where})
+    assert before() is None, "what an earlier start left in a cycle is given back"
+    if collected:
+        gc.enable()
     assert row == {"done": False, "ended": "no plan", "detail": "none of 300"}
     served.close.assert_called_once()
 

@@ -29,6 +29,13 @@ class Size:
     many: Annotated[list[str] | None, typer.Option("--part", "-p")] = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """A group of one option that has to be given."""
+
+    where: Annotated[str, typer.Option(help="A name.")]
+
+
 @pytest.fixture
 def app() -> typer.Typer:
     """One command with a group between options of its own."""
@@ -55,6 +62,20 @@ def test_fields_of_a_group_are_options_with_their_defaults_and_help(app: typer.T
     assert "Build it." in shown
     assert "In m." in shown
     assert "--size" not in shown
+
+
+def test_a_field_without_a_default_is_required() -> None:
+    app = typer.Typer()
+
+    @app.command()
+    @with_options
+    def build(*, place: Place) -> None:
+        typer.echo(place.where)
+
+    assert RUN.invoke(app, ["--where", "here"]).output == "here\n"
+    told = RUN.invoke(app, [])
+    assert told.exit_code == 2 and "Missing option '--where'" in told.output
+    assert "MISSING" not in RUN.invoke(app, ["--help"]).output
 
 
 def test_errors_of_such_a_command_are_for_people(app: typer.Typer) -> None:

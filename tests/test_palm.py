@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 import qpsolvers
 
+from benchmarks import palm
 from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.spatial import FloatArray
 from sim.palm import PalmReport, PalmSettings, reorient_in_palm
@@ -563,3 +564,11 @@ def test_a_short_turn_is_executed_and_reported(tmp_path: Path) -> None:
     assert "Contact-implicit control" in (tmp_path / "report.html").read_text()
     again = reorient_in_palm("allegro_hand", CUBE, QUARTER.T, longest_s=8.0)
     assert again.error_deg.tolist() == report.error_deg.tolist()
+
+
+def test_a_benchmark_gives_any_rotation_the_time_that_is_asked() -> None:
+    asked = palm.Options(n=1, goals="yaw,any", longest=300.0)
+    assert {case["goal"]: case["longest_s"] for case in palm.cases(asked)} == {
+        "yaw": 30.0,
+        "any": 300.0,
+    }

@@ -39,7 +39,7 @@ from sim import UseTrial, plan_tool
 from sim.cli import main
 from sim.cli.grasp import UseOptions
 from sim.controllers import PadReading
-from sim.controllers.monitors import ALARM_TIME
+from sim.controllers.monitors import ALARM_TIME, LOST_TIME
 from sim.controllers.object_impedance import GRIP_STEP, ObjectImpedance
 from sim.report_file import ReportFile, read_report, write_report_of
 from sim.scene.build import OBJECT
@@ -47,10 +47,10 @@ from sim.scene.gantry import GANTRY_FREQUENCY
 from sim.scene.physics import PhysicsOptions
 from sim.show.trial_page import trial_page
 from sim.simulation import Simulation
-from sim.tools import USES
+from sim.tools import USES, strike
 from sim.tools.press import LEVER
-from sim.tools.strike import Strike, _Blow
-from sim.tools.trial import YIELDING, GuidedLoad, UseController, yaw_of_plan
+from sim.tools.strike import HOVER, RAISE, THROUGH, Strike, _Blow
+from sim.tools.trial import GONE, YIELDING, GuidedLoad, UseController, yaw_of_plan
 from sim.tools.turn import HINGE, MADE, RAMP, RATE, SLIDE, Turn
 from sim.tools.use import FIXTURE, Motion, use_of
 
@@ -633,6 +633,49 @@ def test_the_face_swings_about_an_elbow(plan: GraspPlan) -> None:
     moved = (way[3] * way[0].inverse()).act(tip) - tip  # the hand carries the face
     assert np.linalg.norm(moved) == pytest.approx(2 * 0.3 * np.sin(top / 2))
     assert moved[2] == pytest.approx(0.3 * np.sin(top))  # upwards, and the hand hardly turns
+
+
+def test_a_blow_is_fastest_where_the_nail_is_and_brakes_from_there(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Raised by no angle the face hovers at 2 mm; it has its full speed that much lower."""
+    use = Strike(load_tool("hammer"))
+    tip = plan.contacts.positions.mean(axis=0) + np.array([0.06, 0.0, 0.0])
+    task = replace(plan.task, T_world_object=use.tool.T_world_object(tip))
+    still: Any = SimpleNamespace(
+        plan=replace(plan, task=task), T_world_base=plan.T_world_base, time=0.0
+    )
+    use.begin(still, "engage")
+    use.begin(still, "use")
+    monkeypatch.setattr(strike, "joint_value", lambda *_: 0.0)
+    monkeypatch.setattr(strike, "tip_now", lambda *_: use.mouth + np.array([0.0, 0.0, HOVER]))
+    _, axis, lever = use._grip
+    low, top = HOVER / lever, np.deg2rad(use.numbers["swing_deg"])
+    falls = 2 * (top + low) * lever / use.numbers["speed_m_s"]
+
+    def angle(after: float) -> float:
+        now: Any = SimpleNamespace(time=use._begun + after, touching=lambda: ())
+        base = use._striking(now).T_world_base
+        turned: float = pin.log3(base.rotation @ use._base.rotation.T) @ axis
+        return turned
+
+    assert angle(RAISE) == pytest.approx(top)
+    assert angle(RAISE + falls - 1e-9) == pytest.approx(-low, abs=1e-6)
+    met = RAISE + falls
+    rates = [(angle(met + h) - angle(met + h - 1e-6)) / 1e-6 * lever for h in (0.0, THROUGH)]
+    assert rates == pytest.approx([-use.numbers["speed_m_s"], 0.0], abs=1e-3)
+
+
+def test_a_contact_is_lost_later_where_blows_shake_fingers_off(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ObjectImpedance, "step", lambda *_: np.zeros(1))
+    seen: Any = SimpleNamespace(phase="engage", T_world_base=SE3.Identity(), time=0.0)
+    seen.altered = lambda **_: seen
+    for learns, time in ((True, LOST_TIME), (False, GONE)):
+        controller = UseController(plan, learns=learns)
+        controller.step(seen)
+        assert controller.schedule.lost_time == time
 
 
 @pytest.mark.slow
