@@ -198,6 +198,7 @@ class ForceLoop:
         max_normal: ArrayLike | None = None,
         previous: FloatArray | None = None,
         costs: Sequence[QuadraticCost] | None = None,
+        spin: FloatArray | None = None,
     ) -> ForceStep:
         """Solve for what is now; what is not given stays as it was.
 
@@ -215,6 +216,8 @@ class ForceLoop:
             max_normal: Greatest normal force, N, a number or (n,); 0 for a contact that is away.
             previous: Forces (n, 4) that ``change_cost`` is about; the last answer if not given.
             costs: What forces cost beside their squares, instead of what was given before.
+            spin: Torque (n,) on the object about its normal that comes with each newton of a
+                contact's normal force, m: torsional friction of a pad that pivots; 0 at first.
 
         Returns:
             ``self.result``, written anew.
@@ -229,7 +232,7 @@ class ForceLoop:
         wrench = finite_given("wrench", wrench, (6,))
         if gravity_torque is not None:
             self._gravity[:] = finite_given("gravity_torque", gravity_torque, (nv,))
-        self._place(positions, frames, center)
+        self._place(positions, frames, center, spin)
         if jacobians is not None:
             self.contacts.load(float_array("jacobians", jacobians))
         if min_normal is not None or max_normal is not None:
@@ -272,14 +275,18 @@ class ForceLoop:
         return r
 
     def _place(
-        self, positions: FloatArray | None, frames: FloatArray | None, center: FloatArray | None
+        self,
+        positions: FloatArray | None,
+        frames: FloatArray | None,
+        center: FloatArray | None,
+        spin: FloatArray | None,
     ) -> None:
         """Write where the contacts are now.
 
         Raises:
             ContactError: As ``step``.
         """
-        if positions is None and frames is None and center is None:
+        if positions is None and frames is None and center is None and spin is None:
             return
         now, n = self.contacts, len(self._least)
         if positions is not None:
@@ -290,6 +297,8 @@ class ForceLoop:
             now.frames[:] = frames
         if center is not None:
             now.center[:] = finite_given("center", center, (3,))
+        if spin is not None:
+            now.spin[:] = finite_given("spin", spin, (n,))
         now.place()
         self.qp.new_a = True
 
@@ -326,6 +335,7 @@ class ForceLoop:
         qp.p[:n, :n], qp.q[:n], qp.a[:, :n] = old.p, old.q, old.a
         qp.lower[:n], qp.upper[:n], qp.low[:], qp.high[:] = old.lower, old.upper, old.low, old.high
         now.positions[:], now.frames[:], now.center[:] = was.positions, was.frames, was.center
+        now.spin[:] = was.spin
         now.place()
         now.lever[:n] = was.lever
 

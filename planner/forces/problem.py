@@ -377,6 +377,8 @@ class ContactWorkspace:
 
     Attributes:
         positions, frames, center: As they are now; write them, then ``place``.
+        spin: (n,), torque on the object about its normal that comes with a contact's normal force,
+            N m per N; written likewise.
         table: (6, nx), the grasp map.
         lever: (nx, nv), joint torque per unknown, N m per N.
         plain: Whether all are point contacts and the forces all there is.
@@ -400,7 +402,7 @@ class ContactWorkspace:
         self.table, self._length, self._nv, self._unit = table, length, nv, unit
         self._soft = wide == 4
         self.positions, self.frames = np.array(contacts.positions), np.array(contacts.frames)
-        self.center = np.array(contacts.center)
+        self.center, self.spin = np.array(contacts.center), np.zeros(n)
         # places of the unknowns among (n, wide) components, None where those are all
         present = np.flatnonzero((np.arange(wide) < dims[:, None]).ravel())
         direct = len(present) == wide * n == nx
@@ -427,6 +429,8 @@ class ContactWorkspace:
         np.subtract(self.positions, self.center, out=self._moved)
         np.dot(self._arms, self._from_arms, out=self._carry)
         np.matmul(self._six, self.frames, out=self._forces_map)
+        if self.spin.any():
+            self._map[:, 3:, 0] += self.spin[:, None] * self.frames[:, :, 0] / self._length
         if self._soft:
             self._map[:, 3:, 3] = self.frames[:, :, 0] / self._length
         if self._used is not None:

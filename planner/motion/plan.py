@@ -12,6 +12,7 @@ judged sample by sample by one verifier (``planner.motion.verify``), and kept in
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -42,6 +43,14 @@ LIFT_S, CARRY_S, LOWER_S, OPEN_S, RETREAT_S = 0.7, 0.8, 0.6, 0.4, 0.6
 
 WRIST_RATE = 1.0
 """Mean rate (rad/s) at which the wrist turns to the attitude and back."""
+
+TORSION = 5e-3
+"""Torsional friction (m) of pads that pivot, that of trials (``sim.scene.physics``). It helps to
+hold an object, which plans do without, and it turns one along."""
+
+PIVOTING = math.radians(0.5)
+"""Turn (rad) of a tip about its contact's normal from knot to knot, over some 8 degrees of the
+object, from which on all of it acts."""
 
 SMALLEST_RANGE = 1e-3
 """Least range (rad or m) of a joint by which distances are divided."""
@@ -415,9 +424,12 @@ class MovementPlan(Shown):
         """Slip (n,), m, of each pad over a stroke: 0 if it only rolls."""
         return np.asarray(np.sum([k.slips for k in self.knots], axis=0))
 
-    @property
-    def pivoted(self) -> FloatArray:
-        """Rotation (n,), rad, of each tip about its contact's normal over a stroke."""
+    @cached_property
+    def pivots(self) -> FloatArray:
+        """Rotation (n_knots - 1, n), rad, of each tip on the object about its contact's normal.
+
+        From knot to knot of a stroke; positive about the normal into the object.
+        """
         task, out = self.task, []
         for a, b in pairwise(self.knots):
             before, after = (
@@ -430,8 +442,24 @@ class MovementPlan(Shown):
                     base.rotation @ state.joint_pose(finger.pad.joint_id).rotation
                     for base, state in (before, after)
                 )
-                out.append(abs(pin.log3(new @ old.T) @ normal) / np.linalg.norm(normal))
-        return np.asarray(np.reshape(out, (-1, len(task.fingers))).sum(axis=0))
+                out.append(pin.log3(new @ old.T) @ normal / np.linalg.norm(normal))
+        return np.reshape(out, (-1, len(task.fingers)))
+
+    @property
+    def pivoted(self) -> FloatArray:
+        """Rotation (n,), rad, of each tip about its contact's normal over a stroke."""
+        return np.asarray(np.abs(self.pivots).sum(axis=0))
+
+    @cached_property
+    def spins(self) -> FloatArray:
+        """Torque (n_knots, n) of pivoting tips about their normals per normal force, m.
+
+        With the palm down it is 0: those turns were measured without.
+        """
+        if not self.path.turns_wrist:
+            return np.zeros((len(self.knots), len(self.task.fingers)))
+        turns = np.pad(self.pivots, ((1, 1), (0, 0)), mode="edge")
+        return TORSION * np.clip((turns[:-1] + turns[1:]) / (2.0 * PIVOTING), -1.0, 1.0)
 
     def at(self, path_parameter: float) -> tuple[SE3, FloatArray]:
         """Pose of the object and joints (nq,) in the first stroke at a path parameter, 0 to 1.

@@ -26,6 +26,7 @@ from planner.collision.pregrasp import way_back
 from planner.collision.world import CollisionWorld
 from planner.errors import HandError, TaskError
 from planner.failure import Failure
+from planner.forces import ForceLoop
 from planner.hand_loading import load_hand
 from planner.hands.arm import read_mount
 from planner.hands.hand import Hand
@@ -53,7 +54,7 @@ from planner.spatial import SE3, FloatArray, rotation_angle, shifted
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds import turning_seeder_for
 from planner.task import GraspTask
-from planner.verification import verify_grasp
+from planner.verification import force_arguments, verify_grasp
 
 CANDIDATES = 3
 """Plans of which the best is taken, unless one is good enough to be taken at once; fewer where the
@@ -313,7 +314,23 @@ def merit(plan: ManipulationPlan) -> float:
     if not plan.path.turns_wrist:
         return good
     solved = [one for knot in plan.knots for one in (knot.forces, *knot.on_the_way)]
-    return min(good, GOOD_PRESS / max(map(pressed, solved)))
+    return min(good, GOOD_PRESS / max(turning_press(plan), *map(pressed, solved)))
+
+
+def turning_press(motion: MovementPlan) -> float:
+    """Largest normal force (N) of a stroke in its attitude against tips that pivot; inf if none do.
+
+    A tip that pivots turns the object along. The others bear that torque by tangential forces, for
+    which they press harder, and the tip presses harder against them.
+    """
+    task = motion.path.borne(replace(motion.task, table_height=None, obstacles=()))
+    most = 0.0
+    for knot, spin in zip(motion.knots, motion.spins, strict=True):
+        given = force_arguments(task, knot.contacts, motion.T_world_base, knot.q)
+        limits = {key: given.pop(key) for key in ("actuation", "min_normal", "friction_scale")}
+        step = ForceLoop(knot.contacts, **limits).step(given.pop("wrench"), spin=spin, **given)
+        most = max(most, float(step.forces[:, 0].max()) if step.balanced else math.inf)
+    return most
 
 
 def _with_overshoot(asked: ObjectPath, overshoot: float) -> ObjectPath:

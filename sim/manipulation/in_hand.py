@@ -132,7 +132,11 @@ class InHandController(Protocol):
 
 
 def in_hand_controller(
-    plan: GraspPlan, given: AnyTurningController | None, *, max_normal: float
+    plan: GraspPlan,
+    given: AnyTurningController | None,
+    *,
+    max_normal: float,
+    torsion: float = 0.0,
 ) -> InHandController:
     """The controller that was given, made for a plan and able to turn.
 
@@ -140,13 +144,14 @@ def in_hand_controller(
         plan: The grasp that the manipulation begins with.
         given: Name, controller, class or function of the plan; "impedance" if None.
         max_normal: Largest normal force that the default asks of a finger, N.
+        torsion: Torsional friction (m) that the default reckons with; see ``ObjectImpedance``.
 
     Raises:
         NotFoundError: No controller has that name.
         TaskError: What was given is none.
     """
     if given is None or given == "impedance":
-        return ObjectImpedance(plan, max_normal=max_normal)
+        return ObjectImpedance(plan, max_normal=max_normal, torsion=torsion)
     made = cast(TurningController, controller_for(plan, cast(AnyController, given)))
     return made if isinstance(made, InHandController) else GuidedController(plan, made)
 

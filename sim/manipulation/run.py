@@ -22,6 +22,7 @@ from planner.motion.ending import backwards, find_release, object_at_target, sta
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
 from planner.motion.single_stroke import lifted_blocked
+from planner.motion.plan import TORSION
 from planner.motion.verify import ASKED_SHARE
 from planner.spatial import SE3, pose_from_wxyz, signed_twist
 from sim.manipulation.in_hand import GuidedController, in_hand_controller
@@ -85,7 +86,10 @@ class ManipulationRun:
         self.results: list[PhaseResult] = []
         self._force_limit = options.criteria.normal_N or force_limit(plan)
         most = ASKED_SHARE * self._force_limit
-        holding = in_hand_controller(plan.grasp, options.controller, max_normal=most)
+        torsion = TORSION if plan.path.turns_wrist else 0.0
+        holding = in_hand_controller(
+            plan.grasp, options.controller, max_normal=most, torsion=torsion
+        )
         self.sim = ManipulationSim(plan, holding, options)
         parts = (options.timeline, options.criteria, options.via)
         self._phases = Phases(plan, self.sim, *parts)
