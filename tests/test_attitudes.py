@@ -18,18 +18,22 @@ from planner.errors import NoGraspFoundError, NotFoundError, TaskError
 from planner.failure import Failure
 from planner.files import read_movement, write_movement
 from planner.files.movements import movement_to_dict
+from planner.kinematics import HandState
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.motion.path import ATTITUDES, AnyAttitude, ObjectPath, checked_attitude, tilts
-from planner.motion.plan import WRIST_RATE
+from planner.motion.plan import TORSION, WRIST_RATE
 from planner.motion.regrasp import ROOM, FingerPaths
-from planner.motion.verify import FALLS, PRESSES, MovementVerifier, Waypoint, _falls
+from planner.motion.single_stroke import merit, turning_press
+from planner.motion.verify import FALLS, PRESSES, MovementVerifier, Waypoint, _falls, pressed
 from planner.spatial import SE3, rotation_angle, shifted
 from planner.task import Obstacle
 from sim.cli.manipulate import TurnExecution
 from sim.controllers import ObjectImpedance
+from sim.controllers.torques import HoldingTorques
 from sim.manipulation import ManipulationReport, manipulate
 from sim.manipulation.driver import BaseMover
 from sim.manipulation.phases import Phases
+from sim.manipulation.run import ManipulationRun
 from sim.manipulation.simulation import ManipulationOptions, _hinges
 from sim.manipulation.timeline import SuccessCriteria
 from sim.scene.gantry import Gantry
@@ -339,6 +343,54 @@ def test_a_stroke_that_presses_hard_is_left_for_regrasps(
     monkeypatch.setattr(f"{at}.merit", lambda one: 0.7 if hard and one is plan else 1.0)
     found = plan_manipulation(plan.task, angle=plan.angle, attitude="up")
     assert found is (regrasped if hard and several else plan)
+
+
+def spun(plan: ManipulationPlan, spin: float) -> ManipulationPlan:
+    """The plan with another torque of its thumb about its normal, per normal force (m)."""
+    made = replace(plan)
+    spins = np.zeros((len(plan.knots), len(plan.task.fingers)))
+    spins[:, 0] = spin
+    vars(made)["spins"] = spins
+    return made
+
+
+def test_a_stroke_whose_thumb_turns_the_object_along_is_not_good_enough(
+    plan: ManipulationPlan,
+) -> None:
+    """Contacts that need too much force for it, or cannot bear it whatever they press with."""
+    most = max(pressed(knot.forces) for knot in plan.knots)
+    assert turning_press(spun(plan, 0.0)) == pytest.approx(most, rel=1e-3)
+    presses = [turning_press(spun(plan, spin)) for spin in (0.0, 0.01, 0.02, 0.1)]
+    assert presses == sorted(presses) and presses[-1] == math.inf
+    assert merit(spun(plan, 0.1)) == 0.0 < merit(spun(plan, 0.0))
+
+
+@pytest.mark.parametrize(("attitude", "torsion"), [("down", 0.0), ("up", TORSION)])
+def test_the_closed_loop_bears_what_tips_turn_along_in_another_attitude(
+    plan: ManipulationPlan, attitude: str, torsion: float
+) -> None:
+    turned = replace(plan, path=replace(plan.path, attitude=checked_attitude(attitude)))
+    holding: Any = ManipulationRun(turned).sim.driver.holding
+    assert holding._torsion == torsion
+
+
+def test_a_pad_pivots_with_what_it_turns_beyond_the_object(plan: ManipulationPlan) -> None:
+    """About its normal, as differences of its orientation have it."""
+    hand, rng = plan.task.hand, np.random.default_rng(0)
+    q, v = plan.grasp.q, rng.normal(size=hand.nq)
+    torques = HoldingTorques(plan.grasp)
+    torques.move(q, v, plan.task.gravity)
+    contacts = plan.grasp.contacts.transformed(plan.grasp.T_world_base.inverse())
+    torques.touch(contacts.positions, contacts.center, np.ones(len(contacts), dtype=bool))
+    turn, step, rates = rng.normal(size=3), 1e-6, []
+    moving = np.where(torques._moving, v, 0.0)
+    for finger, normal in zip(plan.task.fingers, contacts.normals, strict=True):
+        old, new = (
+            HandState(hand, q + s * moving).joint_pose(finger.pad.joint_id).rotation
+            for s in (0.0, step)
+        )
+        rates.append((pin.log3(new @ old.T) / step - turn) @ normal)
+    np.testing.assert_allclose(torques.pivoting(contacts.normals, turn), rates, atol=1e-4)
 
 
 def test_places_of_a_carry_are_pairs_of_numbers() -> None:

@@ -287,6 +287,41 @@ def test_a_ramp_of_the_grip() -> None:
         assert step.forces[:, 0] == pytest.approx([max(W, least)] * 2)
 
 
+@pytest.mark.parametrize("model", ["point", "soft"])
+@pytest.mark.parametrize("edge_cost", [0.0, 10.0])
+def test_forces_bear_what_pads_that_pivot_turn_along(model: Any, edge_cost: float) -> None:
+    """Each newton of a contact's normal force brings a torque about its normal; until told anew."""
+    contacts, spin = ring(model), np.array([0.004, -0.005, 0.0, 0.002, 0.005])
+    loop = ForceLoop(contacts, min_normal=1.0, edge_cost=edge_cost)
+    plain = loop.step(WEIGHT).forces.copy()
+    changes: list[dict[str, Any]] = [{"spin": spin}, {}, {"center": contacts.center + 0.01}]
+    for told in changes:
+        step = loop.step(WEIGHT, **told)
+        assert step.balanced
+        center = told.get("center", contacts.center)
+        held = replace(contacts, center=center).wrench_of(step.forces) + WEIGHT
+        turned = (spin * step.forces[:, 0]) @ contacts.normals
+        assert np.abs(held + np.concatenate([np.zeros(3), turned])).max() < 1e-5
+    assert np.abs(turned).max() > 1e-3
+    again = loop.step(WEIGHT, spin=np.zeros(5), center=contacts.center)
+    assert again.forces == pytest.approx(plain, abs=1e-4)
+
+
+@pytest.mark.parametrize(("apart", "borne"), [(0.009, False), (0.015, True)])
+def test_no_grip_bears_the_pivot_of_a_thumb_that_fingers_close_together_oppose(
+    apart: float, borne: bool
+) -> None:
+    """Two fingers ``apart`` from a thumb's axis bear mu apart of its normal force, and no more."""
+    contacts = ContactSet.from_arrays(
+        [[-0.03, 0, 0], [0.03, apart, 0], [0.03, -apart, 0]],
+        [[1, 0, 0], [-1, 0, 0], [-1, 0, 0]],
+        mu=0.45,
+    )
+    loop = ForceLoop(contacts, min_normal=0.5, edges=32)
+    assert loop.step(np.zeros(6), spin=np.array([0.005, 0.0, 0.0])).balanced == borne
+    assert loop.step(np.zeros(6), spin=np.zeros(3)).balanced
+
+
 def test_the_cost_of_change_slows_forces_down() -> None:
     """Grip g in the null space: g' = c g / (1 + c) per step from g, until the weight needs more."""
     loop = ForceLoop(opposed(), change_cost=1.0)
@@ -650,6 +685,8 @@ def test_a_step_needs_what_limits_it() -> None:
         ({"frames": "text"}, "give an array of numbers"),
         ({"center": np.zeros((1, 3))}, r"center has shape \(1, 3\)"),
         ({"previous": np.zeros((3, 4))}, r"previous has shape \(3, 4\)"),
+        ({"spin": np.zeros(3)}, r"spin has shape \(3,\); give \(2,\)"),
+        ({"spin": np.full(2, np.nan)}, "spin holds NaN"),
         ({"min_normal": 60.0, "max_normal": 50.0}, "min_normal .* is above max_normal"),
         ({"min_normal": -1.0}, "give finite forces >= 0"),
         ({"min_normal": np.inf}, "give finite forces >= 0"),

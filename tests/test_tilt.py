@@ -19,7 +19,8 @@ from planner.motion.manipulation import (
     on_stand,
     plan_manipulation,
 )
-from planner.motion.path import tilts
+from planner.motion.path import ATTITUDES, tilts
+from planner.motion.plan import TORSION
 from planner.motion.single_stroke import MOST_PIVOT
 from planner.spatial import SE3
 from planner.task import GraspTask
@@ -126,9 +127,13 @@ def test_a_tip_that_stays_while_the_object_spins_under_it_pivots(plan: Manipulat
     second = replace(
         first, path_parameter=1.0, T_world_object=pose, contacts=first.contacts.transformed(spin)
     )
-    pivoted = motion.with_knots((first, second)).pivoted
-    along = np.abs(first.contacts.normals @ first.contacts.normals[0])
-    np.testing.assert_allclose(pivoted, 0.3 * along, atol=1e-9)
+    turned = motion.with_knots((first, second))
+    along = first.contacts.normals @ first.contacts.normals[0]
+    np.testing.assert_allclose(turned.pivoted, 0.3 * np.abs(along), atol=1e-9)
+    np.testing.assert_allclose(turned.pivots[0], -0.3 * along, atol=1e-9)
+    assert not turned.spins.any(), "palm down"
+    sideways = replace(turned, path=replace(turned.path, attitude=ATTITUDES["sideways"]))
+    np.testing.assert_allclose(sideways.spins, [-TORSION * np.sign(along)] * 2, atol=1e-9)
     still = motion.with_knots((first, replace(first, path_parameter=1.0)))
     assert still.pivoted.max() < 1e-12
 

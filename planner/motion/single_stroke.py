@@ -17,6 +17,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -326,9 +327,9 @@ def turning_press(motion: MovementPlan) -> float:
     task = motion.path.borne(replace(motion.task, table_height=None, obstacles=()))
     most = 0.0
     for knot, spin in zip(motion.knots, motion.spins, strict=True):
-        given = force_arguments(task, knot.contacts, motion.T_world_base, knot.q)
-        limits = {key: given.pop(key) for key in ("actuation", "min_normal", "friction_scale")}
-        step = ForceLoop(knot.contacts, **limits).step(given.pop("wrench"), spin=spin, **given)
+        now: Any = force_arguments(task, knot.contacts, motion.T_world_base, knot.q)
+        limits = {key: now.pop(key) for key in ("actuation", "min_normal", "friction_scale")}
+        step = ForceLoop(knot.contacts, **limits).step(now.pop("wrench"), spin=spin, **now)
         most = max(most, float(step.forces[:, 0].max()) if step.balanced else math.inf)
     return most
 
