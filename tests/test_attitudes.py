@@ -37,10 +37,14 @@ from sim.manipulation.run import ManipulationRun
 from sim.manipulation.simulation import ManipulationOptions, _hinges
 from sim.manipulation.timeline import SuccessCriteria
 from sim.scene.gantry import Gantry
+from sim.simulation import Simulation
 
 G = 9.81
 CORNERS = ((0.03, 0.02), (0.05, -0.01))
 """Places through which an object is carried, m."""
+
+SPINS: dict[str, list[float]] = {}
+"""Largest torque of a pad about its normal per normal force, m, in every step of a phase."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +57,13 @@ def plan() -> ManipulationPlan:
 @pytest.fixture(scope="module")
 def report(plan: ManipulationPlan) -> ManipulationReport:
     """What comes of it, carried around a corner meanwhile."""
-    return manipulate(plan, timeline=replace(QUICK, wrist_rate=2.0), via=CORNERS)
+
+    def note(simulation: Simulation) -> None:
+        holding: Any = getattr(simulation.controller, "holding", None)
+        SPINS.setdefault(simulation.phase, []).append(np.abs(holding._loop.contacts.spin).max())
+
+    quick = replace(QUICK, wrist_rate=2.0)
+    return manipulate(plan, timeline=quick, via=CORNERS, on_step=note)
 
 
 def path(attitude: AnyAttitude = "down") -> ObjectPath:
@@ -372,6 +382,15 @@ def test_the_closed_loop_bears_what_tips_turn_along_in_another_attitude(
     turned = replace(plan, path=replace(plan.path, attitude=checked_attitude(attitude)))
     holding: Any = ManipulationRun(turned).sim.driver.holding
     assert holding._torsion == torsion
+
+
+def test_all_of_the_torsional_friction_counts_while_the_object_is_turned_and_none_else(
+    report: ManipulationReport,
+) -> None:
+    assert report.complete
+    assert max(SPINS["turn"]) == pytest.approx(TORSION)
+    assert SPINS["turn"][0] < 0.1 * TORSION, "from rest"
+    assert max(SPINS["lift"]) == max(SPINS["carry"]) == 0.0
 
 
 def test_a_pad_pivots_with_what_it_turns_beyond_the_object(plan: ManipulationPlan) -> None:

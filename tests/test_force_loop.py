@@ -303,6 +303,9 @@ def test_forces_bear_what_pads_that_pivot_turn_along(model: Any, edge_cost: floa
         turned = (spin * step.forces[:, 0]) @ contacts.normals
         assert np.abs(held + np.concatenate([np.zeros(3), turned])).max() < 1e-5
     assert np.abs(turned).max() > 1e-3
+    last = loop.step(WEIGHT).forces.copy()
+    loop._make_room(2)  # of a stop that begins to act
+    assert loop.step(WEIGHT).forces == pytest.approx(last, abs=1e-5)
     again = loop.step(WEIGHT, spin=np.zeros(5), center=contacts.center)
     assert again.forces == pytest.approx(plain, abs=1e-4)
 
