@@ -86,7 +86,8 @@ class ManipulationRun:
         self.results: list[PhaseResult] = []
         self._force_limit = options.criteria.normal_N or force_limit(plan)
         most = ASKED_SHARE * self._force_limit
-        torsion = TORSION if plan.path.turns_wrist else 0.0
+        # strokes between regrasps are short, and what is learned in them helps to lift fingers
+        torsion = TORSION if plan.path.turns_wrist and plan.cycles == 1 else 0.0
         holding = in_hand_controller(
             plan.grasp, options.controller, max_normal=most, torsion=torsion
         )
