@@ -21,7 +21,7 @@ from planner.files.movements import movement_to_dict
 from planner.kinematics import HandState
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.motion.path import ATTITUDES, AnyAttitude, ObjectPath, checked_attitude, tilts
-from planner.motion.plan import TORSION, WRIST_RATE
+from planner.motion.plan import TORSION, WRIST_RATE, Stroke
 from planner.motion.regrasp import ROOM, FingerPaths
 from planner.motion.single_stroke import merit, turning_press
 from planner.motion.verify import FALLS, PRESSES, MovementVerifier, Waypoint, _falls, pressed
@@ -375,11 +375,18 @@ def test_a_stroke_whose_thumb_turns_the_object_along_is_not_good_enough(
     assert merit(spun(plan, 0.1)) == 0.0 < merit(spun(plan, 0.0))
 
 
-@pytest.mark.parametrize(("attitude", "torsion"), [("down", 0.0), ("up", TORSION)])
+@pytest.mark.parametrize(
+    ("attitude", "strokes", "torsion"), [("down", 1, 0.0), ("up", 1, TORSION), ("up", 2, 0.0)]
+)
 def test_the_closed_loop_bears_what_tips_turn_along_in_another_attitude(
-    plan: ManipulationPlan, attitude: str, torsion: float
+    plan: ManipulationPlan, attitude: str, strokes: int, torsion: float
 ) -> None:
-    turned = replace(plan, path=replace(plan.path, attitude=checked_attitude(attitude)))
+    """In turns without regrasps."""
+    turned = replace(
+        plan,
+        path=replace(plan.path, attitude=checked_attitude(attitude)),
+        phases=tuple(Stroke(cycle=k, knots=plan.knots) for k in range(strokes)),
+    )
     holding: Any = ManipulationRun(turned).sim.driver.holding
     assert holding._torsion == torsion
 
