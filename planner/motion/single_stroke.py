@@ -54,6 +54,7 @@ from planner.search.attempt import nothing_found
 from planner.spatial import SE3, FloatArray, rotation_angle, shifted
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds import turning_seeder_for
+from planner.system.threads import made_once
 from planner.task import GraspTask
 from planner.verification import force_arguments, verify_grasp
 
@@ -318,6 +319,7 @@ def merit(plan: ManipulationPlan) -> float:
     return min(good, GOOD_PRESS / max(turning_press(plan), *map(pressed, solved)))
 
 
+@made_once(CANDIDATES + 1)
 def turning_press(motion: MovementPlan) -> float:
     """Largest normal force (N) of a stroke in its attitude against tips that pivot; inf if none do.
 
