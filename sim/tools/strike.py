@@ -2,8 +2,10 @@
 
 The hand brings the face of the hammer onto the nail's head and swings it about a horizontal axis,
 as about an elbow behind the grip: slowly up, and down so that the face moves at the asked speed
-where it meets the head. Before every blow it goes down by as much as the nail has gone. (About the
-middle of the grip, 1 m/s at a lever of 60 mm are 16 rad/s, which no forearm follows.)
+where it meets the head. Before every blow it moves so that the tool, wherever it lies in the hand
+by now, is where it was before the first one, and lower by as much as the nail has gone: a face that
+meets the nail off its middle turns the tool further. (About the middle of the grip, 1 m/s at a
+lever of 60 mm are 16 rad/s, which no forearm follows.)
 """
 
 from __future__ import annotations
