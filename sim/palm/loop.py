@@ -53,6 +53,10 @@ WIDEST = 6
 object where it was they become wider. A cube jammed between fingers was held at 92 degrees for
 280 s by openings of one width."""
 
+NEAR = 0.3
+"""Share (-) of what is left that counts as progress where it is less than ``progress_deg``: of six
+degrees none can gain three, since commands stay at 3.5."""
+
 ONWARD = 4
 """Openings (-) that are tried at the end of a branch which gains nothing: one of each target."""
 
@@ -195,15 +199,16 @@ class _LookAhead:
         """
         asked, now = self._real.settings, float(data.time)
         here = self._cost(data)
-        if here < self._best - asked.progress_deg:
+        gain = min(asked.progress_deg, NEAR * here)
+        if here < self._best - gain:
             self._best, self._since = here, now
         stuck = now - self._since > asked.stall_s
-        unmoved = abs(here - self._last) < asked.progress_deg
+        unmoved = abs(here - self._last) < gain
         self._last, self._unmoved = here, self._unmoved + 1 if unmoved else 0
         on = _Branch(away=None, goal=self._real.goal, opens_until=now, until=now + asked.ahead_s)
         first = self.value(0, data, on)
         found = [(first, on)]
-        gained = here - asked.progress_deg
+        gained = here - gain
         if first < gained and self._risk(data, on, first, self.value(1, data, on)) < gained:
             return on
         branches = self._worst(data, self._openings(data), [] if stuck else found, gained)
