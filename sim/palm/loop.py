@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mujoco
@@ -105,11 +105,13 @@ class TurnLog:
 class _Branch:
     """What is done until a time (s): the fingers open to commands ``away`` first, unless None.
 
-    ``goal`` (3, 3) is the rotation that the controller is asked for; nothing moves if it ``rests``.
+    ``goal`` (3, 3) and ``place`` (3,) are what the controller is asked for; nothing moves if it
+    ``rests``.
     """
 
     away: FloatArray | None
     goal: FloatArray
+    place: FloatArray
     opens_until: float
     until: float
     rests: bool = False
@@ -128,13 +130,13 @@ class _Driver:
         within: float,
     ) -> None:
         self.plant, self.goal, self.place, self.settings = plant, goal, place, settings
-        self.begun, self._within = begun, within
+        self.begun, self.within = begun, within
         self.controller = PalmController(plant, settings)
         self.solve_s: list[float] = []
 
     def twin(self) -> _Driver:
         """Another with a controller of its own."""
-        given = (self.plant, self.goal, self.place, self.settings, self.begun, self._within)
+        given = (self.plant, self.goal, self.place, self.settings, self.begun, self.within)
         return _Driver(*given)
 
     def phase(self, data: Any, branch: _Branch) -> str:
@@ -144,7 +146,7 @@ class _Driver:
                 return "still"
             if branch.away is not None:
                 return "open"
-        return "still" if angle_deg(self.plant, data, self.goal) <= self._within else "turn"
+        return "still" if angle_deg(self.plant, data, self.goal) <= self.within else "turn"
 
     def period(
         self, model: Any, data: Any, branch: _Branch, on_step: Callable[[], None] | None = None
@@ -158,7 +160,7 @@ class _Driver:
             command = plant.moment @ data.qpos[plant.qpos]
             command[plant.idle] = self.begun[plant.idle]  # a wrist that sags would sag further
             start = time.thread_time()
-            new = self.controller.command(data.qpos, command, branch.goal, self.place)
+            new = self.controller.command(data.qpos, command, branch.goal, branch.place)
             self.solve_s.append(time.thread_time() - start)
             new = self.controller.held_back(new, command)
             new[plant.idle] = self.begun[plant.idle]
@@ -205,12 +207,13 @@ class _LookAhead:
         stuck = now - self._since > asked.stall_s
         unmoved = abs(here - self._last) < gain
         self._last, self._unmoved = here, self._unmoved + 1 if unmoved else 0
-        on = _Branch(away=None, goal=self._real.goal, opens_until=now, until=now + asked.ahead_s)
-        first = self.value(0, data, on)
-        found = [(first, on)]
-        gained = here - gain
-        if first < gained and self._risk(data, on, first, self.value(1, data, on)) < gained:
-            return on
+        on = self._onwards(data, self._real.place)
+        found, gained = [], here - gain
+        for one in [on, *self._staying(data)]:
+            first = self.value(0, data, one)
+            if first < gained and self._risk(data, one, first, self.value(1, data, one)) < gained:
+                return one
+            found.append((first, one))
         branches = self._worst(data, self._openings(data), [] if stuck else found, gained)
         if branches[0][0] > here + asked.lapse_deg:
             branches += self._worst(data, self._openings(data, some=True), [], gained)
@@ -222,10 +225,24 @@ class _LookAhead:
         if stuck:
             self._best, self._since = np.inf, now
         value, best = min(branches, key=lambda pair: pair[0], default=(np.inf, on))
-        if value <= here + asked.lapse_deg:
+        if value <= here + asked.lapse_deg * (1 + self._unmoved):
             return best
         end = now + asked.open_s + asked.ahead_s
-        return _Branch(away=None, goal=self._real.goal, opens_until=end, until=end, rests=True)
+        return replace(on, opens_until=end, until=end, rests=True)
+
+    def _onwards(self, data: Any, place: FloatArray) -> _Branch:
+        """Going on to the goal, with the object at a place (3,)."""
+        now = float(data.time)
+        until = now + self._real.settings.ahead_s
+        return _Branch(
+            away=None, goal=self._real.goal, place=place, opens_until=now, until=until
+        )
+
+    def _staying(self, data: Any) -> list[_Branch]:
+        """Turning an object that lies off its place where it lies: the way back may be barred."""
+        if self._off(data) <= self._real.settings.free_m:
+            return []
+        return [self._onwards(data, data.xpos[self._real.plant.object_body].copy())]
 
     def _risk(self, data: Any, branch: _Branch, *costs: float) -> float:
         """The worst of the costs of a branch, and what it costs that it may drop the object."""
@@ -292,6 +309,7 @@ class _LookAhead:
             _Branch(
                 away=one,
                 goal=targets[k % len(targets)],
+                place=real.place,
                 opens_until=opens,
                 until=opens + asked.ahead_s,
             )
@@ -342,11 +360,16 @@ class _LookAhead:
         return float(np.linalg.norm(data.xpos[self._real.plant.object_body] - self._real.place))
 
     def _cost(self, data: Any) -> float:
-        """Angle (degrees) to the goal, and what it costs to lie away from where fingers reach."""
+        """Angle (degrees) to the goal, and what it costs to lie away from where fingers reach.
+
+        At the goal the place costs nothing: nothing moves any more.
+        """
         real, free = self._real, self._real.settings.free_m
+        angle = angle_deg(real.plant, data, real.goal)
+        if angle <= real.within:
+            return angle
         far = max(0.0, self._off(data) - free)
-        outside = real.settings.far_deg * far * (1.0 + far / free)
-        return angle_deg(real.plant, data, real.goal) + outside
+        return angle + real.settings.far_deg * far * (1.0 + far / free)
 
 
 def _servos_of_fingers(plant: Plant) -> IntArray:
@@ -404,7 +427,7 @@ def turn(
     within = min(settings.still_deg, STILL_SHARE * tolerance_deg)
     driver = _Driver(plant, goal, place, settings, begun, within)
     look = _LookAhead(driver, low, seed)
-    branch = _Branch(away=None, goal=goal, opens_until=-np.inf, until=-np.inf)
+    branch = _Branch(away=None, goal=goal, place=place, opens_until=-np.inf, until=-np.inf)
     held = 0.0
     while data.time - began_at < longest_s:
         if data.time >= branch.until - ROUNDING_S and driver.phase(data, branch) == "turn":
