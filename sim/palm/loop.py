@@ -68,8 +68,10 @@ REST_S = 0.3
 which one that rolls gets further: it must still be there then, and its place counts then too."""
 
 LOOK_STEP_S = 0.004
-"""Least step (s) of the simulation in a look ahead: half the time of the scene's 2 ms, and ends of
-0.6 s differ by 2 mm in the median, less than between the two frictions."""
+"""Least step (s) of the simulation where branches are first compared: half the time of the scene's
+2 ms, and ends of 0.6 s differ by 2 mm in the median. What is tried again has the scene's own step:
+going on with a cube at 147 degrees ended at 114 to 142 with 4 ms, and at 220 in most of 24 trials
+with 2 ms."""
 
 ROUNDING_S = 1e-9
 """Difference (s) of times that are the same but for rounding."""
@@ -183,7 +185,13 @@ class _LookAhead:
 
     def __init__(self, driver: _Driver, low: float, seed: int) -> None:
         self._real, self._low, self._rng = driver, low, np.random.default_rng(seed)
-        self._models = [_rubbed(driver.plant.model, share) for share in (*FRICTIONS, *AGAIN)]
+        model = driver.plant.model
+        steps = [max(model.opt.timestep, LOOK_STEP_S)]
+        steps += [model.opt.timestep] * (len(FRICTIONS) - 1 + len(AGAIN))
+        shares = (*FRICTIONS, *AGAIN)
+        self._models = [
+            _rubbed(model, share, step) for share, step in zip(shares, steps, strict=True)
+        ]
         self._data, self._end = (mujoco.MjData(driver.plant.model) for _ in range(2))
         self._trial = driver.twin()
         self._best, self._since = np.inf, -np.inf
@@ -385,10 +393,10 @@ def _servos_of_fingers(plant: Plant) -> IntArray:
     return np.array(rows, dtype=int)
 
 
-def _rubbed(model: Any, share: float) -> Any:
-    """A copy of a model with a share of its sliding friction, and steps of ``LOOK_STEP_S``."""
+def _rubbed(model: Any, share: float, step_s: float) -> Any:
+    """A copy of a model with a share of its sliding friction, and steps of its own."""
     rubbed = copy.copy(model)
-    rubbed.opt.timestep = max(model.opt.timestep, LOOK_STEP_S)
+    rubbed.opt.timestep = step_s
     rubbed.geom_friction[:, 0] *= share
     rubbed.pair_friction[:, :2] *= share
     return rubbed
