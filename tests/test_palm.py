@@ -451,11 +451,12 @@ def test_an_object_off_its_place_is_turned_where_it_lies(
     best = look.choose(now)
     assert best.away is None and not best.rests
     asked: list[Any] = []
-    monkeypatch.setattr(
-        look._real.controller,
-        "command",
-        lambda qpos, ctrl, goal, place: asked.append(place) or ctrl,
-    )
+
+    def command(qpos: Any, ctrl: Any, goal: Any, place: Any) -> Any:
+        asked.append(place)
+        return ctrl
+
+    monkeypatch.setattr(look._real.controller, "command", command)
     look._real.period(lying[1].model, now, best)
     assert np.allclose(asked, lies)
 
