@@ -242,9 +242,7 @@ class _LookAhead:
         """Going on to the goal, with the object at a place (3,)."""
         now = float(data.time)
         until = now + self._real.settings.ahead_s
-        return _Branch(
-            away=None, goal=self._real.goal, place=place, opens_until=now, until=until
-        )
+        return _Branch(away=None, goal=self._real.goal, place=place, opens_until=now, until=until)
 
     def _staying(self, data: Any) -> list[_Branch]:
         """Turning an object that lies off its place where it lies: the way back may be barred."""
