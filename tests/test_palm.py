@@ -524,13 +524,14 @@ def test_a_look_ahead_counts_place_friction_and_a_fall(lying: Any) -> None:
     assert FRICTIONS[0] < FRICTIONS[2] < 1.0 < FRICTIONS[1]
     model = lying[1].model
     for rubbed, share in zip(look._models, (*FRICTIONS, *AGAIN), strict=True):
-        assert rubbed.opt.timestep == 2 * model.opt.timestep
         assert rubbed.geom_friction[:, 0] == pytest.approx(share * model.geom_friction[:, 0])
     pair = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom name='a' size='1'/><body><geom name='b' size='1'/></body>"
         "</worldbody><contact><pair geom1='a' geom2='b' friction='1 1 1 1 1'/></contact></mujoco>"
     )
-    assert _rubbed(pair, 0.5).pair_friction[0] == pytest.approx([0.5, 0.5, 1.0, 1.0, 1.0])
+    assert _rubbed(pair, 0.5, 0.002).pair_friction[0] == pytest.approx([0.5, 0.5, 1.0, 1.0, 1.0])
+    steps = [model.opt.timestep for model in look._models]
+    assert steps == [0.004] + [lying[1].model.opt.timestep] * (len(FRICTIONS) + len(AGAIN) - 1)
     thrown = drive(lying, 60.0)[0]
     thrown.qpos[lying[1].object_qpos[:3]] += [0.3, 0.0, 0.0]  # beside the hand
     end = thrown.time
