@@ -235,9 +235,11 @@ def test_its_value_is_what_comes_of_it(lying: Any) -> None:
     """A branch that leaves the fingers where they are costs the angle that there is."""
     now, look = drive(lying, 60.0)
     end = now.time + 0.3
-    stays = _Branch(away=look._real.begun, goal=np.eye(3), opens_until=end, until=end)
+    stays = _Branch(
+        away=look._real.begun, goal=np.eye(3), place=look._real.place, opens_until=end, until=end
+    )
     assert look.value(0, now, stays) == pytest.approx(60.0, abs=1.0)
-    on = _Branch(away=None, goal=look._real.goal, opens_until=now.time, until=now.time + 0.2)
+    on = replace(look._onwards(now, look._real.place), until=now.time + 0.2)
     first = look.value(0, now, on)
     look.value(1, now, on)
     assert look.value(0, now, on) == first  # whatever was tried between
@@ -417,6 +419,65 @@ def test_what_comes_after_decides_where_nothing_gains(
     assert look.choose(now).rests  # going on is no branch, and after the opening all drop
 
 
+def test_less_counts_as_progress_where_less_is_left(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 6 degrees 2 are gained by going on, and of 60 not; an opening would gain more."""
+    now, look = drive(lying, 60.0, branches=2)
+    for here, goes_on in ((6.0, True), (60.0, False)):
+        look._best, look._since = np.inf, -np.inf
+        monkeypatch.setattr(look, "_cost", lambda _, here=here: here)
+        monkeypatch.setattr(
+            look,
+            "value",
+            lambda _, __, branch, here=here: here - (2.0 if branch.away is None else 5.0),
+        )
+        assert (look.choose(now).away is None) == goes_on
+
+
+def test_an_object_off_its_place_is_turned_where_it_lies(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Asked for its place it gains nothing, asked to stay there it does; at its place none asks."""
+    now, look = drive(lying, 60.0, branches=2)
+    assert look._staying(now) == []
+    lies = look._real.place.copy()
+    look._real.place = lies + np.array([0.03, 0.0, 0.0])
+
+    def value(which: int, data: Any, branch: _Branch) -> float:
+        return 20.0 if np.allclose(branch.place, lies) else 200.0
+
+    monkeypatch.setattr(look, "value", value)
+    best = look.choose(now)
+    assert best.away is None and not best.rests
+    asked: list[Any] = []
+
+    def command(qpos: Any, ctrl: Any, goal: Any, place: Any) -> Any:
+        asked.append(place)
+        return ctrl
+
+    monkeypatch.setattr(look._real.controller, "command", command)
+    look._real.period(lying[1].model, now, best)
+    assert np.allclose(asked, lies)
+
+
+def test_at_the_goal_the_place_costs_nothing(lying: Any) -> None:
+    for turned, costs in ((3.0, False), (5.0, True)):  # the commands stay within 3.5 degrees
+        now, look = drive(lying, turned)
+        look._real.place = look._real.place + np.array([0.03, 0.0, 0.0])
+        assert (look._cost(now) > turned + 1.0) == costs
+
+
+def test_rest_does_not_last_for_ever(lying: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An opening that loses 100 degrees, of which 30 may be lost: fingers rest three times."""
+    now, look = drive(lying, 60.0, branches=2)
+    monkeypatch.setattr(
+        look, "value", lambda _, __, branch: np.inf if branch.away is None else 160.0
+    )
+    monkeypatch.setattr(look, "_onward", lambda _, __, value: value)
+    assert [look.choose(now).rests for _ in range(4)] == [True, True, True, False]
+
+
 def test_what_lies_out_of_reach_is_brought_back_by_some_of_them(lying: Any) -> None:
     """These ask for the rotation that the object has; at its place none does."""
     now, look = drive(lying, 60.0, branches=4)
@@ -463,17 +524,18 @@ def test_a_look_ahead_counts_place_friction_and_a_fall(lying: Any) -> None:
     assert FRICTIONS[0] < FRICTIONS[2] < 1.0 < FRICTIONS[1]
     model = lying[1].model
     for rubbed, share in zip(look._models, (*FRICTIONS, *AGAIN), strict=True):
-        assert rubbed.opt.timestep == 2 * model.opt.timestep
         assert rubbed.geom_friction[:, 0] == pytest.approx(share * model.geom_friction[:, 0])
     pair = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom name='a' size='1'/><body><geom name='b' size='1'/></body>"
         "</worldbody><contact><pair geom1='a' geom2='b' friction='1 1 1 1 1'/></contact></mujoco>"
     )
-    assert _rubbed(pair, 0.5).pair_friction[0] == pytest.approx([0.5, 0.5, 1.0, 1.0, 1.0])
+    assert _rubbed(pair, 0.5, 0.002).pair_friction[0] == pytest.approx([0.5, 0.5, 1.0, 1.0, 1.0])
+    steps = [model.opt.timestep for model in look._models]
+    assert steps == [0.004] + [lying[1].model.opt.timestep] * (len(FRICTIONS) + len(AGAIN) - 1)
     thrown = drive(lying, 60.0)[0]
     thrown.qpos[lying[1].object_qpos[:3]] += [0.3, 0.0, 0.0]  # beside the hand
     end = thrown.time
-    rests = _Branch(away=None, goal=np.eye(3), opens_until=end, until=end, rests=True)
+    rests = replace(look._onwards(now, look._real.place), opens_until=end, until=end, rests=True)
     assert look.value(0, thrown, rests) == np.inf
 
 
@@ -485,7 +547,7 @@ def test_what_rolls_on_after_a_branch_counts(
     told = iter(costs)
     monkeypatch.setattr(look, "_cost", lambda _: next(told))
     end = now.time
-    rests = _Branch(away=None, goal=np.eye(3), opens_until=end, until=end, rests=True)
+    rests = replace(look._onwards(now, look._real.place), opens_until=end, until=end, rests=True)
     assert look.value(0, now, rests) == 40.0
 
 

@@ -648,13 +648,14 @@ def test_a_blow_is_fastest_where_the_nail_is_and_brakes_from_there(
     use.begin(still, "engage")
     use.begin(still, "use")
     monkeypatch.setattr(strike, "joint_value", lambda *_: 0.0)
-    monkeypatch.setattr(strike, "tip_now", lambda *_: use.mouth + np.array([0.0, 0.0, HOVER]))
     _, axis, lever = use._grip
     low, top = HOVER / lever, np.deg2rad(use.numbers["swing_deg"])
     falls = 2 * (top + low) * lever / use.numbers["speed_m_s"]
 
     def angle(after: float) -> float:
-        now: Any = SimpleNamespace(time=use._begun + after, touching=lambda: ())
+        now: Any = SimpleNamespace(
+            time=use._begun + after, touching=lambda: (), T_world_object=task.T_world_object
+        )
         base = use._striking(now).T_world_base
         turned: float = pin.log3(base.rotation @ use._base.rotation.T) @ axis
         return turned
@@ -664,6 +665,54 @@ def test_a_blow_is_fastest_where_the_nail_is_and_brakes_from_there(
     met = RAISE + falls
     rates = [(angle(met + h) - angle(met + h - 1e-6)) / 1e-6 * lever for h in (0.0, THROUGH)]
     assert rates == pytest.approx([-use.numbers["speed_m_s"], 0.0], abs=1e-3)
+
+
+def test_a_blow_begins_with_the_tool_where_it_was_over_the_nail(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A tool that turned and slipped in the hand, which is moved as one with it: back, and down.
+
+    The hand is commanded, and stands 1 mm below that; after the next blow nothing has changed.
+    """
+    use = Strike(load_tool("hammer"))
+    tip = plan.contacts.positions.mean(axis=0) + np.array([0.06, 0.0, 0.0])
+    task = replace(plan.task, T_world_object=use.tool.T_world_object(tip))
+    sag = SE3(np.eye(3), np.array([0.0, 0.0, -0.001]))
+    driven = {"now": 0.003}
+    monkeypatch.setattr(strike, "joint_value", lambda *_: driven["now"])
+    start: Any = SimpleNamespace(
+        plan=replace(plan, task=task), T_world_base=plan.T_world_base, time=0.0
+    )
+    use.begin(start, "engage")
+    use.begin(start, "use")
+    whole = use.duration / use.numbers["blows"]
+
+    def moved(blow: float, in_hand: SE3) -> SE3:
+        """The tool once it is over the nail again, raised by the swing's angle."""
+        command = use._base if blow == 0 else use._aimed(1.0)[0]
+        now: Any = SimpleNamespace(time=blow * whole, touching=lambda: ())
+        now.T_world_object = sag * command * in_hand
+        use._striking(now)
+        return sag * use._aimed(1.0)[0] * in_hand
+
+    first = plan.T_world_base.inverse() * task.T_world_object
+    begun = moved(0, first)
+    slipped = SE3(pin.exp3(np.array([0.1, -0.05, 0.08])), np.array([0.002, -0.004, 0.001])) * first
+    driven["now"] = 0.008
+    for blow in (1, 2):
+        over = moved(blow, slipped)
+        lower = begun.translation - [0.0, 0.0, 0.005]
+        assert over.translation == pytest.approx(lower, abs=2e-4)  # 1 mm of sag, turned
+        assert over.rotation == pytest.approx(begun.rotation)
+    assert use._aimed(1.0)[1] == pytest.approx([0.0, 0.0, -0.005])  # the elbow goes down as far
+    assert use._turn.angular == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+def test_a_hammer_is_grasped_against_blows_that_glance() -> None:
+    """Beside those of the swing: the hand gives way about the handle and about the blow too."""
+    hammer = load_tool("hammer")
+    across = np.array([needed.force for needed in hammer.needed]) @ np.cross(hammer.axis, [0, 0, 1])
+    assert sorted(np.sign(across)) == [-1, 0, 0, 1]
 
 
 def test_a_contact_is_lost_later_where_blows_shake_fingers_off(

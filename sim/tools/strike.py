@@ -2,8 +2,10 @@
 
 The hand brings the face of the hammer onto the nail's head and swings it about a horizontal axis,
 as about an elbow behind the grip: slowly up, and down so that the face moves at the asked speed
-where it meets the head. Before every blow it goes down by as much as the nail has gone. (About the
-middle of the grip, 1 m/s at a lever of 60 mm are 16 rad/s, which no forearm follows.)
+where it meets the head. Before every blow it moves so that the tool, wherever it lies in the hand
+by now, is where it was before the first one, and lower by as much as the nail has gone: a face that
+meets the nail off its middle turns the tool further. (About the middle of the grip, 1 m/s at a
+lever of 60 mm are 16 rad/s, which no forearm follows.)
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from planner.arrays import checked_number
 from planner.errors import ObjectError, TaskError
@@ -222,17 +225,23 @@ class Strike(Use):
         blow = min(int(since / whole), int(n["blows"]) - 1)
         t = since - blow * whole
         if blow != self._blow:
-            if joint_value(simulation, SLIDE) > self._most - NAIL_IN:
+            depth = joint_value(simulation, SLIDE)
+            if blow:
+                (self._base, self._shift), now = self._aimed(1.0), simulation.T_world_object
+                self._turn = pin.log6(shifted(self._held, depth * DOWN) * now.inverse())
+                self._drop = (depth - self._depth) * DOWN
+            else:
+                self._held = shifted(simulation.T_world_object, -depth * DOWN)
+                self._turn, self._drop = pin.Motion.Zero(), np.zeros(3)
+            self._blow, self._depth = blow, depth
+            if depth > self._most - NAIL_IN:
                 self._is_in = True
-                return Motion(T_world_base=self._lowered(1.0)[0] if blow else self._base, done=True)
-            over = tip_now(simulation, self.tool) - self._head(simulation)
-            self._base, self._shift = self._lowered(1.0) if blow else (self._base, self._shift)
-            self._blow, self._drop = blow, float(over[2]) - HOVER if blow else 0.0
+                return Motion(T_world_base=self._base, done=True)
             self._blows.append(_Blow())
         if t >= RAISE and simulation.touching():
             self._blows[-1].note(self.measure(simulation))
         raised = float(minimum_jerk(np.asarray(min(1.0, t / RAISE))))
-        base, shift = self._lowered(raised)
+        base, shift = self._aimed(raised)
         if t < RAISE:
             angle = top * raised
         elif t < RAISE + strike:
@@ -248,10 +257,9 @@ class Strike(Use):
             done=since >= n["blows"] * whole,
         )
 
-    def _lowered(self, share: float) -> tuple[SE3, FloatArray]:
-        """Base pose, and its shift (3,) from the plan's, at a share of going down for a blow."""
-        down = share * self._drop * DOWN
-        return shifted(self._base, down), self._shift + down
+    def _aimed(self, share: float) -> tuple[SE3, FloatArray]:
+        """Base pose, and its pivot's shift (3,), at a share of the way to where a blow begins."""
+        return pin.exp6(share * self._turn) * self._base, self._shift + share * self._drop
 
     @property
     def duration(self) -> float:
