@@ -18,10 +18,9 @@ from planner.errors import NoGraspFoundError, NotFoundError, TaskError
 from planner.failure import Failure
 from planner.files import read_movement, write_movement
 from planner.files.movements import movement_to_dict
-from planner.kinematics import HandState
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.motion.path import ATTITUDES, AnyAttitude, ObjectPath, checked_attitude, tilts
-from planner.motion.plan import TORSION, WRIST_RATE, Stroke
+from planner.motion.plan import WRIST_RATE
 from planner.motion.regrasp import ROOM, FingerPaths
 from planner.motion.single_stroke import merit, turning_press
 from planner.motion.verify import FALLS, PRESSES, MovementVerifier, Waypoint, _falls, pressed
@@ -29,22 +28,16 @@ from planner.spatial import SE3, rotation_angle, shifted
 from planner.task import Obstacle
 from sim.cli.manipulate import TurnExecution
 from sim.controllers import ObjectImpedance
-from sim.controllers.torques import HoldingTorques
 from sim.manipulation import ManipulationReport, manipulate
 from sim.manipulation.driver import BaseMover
 from sim.manipulation.phases import Phases
-from sim.manipulation.run import KNOWN, ManipulationRun
 from sim.manipulation.simulation import ManipulationOptions, _hinges
 from sim.manipulation.timeline import SuccessCriteria
 from sim.scene.gantry import Gantry
-from sim.simulation import Simulation
 
 G = 9.81
 CORNERS = ((0.03, 0.02), (0.05, -0.01))
 """Places through which an object is carried, m."""
-
-SPINS: dict[str, list[float]] = {}
-"""Largest torque of a pad about its normal per normal force, m, in every step of a phase."""
 
 
 @pytest.fixture(scope="module")
@@ -57,13 +50,7 @@ def plan() -> ManipulationPlan:
 @pytest.fixture(scope="module")
 def report(plan: ManipulationPlan) -> ManipulationReport:
     """What comes of it, carried around a corner meanwhile."""
-
-    def note(simulation: Simulation) -> None:
-        holding: Any = getattr(simulation.controller, "holding", None)
-        SPINS.setdefault(simulation.phase, []).append(np.abs(holding._loop.contacts.spin).max())
-
-    quick = replace(QUICK, wrist_rate=2.0)
-    return manipulate(plan, timeline=quick, via=CORNERS, on_step=note)
+    return manipulate(plan, timeline=replace(QUICK, wrist_rate=2.0), via=CORNERS)
 
 
 def path(attitude: AnyAttitude = "down") -> ObjectPath:
@@ -373,51 +360,6 @@ def test_a_stroke_whose_thumb_turns_the_object_along_is_not_good_enough(
     presses = [turning_press(spun(plan, spin)) for spin in (0.0, 0.01, 0.02, 0.1)]
     assert presses == sorted(presses) and presses[-1] == math.inf
     assert merit(spun(plan, 0.1)) == 0.0 < merit(spun(plan, 0.0))
-
-
-@pytest.mark.parametrize(
-    ("attitude", "strokes", "torsion"),
-    [("down", 1, 0.0), ("up", 1, KNOWN * TORSION), ("up", 2, 0.0)],
-)
-def test_the_closed_loop_bears_what_tips_turn_along_in_another_attitude(
-    plan: ManipulationPlan, attitude: str, strokes: int, torsion: float
-) -> None:
-    """In turns without regrasps."""
-    turned = replace(
-        plan,
-        path=replace(plan.path, attitude=checked_attitude(attitude)),
-        phases=tuple(Stroke(cycle=k, knots=plan.knots) for k in range(strokes)),
-    )
-    holding: Any = ManipulationRun(turned).sim.driver.holding
-    assert holding._torsion == torsion
-
-
-def test_torsional_friction_counts_while_the_object_is_turned_and_none_else(
-    report: ManipulationReport,
-) -> None:
-    assert report.complete
-    assert max(SPINS["turn"]) == pytest.approx(KNOWN * TORSION)
-    assert SPINS["turn"][0] < 0.1 * TORSION, "from rest"
-    assert max(SPINS["lift"]) == max(SPINS["carry"]) == 0.0
-
-
-def test_a_pad_pivots_with_what_it_turns_beyond_the_object(plan: ManipulationPlan) -> None:
-    """About its normal, as differences of its orientation have it."""
-    hand, rng = plan.task.hand, np.random.default_rng(0)
-    q, v = plan.grasp.q, rng.normal(size=hand.nq)
-    torques = HoldingTorques(plan.grasp)
-    torques.move(q, v, plan.task.gravity)
-    contacts = plan.grasp.contacts.transformed(plan.grasp.T_world_base.inverse())
-    torques.touch(contacts.positions, contacts.center, np.ones(len(contacts), dtype=bool))
-    turn, step, rates = rng.normal(size=3), 1e-6, []
-    moving = np.where(torques._moving, v, 0.0)
-    for finger, normal in zip(plan.task.fingers, contacts.normals, strict=True):
-        old, new = (
-            HandState(hand, q + s * moving).joint_pose(finger.pad.joint_id).rotation
-            for s in (0.0, step)
-        )
-        rates.append((pin.log3(new @ old.T) / step - turn) @ normal)
-    np.testing.assert_allclose(torques.pivoting(contacts.normals, turn), rates, atol=1e-4)
 
 
 def test_places_of_a_carry_are_pairs_of_numbers() -> None:

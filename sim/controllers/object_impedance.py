@@ -35,7 +35,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from planner.arrays import checked_number
 from planner.errors import NotFoundError, TaskError
 from planner.forces import ForceLoop, QuadraticCost, turned_frames
 from planner.plan import GraspPlan
@@ -98,10 +97,6 @@ SWAYED = 1.0 + 2.0 * math.cos(math.radians(3.0))
 """Trace (-) of a rotation by 3 degrees: a palm that turns less stands still. A gantry that is
 pushed with 7 N sways by more than one degree."""
 
-PIVOT_RATE = 0.2
-"""Rate (rad/s) at which a pad turns about its normal on the object from which on all of its
-torsional friction is reckoned with: a third of what a thumb does in a turn at full rate."""
-
 CONFIRMED = 0.95
 """A slip at this share of the believed friction or more confirms it (-)."""
 
@@ -143,7 +138,6 @@ class ObjectImpedance:
         mu: float | None = None,
         max_normal: float | None = None,
         costs: Sequence[QuadraticCost] = (),
-        torsion: float = 0.0,
     ) -> None:
         """Prepare for a plan.
 
@@ -155,9 +149,6 @@ class ObjectImpedance:
             max_normal: Largest normal force that a pad is asked for, N; ``MAX_NORMAL`` if None, of
                 two hands at least ``MOST_OF_PLANNED`` times the planned one.
             costs: Costs of your own of the contact forces, in every step.
-            torsion: Torsional friction (m) of pads that pivot while a reference moves the object:
-                forces are chosen that bear what it turns the object along with; 0 leaves that to
-                the learned load.
 
         Raises:
             ContactError: A cost of another number of force components.
@@ -179,7 +170,6 @@ class ObjectImpedance:
             most = np.maximum(most, MOST_OF_PLANNED * plan.contacts.forces[:, 0])
         self._max_normal = most
         self._costs = tuple(costs)
-        self._torsion = checked_number("torsion", torsion, least=0.0, error=TaskError)
         if task.hand.pair:
             check_two_hands(task)
         else:
@@ -194,7 +184,6 @@ class ObjectImpedance:
         self.reference: Reference | None = None
         self.grip = task.grip_force
         self.forces = np.zeros((n, 4))
-        self._spin = np.zeros(n)  # torque about its normal per normal force of a pad, m
         self._events: list[Event] = []
         self._opening = GraspController(plan)
         self.calibration = self._opening.calibration
@@ -328,9 +317,6 @@ class ObjectImpedance:
         pose = T_base_palm * in_palm
         moving = self._torques.touch(self._points, pose.translation, holding)
         held_back = self._torques.held_back(self._frames[:, :, 0])
-        if self._torsion:
-            rates = self._torques.pivoting(self._frames[:, :, 0], moving[3:])
-            self._spin = follows * self._torsion * np.clip(rates / PIVOT_RATE, -1.0, 1.0)
         if follows:
             self._correction.forget()
         elif observation.uncertainty is not None:
@@ -539,7 +525,6 @@ class ObjectImpedance:
             * share,
             max_normal=self._max_normal * share,
             previous=self.forces,
-            spin=self._spin if self._torsion else None,
         )
         if not step.allowed:
             # the least grip exceeds the actuators; without it zero forces are always allowed
@@ -554,8 +539,7 @@ class ObjectImpedance:
         """Wrench (6,) of the contact forces about a point, base axes."""
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         torques = np.cross(self._points - center, forces)
-        about = self.forces[:, 3] + self._spin * self.forces[:, 0]
-        torques += about[:, None] * self._frames[:, :, 0]
+        torques += self.forces[:, 3:] * self._frames[:, :, 0]
         return np.concatenate([forces.sum(axis=0), torques.sum(axis=0)])
 
     def _judge(self, elapsed: float, wrench: FloatArray, missed: FloatArray) -> None:

@@ -202,15 +202,6 @@ class HoldingTorques:
         self._between, common, self.brake = self.springs.pull(center, self._v)
         return common
 
-    def pivoting(self, normals: FloatArray, turn: FloatArray) -> FloatArray:
-        """Rates (n,), rad/s, at which pads turn about their normals (n, 3) on what they hold.
-
-        Args:
-            normals: (n, 3), into the object.
-            turn: (3,), its angular velocity relative to the palm.
-        """
-        return np.asarray(((self.turning @ self._v_moving - turn) * normals).sum(axis=1))
-
     def commands(
         self,
         forces: FloatArray,

@@ -132,11 +132,7 @@ class InHandController(Protocol):
 
 
 def in_hand_controller(
-    plan: GraspPlan,
-    given: AnyTurningController | None,
-    *,
-    max_normal: float,
-    torsion: float = 0.0,
+    plan: GraspPlan, given: AnyTurningController | None, *, max_normal: float
 ) -> InHandController:
     """The controller that was given, made for a plan and able to turn.
 
@@ -144,14 +140,13 @@ def in_hand_controller(
         plan: The grasp that the manipulation begins with.
         given: Name, controller, class or function of the plan; "impedance" if None.
         max_normal: Largest normal force that the default asks of a finger, N.
-        torsion: Torsional friction (m) that the default reckons with; see ``ObjectImpedance``.
 
     Raises:
         NotFoundError: No controller has that name.
         TaskError: What was given is none.
     """
     if given is None or given == "impedance":
-        return ObjectImpedance(plan, max_normal=max_normal, torsion=torsion)
+        return ObjectImpedance(plan, max_normal=max_normal)
     made = cast(TurningController, controller_for(plan, cast(AnyController, given)))
     return made if isinstance(made, InHandController) else GuidedController(plan, made)
 

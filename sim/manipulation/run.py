@@ -21,7 +21,6 @@ from planner.files import given_manipulation
 from planner.motion.ending import backwards, find_release, object_at_target, stands
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
-from planner.motion.plan import TORSION
 from planner.motion.single_stroke import lifted_blocked
 from planner.motion.verify import ASKED_SHARE
 from planner.spatial import SE3, pose_from_wxyz, signed_twist
@@ -45,11 +44,6 @@ from sim.manipulation.standing import rests
 from sim.manipulation.timeline import TURNING, UP, PhaseResult
 from sim.show.picture import Drawn, check_video, draw_tape
 from sim.simulation import Simulation
-
-KNOWN = 0.5
-"""Share (-) of the torsional friction of tips that the closed loop reckons with: a contact that
-needs its friction against sliding has less of it. With all of it a turn that is made with half and
-with none ended 5.2 degrees short."""
 
 
 class Drawing(TypedDict):
@@ -91,11 +85,7 @@ class ManipulationRun:
         self.results: list[PhaseResult] = []
         self._force_limit = options.criteria.normal_N or force_limit(plan)
         most = ASKED_SHARE * self._force_limit
-        # strokes between regrasps are short, and what is learned in them helps to lift fingers
-        torsion = KNOWN * TORSION if plan.path.turns_wrist and plan.cycles == 1 else 0.0
-        holding = in_hand_controller(
-            plan.grasp, options.controller, max_normal=most, torsion=torsion
-        )
+        holding = in_hand_controller(plan.grasp, options.controller, max_normal=most)
         self.sim = ManipulationSim(plan, holding, options)
         parts = (options.timeline, options.criteria, options.via)
         self._phases = Phases(plan, self.sim, *parts)
