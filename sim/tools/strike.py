@@ -103,6 +103,12 @@ class Strike(Use):
     _is_in = False
     """Whether the nail is in, so that it is not struck again."""
 
+    _held: SE3
+    """Where the tool was before the first blow, raised by as much as the nail was in, world."""
+
+    _depth: float
+    """How deep (m) the nail was before this blow."""
+
     lasting: ClassVar[bool] = False
     stub: ClassVar[float] = 0.04
     gives_way: ClassVar[float] = 0.004  # measured: 2 to 4 mm
