@@ -435,6 +435,38 @@ def test_less_counts_as_progress_where_less_is_left(
         assert (look.choose(now).away is None) == goes_on
 
 
+def test_small_progress_near_the_goal_is_no_standstill(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From 6 to 4 degrees, and no branch gains: openings stay narrow, and it is not stuck."""
+    now, look = drive(lying, 60.0, branches=2, stall_s=1.0)
+    monkeypatch.setattr(look, "value", lambda _, __, branch: 6.0 if branch.away is None else 20.0)
+    monkeypatch.setattr(look, "_onward", lambda _, __, value: value)
+    for here in (6.0, 4.0):
+        monkeypatch.setattr(look, "_cost", lambda _, here=here: here)
+        assert look.choose(now).away is None
+        assert look._unmoved == 0
+        now.time += 0.6
+    assert look._since == pytest.approx(now.time - 0.6)
+
+
+def test_going_on_to_the_place_stays_a_branch_beside_turning_where_it_lies(
+    lying: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, look = drive(lying, 60.0, branches=2)
+    look._real.place = look._real.place + np.array([0.03, 0.0, 0.0])
+    here = look._cost(now)
+
+    def value(which: int, data: Any, branch: _Branch) -> float:
+        there = branch.away is None and np.allclose(branch.place, look._real.place)
+        return here - 1.0 if there else here + 10.0  # less than progress
+
+    monkeypatch.setattr(look, "value", value)
+    monkeypatch.setattr(look, "_onward", lambda _, __, value: value)
+    best = look.choose(now)
+    assert best.away is None and np.allclose(best.place, look._real.place)
+
+
 def test_an_object_off_its_place_is_turned_where_it_lies(
     lying: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

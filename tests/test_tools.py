@@ -708,6 +708,25 @@ def test_a_blow_begins_with_the_tool_where_it_was_over_the_nail(
     assert use._turn.angular == pytest.approx(np.zeros(3), abs=1e-9)
 
 
+def test_a_nail_that_is_in_is_not_struck_again(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """15 mm from the end of its way; before that another blow begins."""
+    for left, over in ((0.014, True), (0.016, False)):
+        use = Strike(load_tool("hammer"))
+        tip = plan.contacts.positions.mean(axis=0) + np.array([0.06, 0.0, 0.0])
+        task = replace(plan.task, T_world_object=use.tool.T_world_object(tip))
+        monkeypatch.setattr(strike, "joint_value", lambda *_, use=use, left=left: use._most - left)
+        now: Any = SimpleNamespace(
+            plan=replace(plan, task=task), T_world_base=plan.T_world_base, time=0.0
+        )
+        now.T_world_object, now.touching = task.T_world_object, lambda: ()
+        use.begin(now, "engage")
+        use.begin(now, "use")
+        assert use._striking(now).done == over
+        assert (len(use._blows), use._is_in) == (0 if over else 1, over)
+
+
 def test_a_hammer_is_grasped_against_blows_that_glance() -> None:
     """Beside those of the swing: the hand gives way about the handle and about the blow too."""
     hammer = load_tool("hammer")
