@@ -201,7 +201,8 @@ class _LookAhead:
     def choose(self, data: Any) -> _Branch:
         """What to do from a state on.
 
-        Going on, where it gains ``progress_deg``; else the branch with the least cost at its end
+        Going on, or turning the object where it lies, where that gains ``progress_deg`` or
+        ``NEAR`` of what is left, if that is less; else the branch with the least cost at its end
         with the worst friction, without going on once nothing has been gained for ``stall_s``.
         Where that costs ``lapse_deg`` more than now, the object lies on the fingers: some of them
         stay then while others open. Where nothing gains, what another opening makes of the end

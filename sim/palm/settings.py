@@ -51,12 +51,13 @@ class PalmSettings:
         slowest: Least share of ``command_rad`` that remains (-).
         still_deg: Angle (degrees) to the goal within which the commands stay.
         sweeps: Gauss-Newton steps per solve (-), each from where the last solve ended.
-        progress_deg: Gain (degrees) that counts as progress.
+        progress_deg: Gain (degrees) that counts as progress; near the goal less does.
         ahead_s: How far a look ahead goes, s, and how long its best branch is done; both after
             fingers have opened.
         branches: Openings of the fingers that a look tries (-) where going on gains too little.
         lapse_deg: Loss (degrees) by the best opening beyond which openings of some of the fingers
-            are tried too, and beyond which fingers rather stay.
+            are tried too, and beyond which fingers rather stay; after each look that finds the
+            object where it was, by as much more.
         stall_s: Time (s) without progress after which going on is no branch.
         open_s: Time (s) that fingers take to open.
         scatter_rad: Standard deviation of the postures to which they open, rad.
