@@ -688,7 +688,7 @@ def test_a_blow_begins_with_the_tool_where_it_was_over_the_nail(
     whole = use.duration / use.numbers["blows"]
 
     def moved(blow: float, in_hand: SE3) -> SE3:
-        """The tool once it is over the nail again, raised by the swing's angle."""
+        """Where the tool is once the hand has aimed for a blow, if it moves as one with it."""
         command = use._base if blow == 0 else use._aimed(1.0)[0]
         now: Any = SimpleNamespace(time=blow * whole, touching=lambda: ())
         now.T_world_object = sag * command * in_hand
@@ -706,6 +706,25 @@ def test_a_blow_begins_with_the_tool_where_it_was_over_the_nail(
         assert over.rotation == pytest.approx(begun.rotation)
     assert use._aimed(1.0)[1] == pytest.approx([0.0, 0.0, -0.005])  # the elbow goes down as far
     assert use._turn.angular == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("off", "turned", "follows"),
+    [(0.028, 0.0, True), (0.032, 0.0, False), (0.0, 28.0, True), (0.0, 32.0, False)],
+)
+def test_a_hand_does_not_follow_a_tool_that_it_has_lost(
+    off: float, turned: float, follows: bool
+) -> None:
+    """It then goes down by what the nail has gone, 4 mm, and no more."""
+    use = Strike(load_tool("hammer"))
+    use._held, use._drop = SE3.Identity(), np.array([0.0, 0.0, -0.004])
+    lies = SE3(pin.exp3(np.radians([0.0, turned, 0.0])), np.array([off, 0.0, -0.004]))
+    moved = pin.exp6(use._aim(lies, 0.004))
+    if follows:
+        over = moved * lies
+        assert over.isApprox(SE3(np.eye(3), np.array([0.0, 0.0, -0.004])), 1e-9)
+    else:
+        assert moved.isApprox(SE3(np.eye(3), use._drop), 1e-12)
 
 
 def test_a_nail_that_is_in_is_not_struck_again(

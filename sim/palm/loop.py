@@ -54,8 +54,8 @@ object where it was they become wider. A cube jammed between fingers was held at
 280 s by openings of one width."""
 
 NEAR = 0.3
-"""Share (-) of what is left that counts as progress where it is less than ``progress_deg``: of six
-degrees none can gain three, since commands stay at 3.5."""
+"""Share (-) of the cost that is left which counts as progress, where this is less than
+``progress_deg``. At 6 degrees a gain of 3 is impossible: the commands stay from 3.5 degrees on."""
 
 ONWARD = 4
 """Openings (-) that are tried at the end of a branch which gains nothing: one of each target."""

@@ -22,7 +22,7 @@ import pinocchio as pin
 from planner.arrays import checked_number
 from planner.errors import ObjectError, TaskError
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, minimum_jerk, shifted
+from planner.spatial import SE3, FloatArray, minimum_jerk, rotation_angle, shifted
 from sim.controllers import Phase
 from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
@@ -57,6 +57,10 @@ gave way by the rest."""
 NAIL_IN = 0.015
 """How near (m) to the end of its way a nail is in, and is not struck again: as much as a blow with
 a heavy hand drives it. A nail that has come to its end throws the hammer out of the fingertips."""
+
+OUT_OF_HAND = (0.03, np.deg2rad(30.0))
+"""Distance (m) and turn (rad) of the tool from where a blow begins beyond which the hand does not
+aim again: three times what may be. The hand would follow a tool that it has lost."""
 
 RISE = 0.04
 """How far (m) the hand goes up after the last blow."""
@@ -233,9 +237,9 @@ class Strike(Use):
         if blow != self._blow:
             depth = joint_value(simulation, SLIDE)
             if blow:
-                (self._base, self._shift), now = self._aimed(1.0), simulation.T_world_object
-                self._turn = pin.log6(shifted(self._held, depth * DOWN) * now.inverse())
+                self._base, self._shift = self._aimed(1.0)
                 self._drop = (depth - self._depth) * DOWN
+                self._turn = self._aim(simulation.T_world_object, depth)
             else:
                 self._held = shifted(simulation.T_world_object, -depth * DOWN)
                 self._turn, self._drop = pin.Motion.Zero(), np.zeros(3)
@@ -262,6 +266,15 @@ class Strike(Use):
             T_world_base=about(pivot + shift, axis, angle) * base,
             done=since >= n["blows"] * whole,
         )
+
+    def _aim(self, tool: SE3, depth: float) -> pin.Motion:
+        """Motion of the hand that brings the tool, as it lies in it, over a nail (depth in m)."""
+        wanted = shifted(self._held, depth * DOWN)
+        off = np.linalg.norm(wanted.translation - tool.translation)
+        turned = rotation_angle(wanted.rotation @ tool.rotation.T)
+        if off > OUT_OF_HAND[0] or turned > OUT_OF_HAND[1]:
+            return pin.Motion(self._drop, np.zeros(3))
+        return pin.log6(wanted * tool.inverse())
 
     def _aimed(self, share: float) -> tuple[SE3, FloatArray]:
         """Base pose, and its pivot's shift (3,), at a share of the way to where a blow begins."""
