@@ -49,6 +49,7 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.joints.description import PINCH
 from planner.kinematics import HandState
+from planner.numerics.kernels import planning_time
 from planner.objects import GraspObject, NeededWrench, Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
 from planner.schema import StrictData, Vector3, faults_of
@@ -532,6 +533,7 @@ def plan_use(
     progress: Callable[[Attempt[GraspPlan]], object] | None = None,
     fit: Callable[[GraspPlan, GraspTask], GraspPlan | Failure] | None = None,
     gives_way: float = 0.0,
+    rehearse: Callable[[GraspPlan], Failure | None] | None = None,
 ) -> GraspPlan:
     """A grasp for the use of a tool: needed wrenches with margin, and a way that is free.
 
@@ -550,6 +552,8 @@ def plan_use(
             grasps are searched with needed wrenches if None.
         gives_way: How far the tool may give way before the fingers for a moment, m: see
             ``followed``.
+        rehearse: Tries a grasp that is proven and free, and says what it fails by; None where
+            nothing is to be tried.
 
     Raises:
         NoGraspFoundError: The budget ended; says which needed wrench failed, and by which limit.
@@ -562,7 +566,7 @@ def plan_use(
         asked = options or SynthesisOptions(clear_fingers=ASKED_CLEARANCE)
         searched = task if fit is None else replace(task, needed=())
         for attempt in attempts(searched, seed=seed, options=asked):
-            plan = attempt.plan
+            plan, begun = attempt.plan, planning_time()
             near = plan and _too_near(plan, gives_way)
             found = plan and (near or (plan if fit is None else fit(plan, task)))
             if isinstance(found, GraspPlan) and way is not None:
@@ -570,10 +574,15 @@ def plan_use(
                     found = way_blocked(found, way(found)) or found
                 except TaskError as error:
                     found = Failure(kind="use_way", text=str(error))
-            if isinstance(found, Failure):
-                yield replace(attempt, plan=None, failure=found)
-            else:
-                yield replace(attempt, plan=found)
+            if isinstance(found, GraspPlan) and rehearse is not None:
+                found = rehearse(found) or found
+            failure = found if isinstance(found, Failure) else attempt.failure
+            yield replace(
+                attempt,
+                plan=found if isinstance(found, GraspPlan) else None,
+                failure=failure,
+                cpu_s=attempt.cpu_s + planning_time() - begun,
+            )
 
     plan, made = search(
         judged(),

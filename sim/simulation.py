@@ -294,7 +294,7 @@ class Simulation:
             T_world_base=self.T_world_base,
             T_world_object=self.T_world_object,
             normal_forces=self.normal_forces(),
-            read_twist=self.object_twist,
+            read_twist=partial(scene.object_twist, data),
             read_contacts=partial(hand_contacts, scene, data),
             read_pads=partial(read_pads, scene, data, fingers),
             read_touch=partial(_read_touch, scene, data, fingers),

@@ -231,6 +231,7 @@ class Trial:
         except KeyboardInterrupt:
             interrupted = True
         finally:
+            simulation.on_step = None  # it holds this trial, and the trial what it is called by
             simulation.close()
         report = self.judged(begin, interrupted=interrupted)
         if tape is None:

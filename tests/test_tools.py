@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import gc
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
+from weakref import ref
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner import GraspObject, GraspPlan, GraspTask, NeededWrench, load_tool, plan_use, use_task
+from planner import (
+    GraspObject,
+    GraspPlan,
+    GraspTask,
+    NeededWrench,
+    load_tool,
+    plan_use,
+    tools,
+    use_task,
+)
 from planner.certify import certify
 from planner.collision.pair_table import Clearance
 from planner.errors import NoGraspFoundError, PlannerError
@@ -22,6 +35,7 @@ from planner.files import read_plan, write_plan
 from planner.files.plans import plan_from_dict, plan_to_dict
 from planner.kinematics import HandState
 from planner.objects import parse_object
+from planner.search.attempt import Attempt
 from planner.spatial import SE3, shifted
 from planner.synthesis.options import SynthesisOptions, needed_options
 from planner.tools import (
@@ -50,7 +64,14 @@ from sim.simulation import Simulation
 from sim.tools import USES, strike
 from sim.tools.press import LEVER
 from sim.tools.strike import HOVER, RAISE, THROUGH, Strike, _Blow
-from sim.tools.trial import GONE, YIELDING, GuidedLoad, UseController, yaw_of_plan
+from sim.tools.trial import (
+    GONE,
+    YIELDING,
+    GuidedLoad,
+    UseController,
+    rehearsed,
+    yaw_of_plan,
+)
 from sim.tools.turn import HINGE, MADE, RAMP, RATE, SLIDE, Turn
 from sim.tools.use import FIXTURE, Motion, use_of
 
@@ -260,6 +281,111 @@ def test_a_strike_is_planned_for_fingers_that_follow(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("sim.tools.trial.plan_use", lambda *_, **kwargs: given.update(kwargs))
     plan_tool("allegro_hand", "hammer")
     assert given["gives_way"] == Strike.gives_way > 0
+
+
+def test_only_a_blow_is_rehearsed_and_not_where_that_is_not_wanted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr("sim.tools.trial.plan_use", lambda *_, **given: asked.append(given))
+    plan_tool("allegro_hand", "hammer")
+    plan_tool("allegro_hand", "hammer", rehearse=False)
+    plan_tool("allegro_hand", "key")
+    assert [given["rehearse"] is not None for given in asked] == [True, False, False]
+
+
+def test_a_grasp_that_fails_in_its_rehearsal_is_not_taken(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = [Attempt(index=k, plan=replace(plan), failure=None, cpu_s=0.0) for k in range(3)]
+    monkeypatch.setattr(tools, "attempts", lambda *_, **__: iter(made))
+    tried: list[GraspPlan] = []
+
+    def rehearse(plan: GraspPlan) -> Failure | None:
+        tried.append(plan)
+        until = process_time() + 0.02
+        while process_time() < until:
+            pass
+        return Failure(kind="use_rehearsal", text="it flew away") if len(tried) < 3 else None
+
+    found = plan_use(plan.task, best_of=1, rehearse=rehearse)
+    assert [one is a.plan for one, a in zip(tried, made, strict=True)] == [True] * 3
+    assert found.contacts is made[2].plan.contacts if made[2].plan else False
+    assert found.record is not None
+    assert (found.record.attempts, found.record.cpu_s > 0.05) == (3, True)  # its time counts
+    with pytest.raises(NoGraspFoundError, match="2 attempts: 2 x it flew away"):
+        tried.clear()
+        plan_use(plan.task, max_attempts=2, best_of=1, rehearse=rehearse)
+
+
+class Rehearsed:
+    """In place of a ``UseTrial``: the tool moves in the hand as it is told."""
+
+    made: ClassVar[list[Any]] = []
+    reason, slips, phase = "", (0.0, 0.0), "use"
+
+    def __init__(self, plan: GraspPlan, tool: Tool, **given: Any) -> None:
+        """Note how it was made."""
+        self.given = given
+        self.recorder = SimpleNamespace(every=0.01, slip=lambda: self.slips)
+        now: Any = SimpleNamespace(phase=self.phase, due=lambda _: True, stopped="")
+        now.stop = lambda why: setattr(now, "stopped", why)
+        self.simulation = now
+        self.made.append(self)
+
+    def run(self, *, on_step: Callable[[Any], None]) -> Any:
+        on_step(self.simulation)
+        reason = "stopped" if self.simulation.stopped else self.reason
+        verdict = SimpleNamespace(detail="as told")
+        return SimpleNamespace(success=not reason, reason=reason, verdict=verdict)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({}, None),
+        ({"slips": (4.9, 4.9)}, None),
+        ({"slips": (5.1, 1.0)}, r"friction 0\.5: the tool moved by 5\.1 mm, 1\.0 degrees"),
+        ({"slips": (1.0, 5.1)}, r"friction 0\.5: the tool moved by 1\.0 mm, 5\.1 degrees"),
+        ({"slips": (9.0, 9.0), "phase": "close"}, None),
+        ({"reason": "hand collided"}, r"friction 0\.5: hand collided, as told"),
+    ],
+)
+def test_a_rehearsal_allows_half_of_what_a_trial_does(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], says: str | None
+) -> None:
+    """With the friction that the plan relies on, whatever a later trial has."""
+    monkeypatch.setattr("sim.tools.trial.UseTrial", type("Told", (Rehearsed,), changes))
+    failure = rehearsed(plan, load_tool("screwdriver"))
+    assert (failure is None) == (says is None)
+    assert failure is None or re.search(str(says), failure.text)
+    given = Rehearsed.made[-1].given
+    assert (given["thresholds"].slip_mm, given["thresholds"].slip_deg) == (5.0, 5.0)
+    assert given["physics"].mu == plan.task.mu == 0.5
+
+
+def test_ctrl_c_in_a_rehearsal_ends_planning(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "sim.tools.trial.UseTrial", type("Told", (Rehearsed,), {"reason": "interrupted"})
+    )
+    with pytest.raises(KeyboardInterrupt):
+        rehearsed(plan, load_tool("screwdriver"))
+
+
+def test_a_use_that_is_over_is_given_back_at_once(plan: GraspPlan) -> None:
+    """Each holds 30 MB; many are rehearsed one after the other."""
+    gc.collect()
+    gc.disable()
+    try:
+        trial = UseTrial(plan, load_tool("screwdriver"))
+        kept: list[Any] = [ref(trial), ref(trial.simulation), ref(trial.simulation.scene)]
+        trial.run(on_step=lambda simulation: simulation.stop("seen enough"))
+        del trial
+        assert [one() for one in kept] == [None, None, None]
+    finally:
+        gc.enable()
 
 
 def test_the_way_of_a_use_keeps_off_the_workpiece(plan: GraspPlan) -> None:

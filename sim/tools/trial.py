@@ -13,12 +13,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Unpack
+from weakref import proxy
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.arrays import checked_number
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
@@ -35,6 +37,7 @@ from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
 from sim.scene.carrier import Timeline, carrier_of
 from sim.scene.gantry import GANTRY_FREQUENCY, Gantry
+from sim.scene.physics import PhysicsOptions
 from sim.simulation import Simulation
 from sim.tools.use import DOWN, OwnFinger, Use, needs_gantry, use_of
 from sim.trial import Trial, TrialKeywords, TrialOptions, run_grasp_phase, why_not_lifted
@@ -228,7 +231,7 @@ class UseCarrier:
 
     def __init__(self, trial: UseTrial, gantry: Gantry, timeline: Timeline) -> None:
         """Note what is moved."""
-        self._trial, self._gantry = trial, gantry
+        self._trial, self._gantry = proxy(trial), gantry  # which holds this, by its simulation
         self._grasping = carrier_of(trial.plan, trial.simulation.scene, timeline)
         self._target, self._velocity = np.zeros((2, 6))
         self.done = False
@@ -523,6 +526,47 @@ def task_of_use(
     return task, use
 
 
+REHEARSED = 0.5
+"""Share of ``USE_THRESHOLDS`` within which a tool stays in the hand in a rehearsal (-)."""
+
+
+def rehearsed(plan: GraspPlan, tool: Tool) -> Failure | None:
+    """What a use fails by when a grasp is tried, under the friction that the plan relies on.
+
+    It ends where the tool has moved by more than ``REHEARSED`` of what it may. Nothing of a later
+    trial is known: friction of hand and fixture are those of the plan and of the tool's file.
+
+    Args:
+        plan: A grasp of the tool.
+        tool: The tool.
+
+    Raises:
+        KeyboardInterrupt: It was interrupted.
+    """
+    limits = replace(
+        USE_THRESHOLDS,
+        slip_mm=REHEARSED * USE_THRESHOLDS.slip_mm,
+        slip_deg=REHEARSED * USE_THRESHOLDS.slip_deg,
+    )
+    physics = PhysicsOptions(name="relied on", mu=plan.task.mu)
+    trial = UseTrial(plan, tool, physics=physics, thresholds=limits)
+
+    def watch(simulation: Simulation) -> None:
+        if simulation.phase in USING and simulation.due(trial.recorder.every):
+            slip_mm, slip_deg = trial.recorder.slip()
+            if slip_mm > limits.slip_mm or slip_deg > limits.slip_deg:
+                simulation.stop(f"the tool moved by {slip_mm:.1f} mm, {slip_deg:.1f} degrees")
+
+    report = trial.run(on_step=watch)
+    if report.success:
+        return None
+    if report.reason == "interrupted":
+        raise KeyboardInterrupt
+    why = trial.simulation.stopped or f"{report.reason}, {report.verdict.detail}"
+    text = f"in a rehearsal of the use, with friction {plan.task.mu:g}: {why}"
+    return Failure(kind="use_rehearsal", text=text)
+
+
 MOST_ATTEMPTS = 300
 """Attempts before no grasp for a use is found: one for a lever takes 19 to 117 of some 0.2 s."""
 
@@ -535,9 +579,13 @@ def plan_tool(
     max_attempts: int = MOST_ATTEMPTS,
     yaw: float = 0.0,
     progress: Callable[[Attempt[GraspPlan]], object] | None = None,
+    rehearse: bool = True,
     **changes: Any,
 ) -> GraspPlan:
     """A grasp of a tool for its use: needed wrenches with margin, way of the use free.
+
+    Where proven margins do not tell whether the tool stays in the hand (``Use.rehearsed``), only a
+    grasp is taken with which the use has been tried, see ``rehearsed``.
 
     Args:
         hand: A hand, its name, or the path of its description.
@@ -546,13 +594,15 @@ def plan_tool(
         max_attempts: Budget in attempts.
         yaw: Turn of tool and fixture about the vertical, rad.
         progress: Called after every attempt.
+        rehearse: Whether what is to be tried is tried.
         changes: Further arguments of ``GraspTask.create``.
 
     Raises:
         PlannerError: No such hand, tool or kind of use; a wrench that the hand cannot produce; or
             no grasp in the budget, with the needed wrench and the limit that ended it.
     """
-    task, use = task_of_use(hand, load_tool(tool), yaw=yaw, **changes)
+    tool = load_tool(tool)
+    task, use = task_of_use(hand, tool, yaw=yaw, **changes)
     return plan_use(
         task,
         use.way,
@@ -562,4 +612,5 @@ def plan_tool(
         best_of=use.best_of,
         fit=use.fitting(),
         gives_way=use.gives_way,
+        rehearse=(lambda plan: rehearsed(plan, tool)) if rehearse and use.rehearsed else None,
     )

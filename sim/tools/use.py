@@ -108,6 +108,10 @@ class Use(ABC):
     best_of: ClassVar[int] = BEST_OF
     """Grasps of which the best is taken."""
 
+    rehearsed: ClassVar[bool] = False
+    """Whether a grasp is tried in simulation before it is taken: where its proven margins do not
+    tell whether the tool stays in the hand."""
+
     yaw: float = 0.0
     """Turn of tool and fixture about the vertical, rad; may be set."""
 
