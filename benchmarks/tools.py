@@ -19,7 +19,7 @@ from benchmarks.common import checked_hand
 from benchmarks.summary import counted, of, share, summary
 from planner.errors import NoGraspFoundError
 from planner.plan import SearchRecord
-from planner.tools import load_tool
+from planner.tools import load_tool, needed_margin
 from sim.scene.physics import PhysicsOptions
 from sim.tables import Row
 from sim.tools import FingersTrial, UseTrial, plan_fingers, plan_tool
@@ -70,6 +70,7 @@ def measure(case: Row) -> Row:
     physics = PhysicsOptions(name="drawn", mu=mu)
     planning = {"hand": case["hand"], "tool": tool, "seed": case["seed"], "yaw": yaw}
     trial: UseTrial
+    margin = None
     try:
         if "by" in case:
             gait = plan_fingers(**planning)
@@ -77,7 +78,7 @@ def measure(case: Row) -> Row:
             trial = FingersTrial(gait, tool, friction=friction, physics=physics)
         else:
             plan = plan_tool(**planning)
-            record = plan.record
+            record, margin = plan.record, needed_margin(plan)
             trial = UseTrial(plan, tool, friction=friction, physics=physics)
     except NoGraspFoundError as error:
         return {**drawn, "done": False, "reason": f"no plan: {str(error)[:200]}"}
@@ -90,7 +91,8 @@ def measure(case: Row) -> Row:
         "reason": report.reason or "done",
         "detail": report.verdict.detail,
         "summary": "" if use is None else use["summary"],
-        "margin": None if best is None else best.value,
+        "margin": margin,
+        "rehearsal": best.value if best is not None and best.metric == "rehearsal" else None,
         "attempts": record.attempts,
         "plan_s": record.cpu_s,
         "slip_mm": slip[0],

@@ -85,6 +85,10 @@ BEST_OF = 6
 """Grasps of which the best is taken: proven margins differ by 3 to 12 among grasps of one task, and
 those that are near 3 let a screwdriver creep (Shadow-type hand)."""
 
+GOOD_ENOUGH = 0.5
+"""How far (-) a grasp may come in its rehearsal to what is not allowed, so that no other is looked
+for: another friction, or another size, may bring it twice as far."""
+
 USE_MARGIN = 2.0
 """How many times each needed wrench a grasp for a use is to produce (-): with 1.25 a screwdriver
 turned slowly in a hand whose elastic fingers share the load unevenly."""
@@ -533,7 +537,7 @@ def plan_use(
     progress: Callable[[Attempt[GraspPlan]], object] | None = None,
     fit: Callable[[GraspPlan, GraspTask], GraspPlan | Failure] | None = None,
     gives_way: float = 0.0,
-    rehearse: Callable[[GraspPlan], Failure | None] | None = None,
+    rehearse: Callable[[GraspPlan], float | Failure] | None = None,
 ) -> GraspPlan:
     """A grasp for the use of a tool: needed wrenches with margin, and a way that is free.
 
@@ -552,8 +556,9 @@ def plan_use(
             grasps are searched with needed wrenches if None.
         gives_way: How far the tool may give way before the fingers for a moment, m: see
             ``followed``.
-        rehearse: Tries a grasp that is proven and free, and says what it fails by; None where
-            nothing is to be tried.
+        rehearse: Tries a grasp that is proven and free: how far (-) it came to what is not
+            allowed, or what it fails by. The first that came up to ``GOOD_ENOUGH`` is taken, or of
+            ``best_of`` that which came least far. None where nothing is tried.
 
     Raises:
         NoGraspFoundError: The budget ended; says which needed wrench failed, and by which limit.
@@ -561,6 +566,15 @@ def plan_use(
     """
     hand = task.hand
     hand.require_one("the use of a tool")
+    came: dict[int, float] = {}  # by the identity of a plan
+
+    def worth(plan: GraspPlan) -> float:
+        return needed_margin(plan) if rehearse is None else -came[id(plan)]
+
+    def told(attempt: Attempt[GraspPlan]) -> bool:
+        stops = progress is not None and progress(attempt) is True
+        best = None if rehearse is None else attempt.best
+        return stops or (best is not None and -best <= GOOD_ENOUGH)
 
     def judged() -> Iterator[Attempt[GraspPlan]]:
         asked = options or SynthesisOptions(clear_fingers=ASKED_CLEARANCE)
@@ -575,7 +589,11 @@ def plan_use(
                 except TaskError as error:
                     found = Failure(kind="use_way", text=str(error))
             if isinstance(found, GraspPlan) and rehearse is not None:
-                found = rehearse(found) or found
+                tried = rehearse(found)
+                if isinstance(tried, Failure):
+                    found = tried
+                else:
+                    came[id(found)] = tried
             failure = found if isinstance(found, Failure) else attempt.failure
             yield replace(
                 attempt,
@@ -588,8 +606,8 @@ def plan_use(
         judged(),
         max_attempts=max_attempts,
         best_of=best_of,
-        merit=needed_margin,
-        progress=progress,
+        merit=worth,
+        progress=told,
     )
     if plan is None:
         weak = [f"{f.text}. " for a in made if (f := a.failure) and f.kind == NO_NEEDED]
@@ -599,7 +617,8 @@ def plan_use(
             f"{''.join(weak[:1])}Try more attempts, a longer handle, a smaller margin, or ask "
             "for less force",
         )
-    return best_of_made(plan, made, metric="needed_margin", value=needed_margin(plan))
+    metric = "needed_margin" if rehearse is None else "rehearsal"
+    return best_of_made(plan, made, metric=metric, value=abs(worth(plan)))
 
 
 def _too_near(plan: GraspPlan, gives_way: float = 0.0) -> Failure | None:

@@ -117,7 +117,7 @@ class Strike(Use):
     stub: ClassVar[float] = 0.04
     gives_way: ClassVar[float] = 0.004  # measured: 2 to 4 mm
     rehearsed: ClassVar[bool] = True  # 10 of 36 grasps let it turn, with margins of 3 to 11
-    best_of: ClassVar[int] = 1
+    best_of: ClassVar[int] = 3
     defaults: ClassVar[Mapping[str, float]] = MappingProxyType(
         {
             "blows": 5.0,

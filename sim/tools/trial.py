@@ -526,40 +526,38 @@ def task_of_use(
     return task, use
 
 
-REHEARSED = 0.5
-"""Share of ``USE_THRESHOLDS`` within which a tool stays in the hand in a rehearsal (-)."""
+def rehearsed(plan: GraspPlan, tool: Tool) -> float | Failure:
+    """How far a use brings a grasp to the limits of slip, under the friction that it relies on.
 
-
-def rehearsed(plan: GraspPlan, tool: Tool) -> Failure | None:
-    """What a use fails by when a grasp is tried, under the friction that the plan relies on.
-
-    It ends where the tool has moved by more than ``REHEARSED`` of what it may. Nothing of a later
-    trial is known: friction of hand and fixture are those of the plan and of the tool's file.
+    Nothing of a later trial is known: friction of hand and fixture are those of the plan and of the
+    tool's file.
 
     Args:
         plan: A grasp of the tool.
         tool: The tool.
 
+    Returns:
+        Movement of the tool in the hand as a share (-) of what ``USE_THRESHOLDS`` allow, the larger
+        one of distance and angle; or what the use fails by.
+
     Raises:
         KeyboardInterrupt: It was interrupted.
     """
-    limits = replace(
-        USE_THRESHOLDS,
-        slip_mm=REHEARSED * USE_THRESHOLDS.slip_mm,
-        slip_deg=REHEARSED * USE_THRESHOLDS.slip_deg,
-    )
-    physics = PhysicsOptions(name="relied on", mu=plan.task.mu)
-    trial = UseTrial(plan, tool, physics=physics, thresholds=limits)
+    trial = UseTrial(plan, tool, physics=PhysicsOptions(name="relied on", mu=plan.task.mu))
+    most = 0.0
 
     def watch(simulation: Simulation) -> None:
-        if simulation.phase in USING and simulation.due(trial.recorder.every):
+        nonlocal most
+        if simulation.phase in (*USING, "hold") and simulation.due(trial.recorder.every):
             slip_mm, slip_deg = trial.recorder.slip()
-            if slip_mm > limits.slip_mm or slip_deg > limits.slip_deg:
+            limits = trial.thresholds
+            most = max(most, slip_mm / limits.slip_mm, slip_deg / limits.slip_deg)
+            if most > 1.0:
                 simulation.stop(f"the tool moved by {slip_mm:.1f} mm, {slip_deg:.1f} degrees")
 
     report = trial.run(on_step=watch)
     if report.success:
-        return None
+        return most
     if report.reason == "interrupted":
         raise KeyboardInterrupt
     why = trial.simulation.stopped or f"{report.reason}, {report.verdict.detail}"
@@ -584,8 +582,8 @@ def plan_tool(
 ) -> GraspPlan:
     """A grasp of a tool for its use: needed wrenches with margin, way of the use free.
 
-    Where proven margins do not tell whether the tool stays in the hand (``Use.rehearsed``), only a
-    grasp is taken with which the use has been tried, see ``rehearsed``.
+    Where proven margins do not tell whether the tool stays in the hand (``Use.rehearsed``), the use
+    is tried with every grasp, see ``rehearsed``.
 
     Args:
         hand: A hand, its name, or the path of its description.
