@@ -13,6 +13,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import chdir
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -126,6 +127,11 @@ def _row(outcome: str, times: Any, errors: Any, solve_ms: Any, look_ms: Any = ()
 
 def _published(case: Row) -> Row:
     """A case of the published scene, with its controller or ours."""
+    with chdir(case["folder"]):  # it names its scenes from there
+        return _run_published(case)
+
+
+def _run_published(case: Row) -> Row:
     theirs = _their_code(case["folder"])
     param = theirs.params(rand_seed=case["seed"], target_type="rotation")
     env = theirs.env(param)
@@ -186,7 +192,6 @@ def _published(case: Row) -> Row:
 
 def _their_code(folder: str) -> SimpleNamespace:
     """Classes of the published code, whose window is not opened."""
-    import os
     from importlib import import_module
 
     if folder not in sys.path:
@@ -196,7 +201,6 @@ def _their_code(folder: str) -> SimpleNamespace:
             sync=lambda: None, close=lambda: None
         )
         sys.modules["mujoco.viewer"] = mujoco.viewer = viewer
-    os.chdir(folder)  # it names its scenes from there
     return SimpleNamespace(
         params=import_module("examples.mpc.allegro.cube.params").ExplicitMPCParams,
         planner=import_module("planning.mpc_explicit").MPCExplicit,

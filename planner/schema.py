@@ -29,10 +29,10 @@ __all__ = [
 LARGEST = 1e6
 """Largest number, either sign, in SI units: no grasp has a larger one, and its square is finite."""
 
-Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
-"""A number of a file, up to ``LARGEST``."""
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
+"""A number of a file, no text and no truth value, up to ``LARGEST``."""
 
-NotNegative = Annotated[float, Field(allow_inf_nan=False, ge=0, le=LARGEST)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=LARGEST)]
 """A number of a file, 0 to ``LARGEST``."""
 
 Vector3 = tuple[Finite, Finite, Finite]

@@ -52,7 +52,7 @@ from planner.kinematics import HandState
 from planner.numerics.kernels import planning_time
 from planner.objects import GraspObject, NeededWrench, Region, TouchRegion, parse_object
 from planner.plan import GraspPlan
-from planner.schema import StrictData, Vector3, faults_of
+from planner.schema import Finite, StrictData, Vector3, faults_of
 from planner.search.attempt import Attempt, best_of_made, nothing_found, search
 from planner.search.grasp import DEFAULT_MAX_ATTEMPTS, attempts
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
@@ -108,12 +108,16 @@ WAY_CLEARANCE = 0.002
 """Least distance (m) of the hand from what stands around on the way of a use."""
 
 
+TIP_BESIDE = 0.001
+"""How far (m) a tip may be outside of the tool's bounding sphere: files are rounded."""
+
+
 class SectionData(StrictData):
     """An outline across z: a circle, or a rectangle."""
 
-    z_m: float
-    radius_m: float | None = Field(default=None, gt=0)
-    size_m: tuple[float, float] | None = None
+    z_m: Finite
+    radius_m: float | None = Field(default=None, strict=True, gt=0)
+    size_m: tuple[Finite, Finite] | None = None
 
 
 class TipData(StrictData):
@@ -147,8 +151,8 @@ class UseData(StrictData):
 
     kind: str
     workpiece_m: Vector3 = (0.06, 0.06, 0.08)
-    gap_m: float = Field(default=0.02, ge=0, le=0.2)
-    numbers: dict[str, float] = Field(default_factory=dict)
+    gap_m: float = Field(default=0.02, strict=True, ge=0, le=0.2)
+    numbers: dict[str, Finite] = Field(default_factory=dict)
 
 
 class ToolFile(StrictData):
@@ -158,10 +162,10 @@ class ToolFile(StrictData):
     version: Literal[1]
     name: str
     summary: str = ""
-    mass_kg: float = Field(gt=0, le=HEAVIEST)
-    grip_N: float | None = Field(default=None, gt=0)
+    mass_kg: float = Field(strict=True, gt=0, le=HEAVIEST)
+    grip_N: float | None = Field(default=None, strict=True, gt=0)
     mesh: str | None = None
-    scale: float = Field(default=1.0, gt=0)
+    scale: float = Field(default=1.0, strict=True, gt=0)
     shape: str | None = None
     section: list[SectionData] | None = None
     tip: TipData
@@ -206,6 +210,12 @@ class Tool(GraspObject):
         size = float(np.linalg.norm(self.axis))
         if size == 0.0:
             raise ObjectError(f"{self.name}: its axis is zero; give the direction of its tip")
+        far, most = float(np.linalg.norm(self.tip)), self.shape.bounding_radius
+        if far > most + TIP_BESIDE:
+            raise ObjectError(
+                f"{self.name}: its tip is {far:g} m from its centre of mass, and nothing of it "
+                f"beyond {most:.3g} m; give the place where it works, in metres"
+            )
         object.__setattr__(self, "axis", fixed_array(self.axis / size))
 
     def __eq__(self, other: object) -> bool:
@@ -585,9 +595,11 @@ def plan_use(
             found = plan and (near or (plan if fit is None else fit(plan, task)))
             if isinstance(found, GraspPlan) and way is not None:
                 try:
-                    found = way_blocked(found, way(found)) or found
+                    poses = way(found)
                 except TaskError as error:
                     found = Failure(kind="use_way", text=str(error))
+                else:
+                    found = way_blocked(found, poses) or found
             if isinstance(found, GraspPlan) and rehearse is not None:
                 tried = rehearse(found)
                 if isinstance(tried, Failure):

@@ -277,10 +277,11 @@ class TrialReport(ExecutionReport):
         moved, turned = self.largest_slip
         slip = f"the object moved {moved:.2f} mm and {turned:.2f} degrees in the hand"
         other = escape(self.verdict.other_grasp)
+        failed = "not held" if self.use is None else "not done"
         line = {
             "held": f"[bold green]held[/]: {slip}",
             "held, another grasp": f"[bold yellow]held, but by another grasp[/]: {other}; {slip}",
-            "not held": f"[bold red]not held, {self.reason}[/]: {escape(self.verdict.detail)}",
+            "not held": f"[bold red]{failed}, {self.reason}[/]: {escape(self.verdict.detail)}",
         }[self.verdict.outcome]
         yield Text.from_markup(f"{escape(self.hand)}, {escape(self.object)}: {line}")
         if self.path is not None and self.success and (said := str(self.path)):

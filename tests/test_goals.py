@@ -14,6 +14,7 @@ import pinocchio as pin
 import pytest
 import typer
 from manipulations import QUICK
+from typer.testing import CliRunner
 
 from planner.errors import FileFormatError, TaskError, UnreachableError
 from planner.failure import Failure
@@ -32,6 +33,7 @@ from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import GraspTask
 from sim.cli import app, main
+from sim.cli.common import EXIT_BAD_INPUT
 from sim.cli.manipulate import GOAL
 from sim.cli.palm import IN_PALM, WITH_GOAL
 from sim.cli.palm import KEPT as WITH_PALM
@@ -443,3 +445,15 @@ def test_an_object_off_its_goal_fails(sideways: ManipulationPlan) -> None:
     strict = replace(manipulate(sideways, timeline=QUICK).criteria, goal_deg=1e-6)
     report = manipulate(sideways, timeline=QUICK, criteria=strict)
     assert not report.goal_reached and "off its goal" in report.reason
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_a_goal_is_planned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "sim.cli.manipulate.TurnOptions.plan_goal", lambda *_: pytest.fail("planned")
+    )
+    asked = ["manipulate", "shadow_hand", "box", "--goal", "0,90,0", "--plan-only"]
+    done = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "none" / "goal.json")])
+    assert done.exit_code == EXIT_BAD_INPUT
+    assert "none" in done.output

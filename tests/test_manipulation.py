@@ -55,6 +55,7 @@ from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.log import measured_modes, mode_table, planned_modes
 from sim.manipulation.timeline import placed, tilt_between, undisturbed, where_it_stands
 from sim.scene.physics import PhysicsOptions, named_physics
+from sim.simulation import Simulation
 
 pytestmark = pytest.mark.usefixtures("coarse_steps")
 
@@ -428,6 +429,21 @@ def test_a_lost_contact_or_an_open_sample_has_no_closure(
     gone = with_log(report, touching=touching)
     assert gone.dropped
     assert not gone.success
+
+
+@pytest.mark.parametrize("step", [1, 120])
+def test_ctrl_c_ends_a_manipulation_with_a_report(plan: ManipulationPlan, step: int) -> None:
+    def press(simulation: Simulation) -> None:
+        if simulation.steps == step:
+            raise KeyboardInterrupt
+
+    told = manipulate(plan, timeline=QUICK, retry=True, on_step=press)
+    assert told.interrupted
+    assert not told.complete
+    assert told.earlier is None
+    assert told.reason.endswith(": interrupted")
+    assert told.results[-1].then == ""
+    assert told.to_dict()["reason"] == told.reason
 
 
 @pytest.mark.slow

@@ -40,6 +40,7 @@ from planner.motion.plan import MovementPlan
 from planner.pages.page import Page
 from planner.plan import JointTrajectory
 from sim.cli import app
+from sim.cli.common import EXIT_INTERRUPTED
 from sim.manipulation import ManipulationReport, read_manipulation_report
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.simulation import ManipulationOptions
@@ -70,6 +71,23 @@ def strokes(tmp_path_factory: pytest.TempPathFactory) -> ManipulationPlan:
     hand = load_hand(write_star_hand(tmp_path_factory.mktemp("star"), 4))
     task = task_of("cylinder:0.03x0.08", hand, mass=0.1, mu=0.6)
     return plan_regrasping(task, angle=math.radians(40.0), place=(0.03, 0.0))
+
+
+def test_a_plan_is_kept_before_it_is_executed(
+    turn: ManipulationPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    write_manipulation(turn, tmp_path / "given.json")
+    monkeypatch.setattr("sim.manipulation.manipulate", interrupted)
+    asked = ["manipulate", "--plan", str(tmp_path / "given.json"), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == EXIT_INTERRUPTED
+    kept = read_manipulation(tmp_path / "out" / "manipulation.json")
+    assert np.allclose(kept.grasp.q, turn.grasp.q)
+    assert kept.angle == pytest.approx(turn.angle)
+    assert (tmp_path / "out" / "trajectory.csv").exists()
 
 
 @pytest.fixture(params=["turn", "tilt", "strokes"])

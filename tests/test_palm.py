@@ -21,6 +21,7 @@ from sim.palm.control import PalmController, _Problem
 from sim.palm.loop import AGAIN, FRICTIONS, _Branch, _Driver, _LookAhead, _rubbed, turn
 from sim.palm.model import ContactStep, PalmModel, Plant, plant_of
 from sim.palm.run import AHEAD, CRADLES, LIFT, _settle, lay_down, palm_scene
+from sim.tables import Row
 
 CUBE = "box:0.05x0.05x0.05"
 QUARTER = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
@@ -666,3 +667,19 @@ def test_a_benchmark_gives_any_rotation_the_time_that_is_asked() -> None:
         "yaw": 30.0,
         "any": 300.0,
     }
+
+
+def test_the_published_code_runs_in_its_folder_and_results_go_where_they_were_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Path] = []
+
+    def run(case: Row) -> Row:
+        seen.append(Path.cwd())
+        return case
+
+    monkeypatch.setattr(palm, "_run_published", run)
+    before = Path.cwd()
+    palm.measure({"scene": "published", "folder": str(tmp_path)})
+    assert seen == [tmp_path.resolve()]
+    assert Path.cwd() == before

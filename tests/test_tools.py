@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +16,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from rich.console import Console
 
 from planner import (
     GraspObject,
@@ -28,7 +30,7 @@ from planner import (
 )
 from planner.certify import certify
 from planner.collision.pair_table import Clearance
-from planner.errors import NoGraspFoundError, PlannerError
+from planner.errors import NoGraspFoundError, ObjectError, PlannerError, TaskError
 from planner.failure import Failure
 from planner.files import read_plan, write_plan
 from planner.files.plans import plan_from_dict, plan_to_dict
@@ -145,6 +147,9 @@ def test_our_tools_are_offered_axis_down_and_fit_their_fixture(name: str) -> Non
         ("z_m = 0.09, ", "z_m = -0.09, ", "from below upwards"),
         ("[1, 0, -2], torque_N_m = [0, 0, -0.03]", "[0, 0, 0]", "'turn' is zero"),
         ("section", 'shape = "box"\nsection', "shape and section"),
+        ("position_m = [0, 0, 0]", "position_m = [0, 0, -5]", "its tip is 5.045 m from its centre"),
+        ("angle_deg = 90", 'angle_deg = "90"', "angle_deg is '90'; it should be a number"),
+        ("angle_deg = 90", "angle_deg = true", "angle_deg is True; it should be a number"),
         ("force_N", "force", r"needed\[turn\].force is no field"),
         ("mass_kg = 0.05", "mass_kg = 0.05\n[", "is not a TOML file"),
     ],
@@ -155,6 +160,15 @@ def test_what_is_wrong_with_a_tool_file_is_named(
     assert old in PEG
     with pytest.raises(PlannerError, match=complaint):
         read_tool(written(tmp_path, PEG.replace(old, new, 1)))
+
+
+def test_a_socket_into_which_the_tip_does_not_go_is_refused(tmp_path: Path) -> None:
+    """The tip is 20 mm wide; the socket has 0.3 mm to spare on each side."""
+    fits = PEG.replace("angle_deg = 90", "angle_deg = 90, socket_x_m = 0.0195, socket_y_m = 0.03")
+    assert use_of(read_tool(written(tmp_path, fits)))
+    small = fits.replace("0.0195", "0.0193")
+    with pytest.raises(ObjectError, match=r"20 x 20 mm in the lowest 5 mm.*19\.3 x 30"):
+        use_of(read_tool(written(tmp_path, small)))
 
 
 @pytest.mark.parametrize(
@@ -945,6 +959,48 @@ def test_a_folder_of_an_earlier_use_keeps_nothing_of_it(
 ) -> None:
     monkeypatch.setattr(UseOptions, "plan", lambda *_: plan)
     (tmp_path / "report.json").write_text("{}")
-    with pytest.raises(SystemExit):
-        main(["use", "allegro_hand", "screwdriver", "--resist", "1000", "--out", str(tmp_path)])
+    with pytest.raises(SystemExit):  # the plan is of a screwdriver
+        main(["use", "allegro_hand", "key", "--out", str(tmp_path)])
     assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]
+
+
+def test_a_use_is_told_of_less_friction_and_refused_before_it_is_planned(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def never(*_: object) -> None:
+        pytest.fail("planned")
+
+    monkeypatch.setattr(UseOptions, "plan", never)
+    with pytest.raises(SystemExit):
+        main(["use", "allegro_hand", "key", "--resist", "1000"])
+    assert "less than or equal" in capsys.readouterr().err
+    monkeypatch.undo()
+    with pytest.raises(SystemExit):
+        main(["use", "allegro_on_arm7", "key", "--sim-mu", "0.3"])
+    told = " ".join(capsys.readouterr().err.split())
+    assert "--sim-mu 0.3 is less friction than is believed, --mu 0.5" in told
+    assert "allegro_on_arm7 is on an arm" in told
+
+
+def test_a_use_that_fails_is_not_called_not_held(plan: GraspPlan) -> None:
+    trial = UseTrial(plan, load_tool("screwdriver"))
+    report = trial.run(on_step=lambda simulation: simulation.stop("seen enough"))
+    console = Console(record=True, width=200, file=io.StringIO())
+    console.print(report)
+    assert "not done, stopped" in console.export_text()
+
+
+def test_an_error_of_ours_in_the_check_of_a_way_is_no_failed_grasp(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = [Attempt(index=0, plan=plan, failure=None, cpu_s=0.0)]
+    monkeypatch.setattr(tools, "attempts", lambda *_, **__: iter(made))
+
+    def refuses(*_: object) -> Any:
+        raise TaskError("too far")
+
+    with pytest.raises(NoGraspFoundError, match="1 attempts: 1 x too far"):
+        plan_use(plan.task, refuses)
+    monkeypatch.setattr(tools, "way_blocked", refuses)
+    with pytest.raises(TaskError, match=r"^too far"):
+        plan_use(plan.task, lambda plan: [plan.T_world_base])

@@ -67,8 +67,8 @@ MOST_N = 1e6
 """Force (N) that stands for none that bears the weight: kept arrays are finite."""
 
 DIRECTIONS = 48
-"""Directions of gravity in the object's frame in which grasps are judged: 15 degrees apart at
-most from the nearest."""
+"""Directions of gravity in the object's frame in which grasps are judged: no other is further than
+23 degrees from the nearest of them."""
 
 
 def directions() -> FloatArray:

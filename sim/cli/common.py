@@ -272,6 +272,17 @@ def check_films(*files: Path | None) -> None:
         check_video(files[-1])
 
 
+def warn_of_friction(believed: float, true: float) -> None:
+    """Tell when there is less friction than planning relies on."""
+    if true < believed:
+        text = (
+            f"--sim-mu {true:g} is less friction than is believed, --mu {believed:g}: plan and "
+            "controller rely on what is not there, so expect slips and drops; give "
+            f"--sim-mu {believed:g} or more, or a smaller --mu"
+        )
+        say(err, f"[yellow]{escape(text)}[/yellow]")
+
+
 def exit_for(report: Any) -> None:
     """Exit as a trial report says."""
     if report.reason == "interrupted":

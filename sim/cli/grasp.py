@@ -22,6 +22,7 @@ from sim.cli.common import (
     print_json,
     tell,
     told_command,
+    warn_of_friction,
 )
 from sim.cli.execution import (
     TrialOptions,
@@ -223,7 +224,9 @@ class UseOptions:
         float | None, option("Margin of each needed wrench; 2.", "K", GRIP, min=1.0)
     ] = None
     mu: MuOption = DEFAULT_MU
-    resist: Annotated[float, option("Fixture friction, factor.", "K", TRIAL, min=0.0)] = 1.0
+    resist: Annotated[
+        float, option("Fixture friction, factor.", "K", TRIAL, min=0.0, max=100.0)
+    ] = 1.0
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
     error_model: ErrorModelOption = "ideal"
@@ -285,6 +288,7 @@ def use(
         "error_model": error_model_of(request.error_model, request.error_seed),
     }
     check_films(request.video)
+    warn_of_friction(request.mu, parts["physics"].mu)
     if out_dir is not None:
         make_folder(out_dir)
     plan = request.plan(hand, loaded)

@@ -13,6 +13,7 @@ import typer
 from rich.markup import escape
 
 from sim.cli.common import (
+    EXIT_INTERRUPTED,
     EXIT_NO,
     check_films,
     err,
@@ -22,6 +23,7 @@ from sim.cli.common import (
     say,
     tell,
     told_command,
+    warn_of_friction,
 )
 from sim.cli.execution import ExecutionOptions
 from sim.cli.options import (
@@ -341,7 +343,9 @@ def manipulate(
         kept = GOAL if plan_only else GOAL | EXECUTED
         refuse_given(context, "--goal tells how the object is turned", kept=kept, because=WITH_GOAL)
         if plan_only:
-            _goal_only(request.plan_goal(hand, object), output or Path("goal.json"), as_json)
+            file = output or Path("goal.json")
+            check_films(file, None)
+            _goal_only(request.plan_goal(hand, object), file, as_json)
             return
         going = partial(request.plan_goal, hand, object)
         _execute(going, request.mu, execution, output, as_json, told)
@@ -443,10 +447,15 @@ def _execute(
     parts = execution.parts()
     via = execution.places()
     check_films(execution.video)
-    _warn_of_friction(believed_mu, parts["physics"].mu)
+    warn_of_friction(believed_mu, parts["physics"].mu)
     if out_dir is not None:
         make_folder(out_dir)
     plan = make_plan()
+    if out_dir is not None:
+        write_manipulation(plan, out_dir / "manipulation.json")
+        for n, part in enumerate(plan.chain, start=1):
+            name = "trajectory.csv" if n == 1 else f"trajectory-{n}.csv"
+            write_trajectory(part.joint_trajectory(), out_dir / name)
     if not as_json:
         tell(str(plan), f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts\n")
     with err.status("executing ..."):
@@ -463,10 +472,6 @@ def _execute(
         )
     report = replace(report, command=command)
     if out_dir is not None:
-        write_manipulation(plan, out_dir / "manipulation.json")
-        for n, part in enumerate(plan.chain, start=1):
-            name = "trajectory.csv" if n == 1 else f"trajectory-{n}.csv"
-            write_trajectory(part.joint_trajectory(), out_dir / name)
         write_report(report.to_dict(), out_dir / "report.json")
         report.save_html(out_dir / "report.html")
     if as_json:
@@ -478,19 +483,10 @@ def _execute(
             tell(f"open in a browser: {out_dir / 'report.html'}")
         if report.drawn:
             tell(report.drawn)
+    if report.interrupted:
+        raise typer.Exit(EXIT_INTERRUPTED)
     if not report.complete or report.collision is not None:
         raise typer.Exit(EXIT_NO)
-
-
-def _warn_of_friction(believed: float, true: float) -> None:
-    """Tell when there is less friction than planning relies on."""
-    if true < believed:
-        text = (
-            f"--sim-mu {true:g} is less friction than is believed, --mu {believed:g}: plan and "
-            "controller rely on what is not there, so expect slips and drops; give "
-            f"--sim-mu {believed:g} or more, or a smaller --mu"
-        )
-        say(err, f"[yellow]{escape(text)}[/yellow]")
 
 
 def _read(file: Path, place: tuple[float, float]) -> ManipulationPlan:

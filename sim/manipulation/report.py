@@ -18,6 +18,7 @@ from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.simulation import DROPPED
 from sim.manipulation.timeline import (
     IN_THE_AIR,
+    INTERRUPTED,
     TURNING,
     ManipulationTimeline,
     PhaseResult,
@@ -80,6 +81,11 @@ class ManipulationReport(ExecutionReport):
         """Why it failed, "" if it did not."""
         failed = [r for r in self.results if not r.passed]
         return f"{failed[-1].phase}: {failed[-1].reason}" if failed and not self.complete else ""
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended it."""
+        return bool(self.results) and self.results[-1].reason == INTERRUPTED
 
     @property
     def dropped(self) -> bool:

@@ -41,7 +41,7 @@ from sim.manipulation.simulation import (
     ManipulationSim,
 )
 from sim.manipulation.standing import rests
-from sim.manipulation.timeline import TURNING, UP, PhaseResult
+from sim.manipulation.timeline import INTERRUPTED, TURNING, UP, PhaseResult
 from sim.show.picture import Drawn, check_video, draw_tape
 from sim.simulation import Simulation
 
@@ -105,7 +105,7 @@ class ManipulationRun:
         view: bool = False,
         number: int = 1,
     ) -> ManipulationReport:
-        """Run all phases, or up to the first that fails and is not made up for.
+        """Run all phases, or up to the first that fails and is not made up for, or to Ctrl-C.
 
         Args:
             pictures: Folder for a picture at the end of each phase, which is where it went wrong if
@@ -129,9 +129,12 @@ class ManipulationRun:
         try:
             while (call := machine.next) is not None:
                 begin = self.sim.simulation.time
-                reason, numbers = self._phases.perform(call)
+                try:
+                    reason, numbers = self._phases.perform(call)
+                except KeyboardInterrupt:
+                    reason, numbers = INTERRUPTED, {}
                 end = self.sim.simulation.time
-                then = machine.failed() if reason else ""
+                then = machine.failed() if reason not in ("", INTERRUPTED) else ""
                 if not reason:
                     machine.passed()
                 self.results.append(
@@ -145,6 +148,8 @@ class ManipulationRun:
                         then=then,
                     )
                 )
+                if reason == INTERRUPTED:
+                    break
         finally:
             self.sim.simulation.close()
         report = self._report(machine)

@@ -174,6 +174,10 @@ Measured: TypeAlias = tuple[str, dict[str, float]]
 UP: FloatArray = np.array([0.0, 0.0, 1.0])
 
 
+INTERRUPTED = "interrupted"
+"""Why a phase failed that Ctrl-C ended."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PhaseResult:
     """The end of one phase.

@@ -40,7 +40,7 @@ from sim.manipulation.timeline import SuccessCriteria
 from sim.report import FingerComparison, TrialReport
 from sim.tools.trial import GuidedLoad, UseRecorder, UseTrial, plan_tool, task_of_use
 from sim.tools.turn import HINGE, Turn
-from sim.tools.use import joint_value, needs_gantry, use_of
+from sim.tools.use import joint_value, use_of
 from sim.trial import TrialKeywords, TrialOptions
 from sim.verdict import Verdict, fault_at
 
@@ -253,7 +253,6 @@ def plan_fingers(
             a wrench that the hand cannot produce; or no gait in the budget.
     """
     task, use = task_of_use(hand, standing(load_tool(tool)), yaw=yaw, **changes)
-    needs_gantry(task)
     angle = np.deg2rad(use.numbers["angle_deg"])
     turn = -float(angle + np.sign(angle) * LASH)  # > 0 is clockwise seen from above
     return plan_tool_gait(task, angle=turn, seed=seed, max_attempts=max_attempts)

@@ -515,7 +515,7 @@ def task_of_use(
     """The task of grasping a tool where its use offers it, and the use.
 
     Raises:
-        PlannerError: As ``use_of`` and ``planner.tools.use_task``.
+        PlannerError: As ``use_of``, ``needs_gantry`` and ``planner.tools.use_task``.
     """
     use = use_of(tool)
     use.yaw = yaw = checked_number("yaw", yaw, unit="rad", error=TaskError)
@@ -523,6 +523,7 @@ def task_of_use(
     if (holding := use.holding_fingers(hand, changes.get("fingers"))) is not None:
         changes["fingers"] = holding
     task = use_task(hand, tool, use.offered(yaw), obstacles=use.obstacles, **changes)
+    needs_gantry(task)
     return task, use
 
 

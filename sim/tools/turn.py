@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from planner.errors import ObjectError
 from planner.plan import GraspPlan
+from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, minimum_jerk, shifted
 from sim.controllers import Phase
 from sim.scene.physics import PhysicsOptions
@@ -161,7 +162,29 @@ class Turn(Use):
             )
         self._goal = np.deg2rad(n["angle_deg"])
         self._depth = n["depth_m"] * self.tool.scale
+        self._check_fit()
         self._starts_inside = self._gap == 0.0
+
+    def _check_fit(self) -> None:
+        """Refuse a socket into which the tip, of a tool with corners, does not go.
+
+        Raises:
+            ObjectError: The tip is wider; with its size.
+        """
+        n, tool = self.numbers, self.tool
+        if not isinstance(tool.shape, Mesh):
+            return
+        turn = tool.T_world_object(np.zeros(3)).rotation
+        corners = (tool.shape.vertices - tool.tip) @ turn.T
+        inside = corners[corners[:, 2] < self._depth]
+        wide = 2 * np.abs(inside[:, :2]).max(axis=0, initial=0.0)
+        socket = tool.scale * np.array([n["socket_x_m"], n["socket_y_m"]])
+        if (wide > socket + 2 * n["clearance_m"]).any():
+            raise ObjectError(
+                f"{tool.name}: its tip is {1e3 * wide[0]:.3g} x {1e3 * wide[1]:.3g} mm in the "
+                f"lowest {1e3 * self._depth:.3g} mm, and the socket {1e3 * socket[0]:.3g} x "
+                f"{1e3 * socket[1]:.3g}; give use.numbers socket_x_m and socket_y_m that fit it"
+            )
 
     def offered(self, yaw: float = 0.0) -> SE3:
         """Above the socket; in it where the gap is 0."""

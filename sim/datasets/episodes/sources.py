@@ -87,9 +87,12 @@ class Trials:
         return report
 
     def turn(self, data: dict[str, Any], name: str) -> AnyReport:
-        """A manipulation."""
+        """A manipulation; Ctrl-C ends all."""
         plan = manipulation_from_dict(data, name)
-        return manipulate(plan, controller=self.controller, physics=self.physics)
+        report = manipulate(plan, controller=self.controller, physics=self.physics)
+        if report.interrupted:
+            raise KeyboardInterrupt
+        return report
 
 
 @dataclass(frozen=True, kw_only=True)
