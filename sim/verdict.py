@@ -331,7 +331,10 @@ def first_collision(
     i = _first(force > limit)
     if i is None:
         return None
+    most = float(np.nanmax(force[i:]))
     detail = f"{pairs[i]} with {force[i]:.1f} N"
+    if most > force[i]:
+        detail += f" (up to {most:.1f} N later)"
     return Fault(reason="hand collided", detail=detail, time=float(time[i]))
 
 

@@ -73,7 +73,7 @@ LEVER = (0.03, 0.3)
 the longest tool."""
 
 SLOW = 0.8
-"""Share of the asked speed (-) with which a blow counts as one."""
+"""Share of the asked speed (-) that the fastest blow must have at least."""
 
 POSES = 4
 """Poses of a swing of the way that is checked."""
