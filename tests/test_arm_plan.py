@@ -41,16 +41,10 @@ from planner.motion.manipulation import (
     plan_manipulation,
     plan_regrasping,
 )
+from planner.motion.on_arm import ARM_CLEARANCE, POSTURES, SHORT, OnArm, lifted_blocked
 from planner.motion.path import ATTITUDES, ObjectPath
 from planner.motion.plan import CLEAR, rise_for
-from planner.motion.single_stroke import (
-    ARM_CLEARANCE,
-    POSTURES,
-    SHORT,
-    OnArm,
-    lifted_blocked,
-    plan_single_stroke,
-)
+from planner.motion.single_stroke import plan_single_stroke
 from planner.objects import GraspObject
 from planner.plan import GraspPlan
 from planner.search.attempt import Attempt
@@ -596,7 +590,7 @@ def test_the_links_of_an_arm_keep_5_mm_clear_in_an_attitude(
 ) -> None:
     carrier = OnArm(task_of("cylinder:0.03x0.08", "allegro_on_arm7", mass=0.1))
     path = np.tile(turning.grasp.q[turning.task.hand.arm_index], (2, 1))
-    monkeypatch.setattr("planner.motion.single_stroke.arm_way", lambda *_: iter([path] * 9))
+    monkeypatch.setattr("planner.motion.on_arm.arm_way", lambda *_: iter([path] * 9))
     for distance, free in ((ARM_CLEARANCE + 1e-6, True), (ARM_CLEARANCE - 1e-6, False)):
         near = SimpleNamespace(distance=distance)
         carrier.__dict__["_world"] = SimpleNamespace(nearest_on_arm=lambda *_, n=near, **__: n)
@@ -610,7 +604,7 @@ def test_an_arm_keeps_5_mm_clear_while_it_turns_the_wrist(
     motion = dataclasses.replace(turning.motion, path=path)
     still = np.tile(motion.grasp.q[motion.task.hand.arm_index], (2, 1))
     asked: list[float] = []
-    at = "planner.motion.single_stroke"
+    at = "planner.motion.on_arm"
     monkeypatch.setattr(f"{at}.arm_way", lambda *_: iter([still] * 9))
     monkeypatch.setattr(
         f"{at}.verify_arm_path", lambda *_, clearance, **__: asked.append(clearance)
@@ -702,7 +696,7 @@ def test_the_way_back_from_an_attitude_is_checked_to_where_it_is_put_down(
         asked.append(ending)
         return Failure(kind="arm_unreachable", text="no way back")
 
-    monkeypatch.setattr("planner.motion.single_stroke.lifted_blocked", stuck)
+    monkeypatch.setattr("planner.motion.on_arm.lifted_blocked", stuck)
     carrier = OnArm(task_of("cylinder:0.03x0.08", "allegro_on_arm7", mass=0.1))
     assert carrier.blocked(turning.motion, turning.ending) is None and not asked
     path = dataclasses.replace(turning.path, attitude=ATTITUDES["sideways"])

@@ -387,7 +387,7 @@ def test_swings_keep_room_in_another_attitude(plan: ManipulationPlan) -> None:
 def test_an_arm_that_cannot_turn_the_hand_there_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """Before anything is planned."""
     task = task_of("cylinder:0.03x0.08", "allegro_on_arm7")
-    monkeypatch.setattr("planner.motion.single_stroke.rise_for", lambda *_: 5.0)
+    monkeypatch.setattr("planner.motion.on_arm.rise_for", lambda *_: 5.0)
     with pytest.raises(TaskError, match="does not reach the attitude"):
         plan_manipulation(task, angle=1.0, attitude="up")
 

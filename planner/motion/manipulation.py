@@ -22,6 +22,7 @@ from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.failure import Failure
 from planner.motion.ending import Rests, planned_ending, stands
 from planner.motion.gait import plan_gait
+from planner.motion.on_arm import carried_ways
 from planner.motion.path import (
     LARGEST_TURN,
     AnyAttitude,
@@ -35,7 +36,6 @@ from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
 from planner.motion.single_stroke import (
     LEAST_OVERSHOOT,
     MAX_ATTEMPTS,
-    carried_ways,
     merit,
     plan_single_stroke,
     whole_plan,

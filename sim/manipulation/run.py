@@ -21,7 +21,7 @@ from planner.files import given_manipulation
 from planner.motion.ending import backwards, find_release, object_at_target, stands
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
-from planner.motion.single_stroke import lifted_blocked
+from planner.motion.on_arm import lifted_blocked
 from planner.motion.verify import ASKED_SHARE
 from planner.spatial import SE3, pose_from_wxyz, signed_twist
 from sim.manipulation.in_hand import GuidedController, in_hand_controller
