@@ -36,6 +36,8 @@ class PalmReport(Report, Shown):
         seed: Of the postures to which fingers may have opened.
         goal: Rotation (3, 3) that was asked for.
         tilt_deg: How far the palm leaned to the fingers.
+        rolls: Whether the object rolls off the open palm, so that it was held until fingers had
+            curled about it, and some stayed when others opened.
         tolerance_deg: Largest angle that counts as there.
         hold_s: How long it had to be there.
         longest_s: Time that it had.
@@ -62,6 +64,7 @@ class PalmReport(Report, Shown):
     seed: int
     goal: FloatArray
     tilt_deg: float
+    rolls: bool
     tolerance_deg: float
     hold_s: float
     longest_s: float
@@ -153,7 +156,17 @@ class PalmReport(Report, Shown):
 
 
 _PLAIN = (
-    *("hand", "object", "mass_kg", "seed", "tilt_deg", "tolerance_deg", "hold_s", "longest_s"),
+    *(
+        "hand",
+        "object",
+        "mass_kg",
+        "seed",
+        "tilt_deg",
+        "rolls",
+        "tolerance_deg",
+        "hold_s",
+        "longest_s",
+    ),
     *("outcome", "settings", "physics", "wall_s"),
 )
 _ARRAYS = ("time", "error_deg", "T_world_object", "q", "solve_ms", "look_ms")
