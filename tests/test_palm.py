@@ -771,3 +771,47 @@ def test_the_published_code_runs_in_its_folder_and_results_go_where_they_were_as
     palm.measure({"scene": "published", "folder": str(tmp_path)})
     assert seen == [tmp_path.resolve()]
     assert Path.cwd() == before
+
+
+def test_ctrl_c_ends_a_turn_in_the_palm_with_what_there_is(tmp_path: Path) -> None:
+    told: list[tuple[float, float]] = []
+
+    def press(time_s: float, left_deg: float) -> None:
+        told.append((time_s, left_deg))
+        if len(told) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):  # of the caller's own function: it is the caller's
+        reorient_in_palm("allegro_hand", CUBE, QUARTER, progress=press)
+    assert [time for time, _ in told] == pytest.approx([0.1, 0.2])
+    assert all(60.0 < left < 100.0 for _, left in told)
+
+
+@pytest.mark.parametrize("periods", [0, 2])
+def test_ctrl_c_keeps_the_periods_that_are_over(
+    monkeypatch: pytest.MonkeyPatch, periods: int
+) -> None:
+    whole = _Driver.period
+    made: list[int] = []
+
+    def period(*args: Any) -> str:
+        if len(made) == periods:
+            raise KeyboardInterrupt
+        made.append(1)
+        return whole(*args)
+
+    monkeypatch.setattr(_LookAhead, "choose", lambda self, _: _quiet(self))
+    monkeypatch.setattr(_Driver, "period", period)
+    if not periods:
+        with pytest.raises(KeyboardInterrupt):
+            reorient_in_palm("allegro_hand", CUBE, QUARTER)
+        return
+    report = reorient_in_palm("allegro_hand", CUBE, QUARTER)
+    assert (report.outcome, len(report.time)) == ("interrupted", periods)
+    assert not report.success
+    assert report.to_dict()["outcome"] == "interrupted"
+
+
+def _quiet(look: _LookAhead) -> _Branch:
+    real = look._real
+    return _Branch(away=None, goal=real.goal, place=real.place, opens_until=-1.0, until=np.inf)

@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sim.cli.common import EXIT_NO, check_films, err, make_folder, print_json, tell
+from sim.cli.common import (
+    EXIT_INTERRUPTED,
+    EXIT_NO,
+    check_films,
+    err,
+    make_folder,
+    print_json,
+    tell,
+)
 from sim.cli.execution import ExecutionOptions, physics_of
 from sim.cli.options import MOVEMENT, flag, numbers, option
 from sim.cli.tasks import TaskOptions, object_of
@@ -100,7 +108,11 @@ def turn_in_palm(
         make_folder(folder)
         picture = picture or folder / "turned.png"
     tilt = TILT if asked.tilt is None else math.radians(asked.tilt)
-    with err.status("turning in the palm ..."):
+    with err.status("turning in the palm ...") as status:
+
+        def show(time_s: float, left_deg: float) -> None:
+            status.update(f"turning in the palm: {time_s:.1f} s, {left_deg:.0f} degrees left")
+
         report = reorient_in_palm(
             hand,
             item,
@@ -110,6 +122,7 @@ def turn_in_palm(
             seed=seed,
             picture=picture,
             video=execution.video,
+            progress=show,
         )
     report = replace(report, command=command)
     if folder is not None:
@@ -121,6 +134,8 @@ def turn_in_palm(
         tell(str(report), *filter(None, [report.drawn]))
         if folder is not None:
             tell(f"open in a browser: {folder / 'report.html'} (beside report.json)")
+    if report.outcome == "interrupted":
+        raise typer.Exit(EXIT_INTERRUPTED)
     if not report.success:
         raise typer.Exit(EXIT_NO)
 

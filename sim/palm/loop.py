@@ -13,7 +13,7 @@ import copy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
@@ -78,6 +78,10 @@ ROUNDING_S = 1e-9
 
 SAME_RAD = 1e-9
 """Angle (rad) between rotations that are the same."""
+
+
+Progress: TypeAlias = Callable[[float, float], object]
+"""Takes the time (s) since the object lay still and the angle to the goal (degrees)."""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -418,8 +422,11 @@ def turn(
     seed: int,
     rolls: bool = False,
     on_step: Callable[[], None] | None = None,
+    progress: Progress | None = None,
 ) -> TurnLog:
     """Turn the object until it has stayed at the goal, was dropped, or the time is over.
+
+    Ctrl-C ends it too, with what there is.
 
     Args:
         plant: Hand and object; its servos have the commands of ``data.ctrl``.
@@ -433,6 +440,10 @@ def turn(
         seed: Of the postures to which fingers may open.
         rolls: Whether the object rolls: in half of the openings some fingers stay then.
         on_step: Called after every step of the simulation.
+        progress: Told how far it is, after every period.
+
+    Raises:
+        KeyboardInterrupt: It was interrupted before the end of the first period.
     """
     model, log = plant.model, TurnLog()
     begun, began_at = data.ctrl[plant.ctrl].copy(), float(data.time)
@@ -443,16 +454,24 @@ def turn(
     branch = _Branch(away=None, goal=goal, place=place, opens_until=-np.inf, until=-np.inf)
     held = 0.0
     while data.time - began_at < longest_s:
-        if data.time >= branch.until - ROUNDING_S and driver.phase(data, branch) == "turn":
-            start = time.thread_time()
-            branch = look.choose(data)
-            log.look_s.append(time.thread_time() - start)
-        phase = driver.period(model, data, branch, on_step)
+        try:
+            if data.time >= branch.until - ROUNDING_S and driver.phase(data, branch) == "turn":
+                start = time.thread_time()
+                branch = look.choose(data)
+                log.look_s.append(time.thread_time() - start)
+            phase = driver.period(model, data, branch, on_step)
+        except KeyboardInterrupt:
+            if not log.time:
+                raise
+            log.outcome = "interrupted"
+            break
         error = angle_deg(plant, data, goal)
         log.time.append(float(data.time) - began_at)
         log.error_deg.append(error)
         log.phase.append(phase)
         log.qpos.append(data.qpos.copy())
+        if progress is not None:
+            progress(log.time[-1], error)
         held = held + settings.period_s if error <= tolerance_deg else 0.0
         if not np.isfinite(data.qpos).all():
             log.outcome = "diverged"

@@ -21,7 +21,7 @@ from planner.task import GraspTask
 from sim.screen import Report
 from sim.show.parts import facts_of, phase_bands, source_blocks
 
-Outcome: TypeAlias = Literal["reached", "dropped", "not in time", "diverged"]
+Outcome: TypeAlias = Literal["reached", "dropped", "not in time", "diverged", "interrupted"]
 """How a turn in the palm ends."""
 
 

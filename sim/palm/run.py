@@ -29,7 +29,7 @@ from planner.objects import GraspObject
 from planner.search.attempt import check_seed
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from sim.palm.loop import turn
+from sim.palm.loop import Progress, turn
 from sim.palm.model import PalmModel, Plant, plant_of
 from sim.palm.report import PalmReport
 from sim.palm.settings import PalmSettings
@@ -119,8 +119,9 @@ def reorient_in_palm(
     seed: int = 0,
     picture: Path | str | None = None,
     video: Path | str | None = None,
+    progress: Progress | None = None,
 ) -> PalmReport:
-    """Turn an object that lies in the palm, in MuJoCo, and judge.
+    """Turn an object that lies in the palm, in MuJoCo, and judge. Ctrl-C ends it with a report.
 
     Args:
         hand: A hand or its name.
@@ -140,6 +141,7 @@ def reorient_in_palm(
         seed: Of the postures to which fingers may open.
         picture: Write a picture of the end here (PNG).
         video: Write a film here.
+        progress: Told the simulated time (s) and the angle to the goal (degrees) now and then.
 
     Raises:
         NotFoundError: No such hand, or one without a cradle.
@@ -202,6 +204,7 @@ def reorient_in_palm(
         seed=seed,
         rolls=rolls,
         on_step=keep,
+        progress=progress,
     )
     drawn = ""
     if tape is not None:
