@@ -61,7 +61,8 @@ ONWARD = 4
 """Openings (-) that are tried at the end of a branch which gains nothing: one of each target."""
 
 LOST_DEG = 180.0
-"""What (degrees) it costs to end where each opening drops the object: as much as any angle."""
+"""What (degrees) it costs to be dropped with all of ``AGAIN``, as much as any angle; and to end
+where each opening drops the object, of which half counts, in the mean of before and after."""
 
 REST_S = 0.3
 """Time (s) after a branch in which an object that was thrown would fall out of the hand, and in
