@@ -8,6 +8,7 @@ import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from sim.datasets.episodes import (
     Robot,
     episodes_of,
     format_named,
+    sources,
     write_episodes,
     write_lerobot,
 )
@@ -35,6 +37,7 @@ from sim.recording import PALM
 from sim.report import TrialReport
 from sim.report_file import ReportFile
 from sim.scene.carrier import Timeline
+from sim.scene.physics import PhysicsOptions
 from sim.show.picture import write_film
 from sim.simulation import Simulation
 from sim.trial import simulate
@@ -566,3 +569,19 @@ def test_a_format_without_films_refuses_them(
     monkeypatch.setitem(FORMATS, "plain", plain)
     with pytest.raises(TaskError, match="plain holds no films"):
         write_episodes([held], tmp_path / "set", "plain", video=True)
+
+
+def test_a_manipulation_that_ctrl_c_ended_ends_the_writing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    at = "sim.datasets.episodes.sources"
+    monkeypatch.setattr(f"{at}.manipulation_from_dict", lambda *_: None)
+    trials = sources.Trials(physics=PhysicsOptions())
+    for ended in (False, True):
+        report: Any = SimpleNamespace(interrupted=ended)
+        monkeypatch.setattr(f"{at}.manipulate", lambda *_, told=report, **__: told)
+        if ended:
+            with pytest.raises(KeyboardInterrupt):
+                trials.turn({}, "a file")
+        else:
+            assert trials.turn({}, "a file") is report

@@ -42,6 +42,7 @@ from planner.plan import JointTrajectory
 from sim.cli import app
 from sim.cli.common import EXIT_INTERRUPTED
 from sim.manipulation import ManipulationReport, read_manipulation_report
+from sim.manipulation.phases import Phases
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.simulation import ManipulationOptions
 from sim.manipulation.timeline import ManipulationTimeline, SuccessCriteria
@@ -88,6 +89,20 @@ def test_a_plan_is_kept_before_it_is_executed(
     assert np.allclose(kept.grasp.q, turn.grasp.q)
     assert kept.angle == pytest.approx(turn.angle)
     assert (tmp_path / "out" / "trajectory.csv").exists()
+
+
+def test_what_ctrl_c_ended_is_reported_and_the_exit_code_says_so(
+    turn: ManipulationPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    write_manipulation(turn, tmp_path / "given.json")
+    monkeypatch.setattr(Phases, "perform", interrupted)
+    asked = ["manipulate", "--plan", str(tmp_path / "given.json"), "--json"]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == EXIT_INTERRUPTED
+    assert json.loads(done.stdout)["reason"] == "stand: interrupted"
 
 
 @pytest.fixture(params=["turn", "tilt", "strokes"])

@@ -12,10 +12,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import qpsolvers
+from typer.testing import CliRunner
 
 from benchmarks import palm
 from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.spatial import FloatArray
+from sim.cli import app
+from sim.cli.common import EXIT_INTERRUPTED
 from sim.palm import PalmReport, PalmSettings, reorient_in_palm
 from sim.palm.control import PalmController, _Problem
 from sim.palm.loop import AGAIN, FRICTIONS, _Branch, _Driver, _LookAhead, _rubbed, turn
@@ -810,6 +813,9 @@ def test_ctrl_c_keeps_the_periods_that_are_over(
     assert (report.outcome, len(report.time)) == ("interrupted", periods)
     assert not report.success
     assert report.to_dict()["outcome"] == "interrupted"
+    made.clear()
+    asked = ["manipulate", "allegro_hand", CUBE, "--in-palm", "--turn-to", "0,0,90", "--json"]
+    assert CliRunner().invoke(app, asked).exit_code == EXIT_INTERRUPTED
 
 
 def _quiet(look: _LookAhead) -> _Branch:

@@ -344,6 +344,22 @@ def test_a_grasp_is_taken_by_how_its_rehearsal_went(
     assert best.record.cpu_s == tried  # what a rehearsal takes counts as planning
 
 
+def test_a_caller_may_stop_a_search_that_rehearses(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = [Attempt(index=k, plan=replace(plan), failure=None, cpu_s=0.0) for k in range(3)]
+    monkeypatch.setattr(tools, "attempts", lambda *_, **__: iter(made))
+    seen: list[int] = []
+
+    def stop(attempt: Attempt[GraspPlan]) -> bool:
+        seen.append(attempt.index)
+        return attempt.index == 1
+
+    best = plan_use(plan.task, rehearse=lambda _: 0.9, progress=stop)
+    assert seen == [0, 1]
+    assert best.record.attempts == 2
+
+
 def test_a_search_in_which_all_rehearsals_fail_says_so(
     plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -967,7 +983,7 @@ def test_a_folder_of_an_earlier_use_keeps_nothing_of_it(
 def test_a_use_is_told_of_less_friction_and_refused_before_it_is_planned(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def never(*_: object) -> None:
+    def never(*_: object, **__: object) -> None:
         pytest.fail("planned")
 
     monkeypatch.setattr(UseOptions, "plan", never)
@@ -975,6 +991,7 @@ def test_a_use_is_told_of_less_friction_and_refused_before_it_is_planned(
         main(["use", "allegro_hand", "key", "--resist", "1000"])
     assert "less than or equal" in capsys.readouterr().err
     monkeypatch.undo()
+    monkeypatch.setattr("sim.tools.trial.plan_use", never)
     with pytest.raises(SystemExit):
         main(["use", "allegro_on_arm7", "key", "--sim-mu", "0.3"])
     told = " ".join(capsys.readouterr().err.split())
