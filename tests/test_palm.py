@@ -702,6 +702,13 @@ def test_fingers_cage_a_ball_that_is_held_and_do_not_press_it(radius: str) -> No
     assert 0.2 * weight < largest < 2.0 * weight
 
 
+def test_a_ball_is_laid_down_where_it_comes_to_rest_and_has_hardly_turned_there() -> None:
+    """Laid where a cube lies it turned by 16 degrees until it lay still."""
+    report = reorient_in_palm("allegro_hand", BALL, QUARTER, longest_s=0.1)
+    assert report.rolls
+    assert report.error_deg[0] == pytest.approx(90.0, abs=12.0)
+
+
 def test_half_of_the_openings_hold_what_rolls_by_some_fingers(lying: Any) -> None:
     """One round of targets opens all fingers, the next some of them; a cube's open all."""
     now, look = drive(lying, 60.0)
