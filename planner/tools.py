@@ -210,12 +210,6 @@ class Tool(GraspObject):
         size = float(np.linalg.norm(self.axis))
         if size == 0.0:
             raise ObjectError(f"{self.name}: its axis is zero; give the direction of its tip")
-        far, most = float(np.linalg.norm(self.tip)), self.shape.bounding_radius
-        if far > most + TIP_BESIDE:
-            raise ObjectError(
-                f"{self.name}: its tip is {far:g} m from its centre of mass, and nothing of it "
-                f"beyond {most:.3g} m; give the place where it works, in metres"
-            )
         object.__setattr__(self, "axis", fixed_array(self.axis / size))
 
     def __eq__(self, other: object) -> bool:
@@ -313,6 +307,12 @@ def read_tool(path: Path | str, *, scale: float = 1.0) -> Tool:
             "hand: lengths are in m, and scale is how many m the unit of a mesh has"
         )
     turn_shift = scale * np.array(data.tip.position_m) - origin
+    far, most = float(np.linalg.norm(turn_shift)), shape.bounding_radius
+    if far > most + TIP_BESIDE:
+        raise ObjectError(
+            f"{path}: the tip is {far:g} m from the centre of mass, and nothing of the tool beyond "
+            f"{most:.3g} m; give tip.position_m where it works, in metres"
+        )
     needed = []
     for one in data.needed:
         force = np.array(one.force_N)

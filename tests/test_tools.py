@@ -147,7 +147,7 @@ def test_our_tools_are_offered_axis_down_and_fit_their_fixture(name: str) -> Non
         ("z_m = 0.09, ", "z_m = -0.09, ", "from below upwards"),
         ("[1, 0, -2], torque_N_m = [0, 0, -0.03]", "[0, 0, 0]", "'turn' is zero"),
         ("section", 'shape = "box"\nsection', "shape and section"),
-        ("position_m = [0, 0, 0]", "position_m = [0, 0, -5]", "its tip is 5.045 m from its centre"),
+        ("position_m = [0, 0, 0]", "position_m = [0, 0, -5]", "the tip is 5.045 m from the centre"),
         ("angle_deg = 90", 'angle_deg = "90"', "angle_deg is '90'; it should be a number"),
         ("angle_deg = 90", "angle_deg = true", "angle_deg is True; it should be a number"),
         ("force_N", "force", r"needed\[turn\].force is no field"),
@@ -989,7 +989,7 @@ def test_a_use_is_told_of_less_friction_and_refused_before_it_is_planned(
     monkeypatch.setattr(UseOptions, "plan", never)
     with pytest.raises(SystemExit):
         main(["use", "allegro_hand", "key", "--resist", "1000"])
-    assert "less than or equal" in capsys.readouterr().err
+    assert "--resist is 1000.0; give a finite number from 0 to 100" in capsys.readouterr().err
     monkeypatch.undo()
     monkeypatch.setattr("sim.tools.trial.plan_use", never)
     with pytest.raises(SystemExit):

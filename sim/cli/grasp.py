@@ -224,9 +224,7 @@ class UseOptions:
         float | None, option("Margin of each needed wrench; 2.", "K", GRIP, min=1.0)
     ] = None
     mu: MuOption = DEFAULT_MU
-    resist: Annotated[
-        float, option("Fixture friction, factor.", "K", TRIAL, min=0.0, max=100.0)
-    ] = 1.0
+    resist: Annotated[float, option("Fixture friction, factor.", "K", TRIAL, min=0.0)] = 1.0
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
     error_model: ErrorModelOption = "ideal"
@@ -277,11 +275,15 @@ def use(
     Files: plan.json, report.json, used.png, and report.html, to open in any browser: the motion,
     the forces, and what the tool did over time.
     """
+    from planner.arrays import checked_number
+    from planner.errors import TaskError
     from planner.files import write_manipulation, write_plan
     from planner.plan import GraspPlan
     from planner.tools import load_tool
     from sim.tools import FingersTrial, UseTrial
+    from sim.tools.trial import MOST_RESIST
 
+    checked_number("--resist", request.resist, least=0.0, most=MOST_RESIST, error=TaskError)
     loaded = load_tool(tool, scale=request.scale)
     parts: dict[str, Any] = {
         "physics": physics_of(request.physics, request.sim_mu),
