@@ -188,9 +188,9 @@ class _Driver:
 class _LookAhead:
     """Tries branches on copies of the simulation, with less and with more friction."""
 
-    def __init__(self, driver: _Driver, low: float, seed: int, rolls: bool = False) -> None:
+    def __init__(self, driver: _Driver, low: float, seed: int, caged: bool = False) -> None:
         self._real, self._low, self._rng = driver, low, np.random.default_rng(seed)
-        self._rolls = rolls
+        self._caged = caged
         model = driver.plant.model
         steps = [max(model.opt.timestep, LOOK_STEP_S)]
         steps += [model.opt.timestep] * (len(FRICTIONS) - 1 + len(AGAIN))
@@ -307,7 +307,7 @@ class _LookAhead:
         """Branches that open fingers to postures near the first, and ask for targets in turn.
 
         Of ``some`` each opens about half of the fingers, and the others stay. So it is in every
-        other round of targets of what ``rolls``: when all open it turns back with them.
+        other round of targets of what is ``caged``: when all open a ball turns back with them.
         """
         real, asked, now = self._real, self._real.settings, float(data.time)
         width = asked.scatter_rad * min(1 + self._unmoved, WIDEST)
@@ -315,7 +315,7 @@ class _LookAhead:
         scatter[:, real.plant.idle] = 0.0
         opens, targets = now + asked.open_s, self._targets(data)
         away = real.begun + scatter
-        if some or self._rolls:
+        if some or self._caged:
             opened = self._rng.random((asked.branches, len(self._fingers))) < 0.5
             if not some:
                 opened[np.arange(asked.branches) // len(targets) % 2 == 0] = True
@@ -421,7 +421,7 @@ def turn(
     hold_s: float,
     longest_s: float,
     seed: int,
-    rolls: bool = False,
+    caged: bool = False,
     on_step: Callable[[], None] | None = None,
     progress: Progress | None = None,
 ) -> TurnLog:
@@ -439,7 +439,7 @@ def turn(
         hold_s: How long it has to be there in one go, s.
         longest_s: Simulated time after which it has failed, s.
         seed: Of the postures to which fingers may open.
-        rolls: Whether the object rolls: in half of the openings some fingers stay then.
+        caged: Whether the fingers cage the object: in half of the openings some stay then.
         on_step: Called after every step of the simulation.
         progress: Told how far it is, after every period.
 
@@ -451,7 +451,7 @@ def turn(
     low = float(data.xpos[plant.object_body][2]) - SINK
     within = min(settings.still_deg, STILL_SHARE * tolerance_deg)
     driver = _Driver(plant, goal, place, settings, begun, within)
-    look = _LookAhead(driver, low, seed, rolls)
+    look = _LookAhead(driver, low, seed, caged)
     branch = _Branch(away=None, goal=goal, place=place, opens_until=-np.inf, until=-np.inf)
     held = 0.0
     while data.time - began_at < longest_s:

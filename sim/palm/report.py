@@ -36,8 +36,8 @@ class PalmReport(Report, Shown):
         seed: Of the postures to which fingers may have opened.
         goal: Rotation (3, 3) that was asked for.
         tilt_deg: How far the palm leaned to the fingers.
-        rolls: Whether the object rolls off the open palm, so that it was held until fingers had
-            curled about it, and some stayed when others opened.
+        caged: Whether the object rolls off the open palm, or is pushed aside by curling fingers, so
+            that it was held until they had curled about it, and some stayed when others opened.
         tolerance_deg: Largest angle that counts as there.
         hold_s: How long it had to be there.
         longest_s: Time that it had.
@@ -64,7 +64,7 @@ class PalmReport(Report, Shown):
     seed: int
     goal: FloatArray
     tilt_deg: float
-    rolls: bool
+    caged: bool
     tolerance_deg: float
     hold_s: float
     longest_s: float
@@ -162,7 +162,7 @@ _PLAIN = (
         "mass_kg",
         "seed",
         "tilt_deg",
-        "rolls",
+        "caged",
         "tolerance_deg",
         "hold_s",
         "longest_s",

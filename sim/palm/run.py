@@ -2,8 +2,9 @@
 
 Everything is expressed in the frame of the hand as it stands: z out of the palm, x to the fingers,
 the origin at the palm's. The weight leans by ``tilt`` towards the fingers, as of a hand that an arm
-holds so: what slides, slides to where fingers reach it. What rolls off the open palm, which a trial
-tells, is held until the fingers have curled about it, and is turned where it then lies.
+holds so: what slides, slides to where fingers reach it. What rolls off the open palm, or is pushed
+aside by fingers that curl, which trials tell, is held until they have curled about it (caged), and
+is turned where it then lies.
 """
 
 from __future__ import annotations
@@ -56,11 +57,16 @@ ROLLS_M = 0.05
 """An object that gets further (m) on the open palm in ``SETTLE_S`` rolls: balls and ellipsoids of 5
 to 7 cm get 0.35 m and further, cubes, cylinders on their ends, tori and L-brackets 2 mm."""
 
+PUSHED_M = 0.037
+"""An object that curling fingers push further (m) along the palm is held meanwhile: a cylinder of
+56 mm is pushed by 31 to 58 mm, to where fingers hardly turn it. Cubes of 5 cm are pushed by 4 to 36
+mm (60 draws), and are turned from there."""
+
 BACK = 0.05
-"""Share (-) of the way to the open hand by which fingers let go of what rolls, some millimetres at
-the tips: what they press turns back with them when they open. Of eight turns of balls of 25 and 30
-mm radius by 90 degrees in 20 s (seeds 9001, 9002, 9003, 9005 of the benchmark) 4 were done with 0,
-6 with 0.05 and 8 with 0.1; of 14 others of 25 to 35 mm in 30 s (from seed 9340) 13 with 0.05, in
+"""Share (-) of the way to the open hand by which fingers let go of what they cage, some millimetres
+at the tips: what they press turns back with them when they open. Of eight turns of balls of 25 and
+30 mm radius by 90 degrees in 20 s (seeds 9001, 9002, 9003, 9005 of the benchmark) 4 were done with
+0, 6 with 0.05 and 8 with 0.1; of 14 others of 25 to 35 mm in 30 s (from seed 9340) 13 with 0.05, in
 6 s in the median, and 12 with 0.1, in 13 s."""
 
 HIGHEST, RISE = 0.25, 0.001
@@ -171,8 +177,11 @@ def reorient_in_palm(
     plant, data = plant_of(scene), mujoco.MjData(scene.model)
     opened, name = scene.task.hand.neutral, scene.task.object.name
     way = _travel(plant, asked, opened, opened, first, nest + moved)
-    rolls = float(np.linalg.norm(way)) > ROLLS_M
-    if rolls:  # laid down where it comes to rest, it has the rotation asked for when it begins
+    caged = float(np.linalg.norm(way)) > ROLLS_M
+    if not caged:
+        way = _travel(plant, asked, opened, q, first, nest + moved)
+        caged = float(np.linalg.norm(way[:2])) > PUSHED_M
+    if caged:  # laid down where it comes to rest, it has the rotation asked for when it begins
         way = _travel(plant, asked, opened, q, first, nest, held=True)
         _check_there(way, name)
         nest = nest + way[:2]
@@ -187,10 +196,10 @@ def reorient_in_palm(
         taken[0] += 1
 
     laid = data.xpos[plant.object_body].copy()
-    _settle(plant, data, q, keep, held=rolls)
+    _settle(plant, data, q, keep, held=caged)
     _check_there(data.xpos[plant.object_body] - laid, name)
     place = data.xpos[plant.object_body].copy()
-    if not rolls:
+    if not caged:
         place += [AHEAD, 0.0, LIFT]
         place[:2] -= moved
     log = turn(
@@ -203,7 +212,7 @@ def reorient_in_palm(
         hold_s=hold_s,
         longest_s=longest_s,
         seed=seed,
-        rolls=rolls,
+        caged=caged,
         on_step=keep,
         progress=progress,
     )
@@ -219,7 +228,7 @@ def reorient_in_palm(
         seed=seed,
         goal=goal,
         tilt_deg=float(np.degrees(tilt)),
-        rolls=rolls,
+        caged=caged,
         tolerance_deg=tolerance_deg,
         hold_s=hold_s,
         longest_s=longest_s,
