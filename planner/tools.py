@@ -86,8 +86,8 @@ BEST_OF = 6
 those that are near 3 let a screwdriver creep (Shadow-type hand)."""
 
 GOOD_ENOUGH = 0.5
-"""How far (-) a grasp may come in its rehearsal to what is not allowed, so that no other is looked
-for: another friction, or another size, may bring it twice as far."""
+"""Share (-) of the allowed slip up to which a rehearsed grasp is taken at once: with other friction
+the slip may double."""
 
 USE_MARGIN = 2.0
 """How many times each needed wrench a grasp for a use is to produce (-): with 1.25 a screwdriver
@@ -566,9 +566,9 @@ def plan_use(
             grasps are searched with needed wrenches if None.
         gives_way: How far the tool may give way before the fingers for a moment, m: see
             ``followed``.
-        rehearse: Tries a grasp that is proven and free: how far (-) it came to what is not
-            allowed, or what it fails by. The first that came up to ``GOOD_ENOUGH`` is taken, or of
-            ``best_of`` that which came least far. None where nothing is tried.
+        rehearse: Tries a grasp that is proven and free, and returns the share (-) of the allowed
+            slip that it took, or what it fails by. The first with at most ``GOOD_ENOUGH`` is taken,
+            or that with the least of ``best_of``. None: grasps are not tried.
 
     Raises:
         NoGraspFoundError: The budget ended; says which needed wrench failed, and by which limit.
@@ -576,7 +576,7 @@ def plan_use(
     """
     hand = task.hand
     hand.require_one("the use of a tool")
-    came: dict[int, float] = {}  # by the identity of a plan
+    came: dict[int, float] = {}  # by the id of a plan; ``search`` keeps all plans
 
     def worth(plan: GraspPlan) -> float:
         return needed_margin(plan) if rehearse is None else -came[id(plan)]

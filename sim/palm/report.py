@@ -156,18 +156,8 @@ class PalmReport(Report, Shown):
 
 
 _PLAIN = (
-    *(
-        "hand",
-        "object",
-        "mass_kg",
-        "seed",
-        "tilt_deg",
-        "caged",
-        "tolerance_deg",
-        "hold_s",
-        "longest_s",
-    ),
-    *("outcome", "settings", "physics", "wall_s"),
+    *("hand", "object", "mass_kg", "seed", "tilt_deg", "tolerance_deg", "hold_s", "longest_s"),
+    *("caged", "outcome", "settings", "physics", "wall_s"),
 )
 _ARRAYS = ("time", "error_deg", "T_world_object", "q", "solve_ms", "look_ms")
 

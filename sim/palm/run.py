@@ -69,6 +69,9 @@ at the tips: what they press turns back with them when they open. Of eight turns
 0, 6 with 0.05 and 8 with 0.1; of 14 others of 25 to 35 mm in 30 s (from seed 9340) 13 with 0.05, in
 6 s in the median, and 12 with 0.1, in 13 s."""
 
+FALLEN_M = 0.05
+"""An object that is further (m) below where it was laid down has left the palm."""
+
 HIGHEST, RISE = 0.25, 0.001
 """Height (m) up to which the object is lifted, in such steps, until it is clear of the hand."""
 
@@ -405,7 +408,7 @@ def _check_there(way: FloatArray, name: str) -> None:
     Raises:
         TaskError: It is far below where it was laid down, or nowhere.
     """
-    if not -way[2] <= ROLLS_M:
+    if not -way[2] <= FALLEN_M:  # refuses what is not finite, too
         raise TaskError(
             f"{name} rolls off the palm at once ({-1e3 * way[2]:.0f} mm down in {SETTLE_S:g} s); "
             "lay it down another way (start_rotation, shift), or lean the palm less (tilt)"

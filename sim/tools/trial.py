@@ -593,7 +593,7 @@ def plan_tool(
         max_attempts: Budget in attempts.
         yaw: Turn of tool and fixture about the vertical, rad.
         progress: Called after every attempt.
-        rehearse: Whether what is to be tried is tried.
+        rehearse: False takes a grasp without trying its use.
         changes: Further arguments of ``GraspTask.create``.
 
     Raises:
