@@ -125,8 +125,10 @@ def _handed_over(task: GraspTask, case: Row) -> Row:
     except NoGraspFoundError as error:
         row: Row = {"found": False, "attempts": len(error.attempts), "reason": str(error)}
         return row | {"cpu_s": time.process_time() - begin}
-    row = {"attempts": 1 + plan.take.record.attempt, "cpu_s": time.process_time() - begin}
-    row["epsilon"] = plan.both.quality.epsilon
+    handover = plan.handover
+    assert handover is not None
+    row = {"attempts": 1 + handover.take.record.attempt, "cpu_s": time.process_time() - begin}
+    row["epsilon"] = handover.both.quality.epsilon
     return row | _told(hand_over(plan, physics=case["physics"]))
 
 

@@ -75,11 +75,12 @@ def measure(case: Row) -> Row:
         if "by" in case:
             gait = plan_fingers(**planning)
             record: SearchRecord = gait.record
-            trial = FingersTrial(gait, tool, friction=friction, physics=physics)
+            trial = FingersTrial(gait, friction=friction, physics=physics)
         else:
-            plan = plan_tool(**planning)
+            movement = plan_tool(**planning)
+            plan = movement.grasp
             record, margin = plan.record, needed_margin(plan)
-            trial = UseTrial(plan, tool, friction=friction, physics=physics)
+            trial = UseTrial(movement, friction=friction, physics=physics)
     except NoGraspFoundError as error:
         return {**drawn, "done": False, "reason": f"no plan: {str(error)[:200]}"}
     report = trial.run()

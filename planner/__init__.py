@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from planner.kinematics import HandState
     from planner.motion import (
         GaitPlan,
-        HandoverPlan,
         ManipulationPlan,
         MotionPlan,
         MovementPlan,
@@ -62,7 +61,6 @@ __all__ = [
     "GraspTask",
     "Hand",
     "HandState",
-    "HandoverPlan",
     "ManipulationPlan",
     "MotionPlan",
     "MovementPlan",
@@ -117,7 +115,6 @@ _HOMES = {
     "hand_from_spec": "planner.hand_loading",
     "load_hand": "planner.hand_loading",
     "HandState": "planner.kinematics",
-    "HandoverPlan": "planner.motion",
     "ManipulationPlan": "planner.motion",
     "MotionPlan": "planner.motion",
     "MovementPlan": "planner.motion",

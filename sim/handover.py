@@ -1,4 +1,4 @@
-"""``hand_over``: execute a ``HandoverPlan`` in MuJoCo and judge it.
+"""``hand_over``: execute a movement with a ``Handover`` in MuJoCo and judge it.
 
 One hand grasps and lifts as in any trial. The other one comes, closes until it feels the object,
 and takes the load along a ramp; then the first opens and goes back, and the object is held::
@@ -21,18 +21,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import TaskError, shown
-from planner.motion.handover import HandoverPlan
+from planner.motion.phase import Handover
+from planner.motion.plan import ManipulationPlan
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers import PHASES, Observation, Phase
 from sim.controllers.base import TOUCH_FORCE
 from sim.controllers.grasp import RECLOSING_TIME, GraspController
+from sim.manipulation.machine import PhaseCall, StateMachine
+from sim.manipulation.timeline import CONTROLLER_PHASE, Measured
 from sim.recorder import Recorder
 from sim.recording import Samples
 from sim.report import FingerComparison, TrialReport
 from sim.scene.carrier import Timeline, carrier_of
 from sim.simulation import Simulation
-from sim.trial import Trial, TrialKeywords, TrialOptions, felt_by, run_grasp_phase
+from sim.trial import Trial, TrialKeywords, TrialOptions, felt_by, run_grasp_phase, why_not_lifted
 from sim.verdict import (
     Fault,
     Reason,
@@ -97,19 +100,25 @@ class HandoverTimeline(Timeline):
 class HandoverController:
     """Drives both hands, each by the controller of its own grasp: a ``Controller``."""
 
-    def __init__(self, plan: HandoverPlan) -> None:
-        """Prepare both."""
-        self._plan, hand = plan, plan.task.hand
-        self.give, self.take = GraspController(plan.give), GraspController(plan.take)
-        n = len(plan.give.task.finger_names)
+    def __init__(self, give: GraspPlan, handover: Handover) -> None:
+        """Prepare both.
+
+        Args:
+            give: Grasp of the giving hand, while the other one waits.
+            handover: How the other one takes the object.
+        """
+        self._handover, hand = handover, give.task.hand
+        self.give, self.take = GraspController(give), GraspController(handover.take)
+        n = len(give.task.finger_names)
         self.giving, self.taking = slice(0, n), slice(n, None)
-        (taker,) = (side for side in hand.pair if side.name == plan.taker)
+        (taker,) = (side for side in hand.pair if side.name == handover.taker)
         joints = [
             *taker.carriage,
             *(hand.joint_index(taker.called(j)) for j in taker.alone.joint_names),
         ]
+        self._names = hand.actuation.names
         self._of_taker = hand.actuation.moment[:, joints].any(axis=1)
-        self._left = plan.give.q.copy()  # where the giving hand let go
+        self._left = give.q.copy()  # where the giving hand let go
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the actuators of both hands."""
@@ -125,7 +134,7 @@ class HandoverController:
             self.give.share = 1.0 - s if phase == "transfer" else 1.0
             self._left = self.give.q_ref
             return self.give.step(seen.altered(phase="hold"))
-        way = np.vstack([self._left, self._plan.way_out])
+        way = np.vstack([self._left, self._handover.way_out])
         k = {"open": s, "retreat": 1.0 + s}.get(phase, 2.0)
         self.give.q_ref = _along(way, k)
         return self.give.step(seen.altered(phase="approach"))
@@ -135,7 +144,7 @@ class HandoverController:
         phase, s = seen.phase, float(minimum_jerk(np.asarray(seen.progress)))
         names: dict[Phase, Phase] = {"take": "close", "transfer": "squeeze"}
         if phase in (*GIVING, "reach"):
-            way = self._plan.way_in
+            way = self._handover.way_in
             self.take.q_ref = _along(way, s * (len(way) - 1) if phase == "reach" else 0.0)
             return self.take.step(seen.altered(phase="approach"))
         return self.take.step(seen.altered(phase=names.get(phase, "hold")))
@@ -147,7 +156,7 @@ class HandoverController:
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
-        names = np.array(self._plan.task.hand.actuation.names)
+        names = np.array(self._names)
         mine = set(names[self._of_taker].tolist())
         given = [n for n in self.give.saturated_actuators() if n not in mine]
         return (*given, *(n for n in self.take.saturated_actuators() if n in mine))
@@ -192,24 +201,25 @@ class HandoverTrial(Trial):
     """One execution of a handover.
 
     Attributes:
-        handover: What is executed; ``plan`` is its grasp of both hands where the object stands.
+        movement: What is executed; ``plan`` is its grasp of both hands where the object stands.
+        handover: How the other hand takes the object.
     """
 
     def __init__(
         self,
-        handover: HandoverPlan,
+        movement: ManipulationPlan,
         options: TrialOptions | None = None,
         **changes: Unpack[TrialKeywords],
     ) -> None:
         """Build the scene and put hands and object at their start.
 
         Raises:
-            TaskError: A controller or a timeline is given that is none of a handover; and as
-                ``Trial``.
+            TaskError: The movement is no handover, or a controller or a timeline is given that is
+                none of one; and as ``Trial``.
         """
         asked = replace(options or TrialOptions(), **changes)
-        if not isinstance(handover, HandoverPlan):
-            raise TaskError(f"{shown(handover)} is no handover; give what plan_handover returns")
+        if not isinstance(movement, ManipulationPlan) or movement.handover is None:
+            raise TaskError(f"{shown(movement)} is no handover; give what plan_handover returns")
         if asked.truth is not None:
             raise TaskError("a handover is of an object that is known; leave truth out")
         if asked.controller is not None:
@@ -217,28 +227,39 @@ class HandoverTrial(Trial):
         timeline = asked.timeline or HandoverTimeline()
         if not isinstance(timeline, HandoverTimeline):
             raise TaskError("a handover has more phases than a trial; give a HandoverTimeline")
-        timeline = replace(timeline, lift_height=handover.lift_height)
-        self.handover = handover
-        self._controller = HandoverController(handover)
+        self.movement, self.handover = movement, movement.handover
+        timeline = replace(timeline, lift_height=self.handover.lift_height)
+        self._controller = HandoverController(movement.grasp, self.handover)
         super().__init__(
-            executed(handover), replace(asked, timeline=timeline, controller=self._controller)
+            executed(movement), replace(asked, timeline=timeline, controller=self._controller)
         )
         self.simulation.carrier = _InTheAir(self.simulation, timeline)
         self.recorder = _InTheBase(self.simulation, asked.record_every)
 
     def perform(self) -> None:
         """Run all phases, or up to the one after which going on makes no sense."""
-        simulation, fingers = self.simulation, self._controller
-        for phase in HANDOVER_PHASES:
-            if phase in ("close", "take"):
-                rows = fingers.giving if phase == "close" else fingers.taking
-                going_on = self._closed(phase, rows)
-            elif phase in PHASES:
-                going_on = run_grasp_phase(simulation, self.recorder, self.timeline, phase)
-            else:
-                going_on = self._run(simulation.run(phase, getattr(self.timeline, phase)))
-            if not going_on or (phase == "take" and not self._felt_enough()):
-                break
+        machine = StateMachine(self.movement)
+        self.run_phases(machine.run(self._perform, lambda: self.simulation.time))
+
+    def _perform(self, call: PhaseCall) -> Measured:
+        """Run a phase; why it failed, "" if it did not, and its numbers."""
+        phase, simulation, fingers = CONTROLLER_PHASE[call.phase], self.simulation, self._controller
+        if call.phase == "stand":  # hands and object are where they begin
+            return "", {}
+        if phase in ("close", "take"):
+            going_on = self._closed(phase, fingers.giving if phase == "close" else fingers.taking)
+        elif phase in PHASES:
+            going_on = run_grasp_phase(simulation, self.recorder, self.timeline, phase)
+        else:
+            going_on = self._run(simulation.run(phase, getattr(self.timeline, phase)))
+        if not going_on:
+            return simulation.why_ended or why_not_lifted(simulation), {}
+        if phase == "take" and not self._felt_enough():
+            return f"too few fingers of {self.handover.taker} felt the object to take it", {}
+        if phase in GIVING[:4]:
+            return "", {}
+        slip_mm, slip_deg = self.recorder.slip()
+        return "", {"moved_mm": slip_mm, "turned_deg": slip_deg}
 
     def _felt_enough(self) -> bool:
         """Whether the sensors of the taking hand feel the object: what a robot knows."""
@@ -280,14 +301,16 @@ class HandoverTrial(Trial):
         )
         if early is not None:
             return Verdict(early)
-        fault = judge_handover(samples, self.handover, self.thresholds)
+        fault = judge_handover(samples, self.movement, self.thresholds)
         if fault is not None:
             return Verdict(fault)
         off = {c.finger: c.position_error_mm for c in compared}
         return Verdict(other_grasp=other_grasp(off, self.thresholds.contact_mm))
 
 
-def judge_handover(samples: Samples, plan: HandoverPlan, thresholds: Thresholds) -> Fault | None:
+def judge_handover(
+    samples: Samples, movement: ManipulationPlan, thresholds: Thresholds
+) -> Fault | None:
     """What went wrong first; None if the object was handed over.
 
     Nothing may collide, the object may not move before the lift, enough fingers of each hand must
@@ -296,10 +319,12 @@ def judge_handover(samples: Samples, plan: HandoverPlan, thresholds: Thresholds)
 
     Args:
         samples: What was recorded; the giving hand's fingers come first.
-        plan: What was executed.
+        movement: What was executed, with a handover.
         thresholds: Where success ends.
     """
-    give, take = plan.give.task, plan.take.task
+    handover = movement.handover
+    assert handover is not None
+    give, take = movement.grasp.task, handover.take.task
     n = len(give.finger_names)
     phase = np.array(samples.phase)
     touching = samples.contacts > 0
@@ -319,13 +344,13 @@ def judge_handover(samples: Samples, plan: HandoverPlan, thresholds: Thresholds)
         ),
         _first(samples, holding, "dropped", "too few fingers touched the object"),
         _first(samples, slipped, "slipped", "the object moved in the hands"),
-        _first(samples, still, "hand collided", f"{plan.giver} still touched the object"),
+        _first(samples, still, "hand collided", f"{handover.giver} still touched the object"),
     ]
     found = [fault for fault in faults if fault is not None]
     if not found and not len(samples.during("hold")):
         if not len(samples.during("take")):
             return ended_early(samples, interrupted=True)
-        detail = f"too few fingers of {plan.taker} felt the object to take it"
+        detail = f"too few fingers of {handover.taker} felt the object to take it"
         return fault_at(samples, len(samples) - 1, "no contact", detail)
     return first_fault(found, samples, thresholds) if found else None
 
@@ -340,7 +365,7 @@ def _first(samples: Samples, bad: NDArray[np.bool_], reason: Reason, what: str) 
 
 
 def hand_over(
-    plan: HandoverPlan, options: TrialOptions | None = None, **changes: Unpack[TrialKeywords]
+    plan: ManipulationPlan, options: TrialOptions | None = None, **changes: Unpack[TrialKeywords]
 ) -> TrialReport:
     """Execute a handover and judge it; ``HandoverTrial`` and its ``run`` make pictures and films.
 
@@ -355,15 +380,16 @@ def hand_over(
     return HandoverTrial(plan, options, **changes).run()
 
 
-def executed(handover: HandoverPlan) -> GraspPlan:
+def executed(movement: ManipulationPlan) -> GraspPlan:
     """The grasp of all fingers at the start of a trial, with each hand's planned forces."""
-    give, take, both = handover.give, handover.take, handover.both
-    forces = np.vstack([give.contacts.forces, take.contacts.forces])
+    handover, give = movement.handover, movement.grasp
+    assert handover is not None
+    both, forces = handover.both, [give.contacts.forces, handover.take.contacts.forces]
     return replace(
         both,
         task=replace(both.task, table_height=give.task.table_height, obstacles=give.task.obstacles),
         T_world_base_start=give.T_world_base_start,
         q_pregrasp=give.q_pregrasp,
         pregrasp_distance=give.pregrasp_distance,
-        contacts=replace(both.contacts, forces=forces),
+        contacts=replace(both.contacts, forces=np.vstack(forces)),
     )

@@ -64,6 +64,48 @@ class FingerComparison:
     force_error_percent: float
 
 
+INTERRUPTED = "interrupted"
+"""Why a phase failed that Ctrl-C ended."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseResult:
+    """The end of one phase.
+
+    Attributes:
+        phase: Which.
+        about: Which one of several: a stroke's number, or the finger that moves on; "" of one.
+        begin: When it began, s.
+        end: When it ended, s.
+        reason: Why it failed, "" if it did not.
+        numbers: What was looked at, by name with unit.
+        then: What was tried after a failure, and what came of that; "" if nothing was.
+    """
+
+    phase: str
+    begin: float
+    end: float
+    reason: str
+    numbers: dict[str, float]
+    about: str = ""
+    then: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the phase ended as it should."""
+        return not self.reason
+
+    def __str__(self) -> str:
+        """One line."""
+        told = ", ".join(f"{name} {value:.3g}" for name, value in self.numbers.items())
+        mark = "ok  " if self.passed else "FAIL"
+        name = f"{self.phase} {self.about}".strip()
+        line = f"{mark} {name:<15}{self.end - self.begin:5.2f} s  {told}"
+        if self.reason:
+            line += f"\n     {self.reason}"
+        return f"{line}\n     then: {self.then}" if self.then else line
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ExecutionReport(Report, Shown):
     """What the reports of all executions of a plan have.
@@ -84,6 +126,7 @@ class ExecutionReport(Report, Shown):
         picture_reason: Why there is no picture, "" where there is one.
         command: What the command line was told, "" of a script.
         drawn: Files of pictures and film that were drawn, and how, in one line; not in the file.
+        results: The phases of a movement that were run, in order; empty of the trial of a grasp.
     """
 
     hand: str
@@ -100,6 +143,7 @@ class ExecutionReport(Report, Shown):
     picture_reason: str = "none was asked for"
     command: str = ""
     drawn: str = ""
+    results: tuple[PhaseResult, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         """How it is sent to another process: its plan as a file has it."""
@@ -143,6 +187,19 @@ class ExecutionReport(Report, Shown):
             "events": [
                 {"time_s": e.time, "kind": e.kind, "finger": e.finger, "detail": e.detail}
                 for e in self.events
+            ],
+            "phases": [
+                {
+                    "phase": r.phase,
+                    "about": r.about,
+                    "begin_s": r.begin,
+                    "end_s": r.end,
+                    "passed": r.passed,
+                    "reason": r.reason,
+                    "then": r.then,
+                    "numbers": finite(r.numbers),
+                }
+                for r in self.results
             ],
             "picture_reason": self.picture_reason,
             "plan": self._plan_in_file() if states else None,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, Self
@@ -64,6 +64,19 @@ class EventData(StrictData):
     detail: str
 
 
+class PhaseData(StrictData):
+    """The end of a phase."""
+
+    phase: str
+    about: str
+    begin_s: float
+    end_s: float
+    passed: bool
+    reason: str
+    then: str
+    numbers: dict[str, float | None]
+
+
 class ExecutionFile(StrictData):
     """What the reports of all executions have as JSON.
 
@@ -89,6 +102,7 @@ class ExecutionFile(StrictData):
     error_model: dict[str, Any] | None
     controller: str = ""
     events: list[EventData] = Field(default_factory=list)
+    phases: Sequence[PhaseData] = Field(default_factory=list)
     picture_reason: str
     samples: StrictData
     plan: dict[str, Any] | None
@@ -200,8 +214,8 @@ class ReportFile(ExecutionFile):
     def _without_what_is_absent(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """All fields; reports of trials of one hand that use no tool stay as they were."""
         data: dict[str, Any] = handler(self)
-        for name in ("use", "path"):
-            if getattr(self, name) is None:
+        for name in ("use", "path", "phases"):
+            if not getattr(self, name):
                 del data[name]
         return data
 

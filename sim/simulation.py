@@ -365,7 +365,12 @@ class Simulation:
     @property
     def ended(self) -> bool:
         """Whether it was stopped or has diverged: no further step is made."""
-        return bool(self.stopped or self.diverged)
+        return bool(self.why_ended)
+
+    @property
+    def why_ended(self) -> str:
+        """Why no further step is made, "" if there may be one."""
+        return self.diverged or (f"stopped: {self.stopped}" if self.stopped else "")
 
     def show(self) -> None:
         """Show every further step in MuJoCo's viewer, in real time.

@@ -19,7 +19,7 @@ called after every step may end it::
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, cast
@@ -43,7 +43,7 @@ from sim.controllers.grasp import (
 from sim.controllers.named import controller_name, is_controller
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.recorder import Recorder
-from sim.report import FingerComparison, TrialReport
+from sim.report import INTERRUPTED, FingerComparison, PhaseResult, TrialReport
 from sim.scene.build import Truth
 from sim.scene.carrier import Timeline
 from sim.scene.physics import PRESETS, AnyPhysics
@@ -135,6 +135,7 @@ class Trial:
         simulation: Scene, data, controller and carrier; may be changed before the run.
         recorder: Who takes samples.
         not_lifted: Why the hand, by what it felt, did not lift the object; "" if it did.
+        results: The phases of a movement that were run, in order; empty of a grasp.
     """
 
     def __init__(
@@ -175,6 +176,7 @@ class Trial:
         self._object = plan.task.object if asked.truth is None else asked.truth.object
         self.recorder = Recorder(self.simulation, asked.record_every)
         self.not_lifted = ""
+        self.results: list[PhaseResult] = []
 
     def _surroundings(self) -> Callable[[Any], None] | None:
         """What adds to the ``mujoco.MjSpec`` what else stands in the scene; None for nothing."""
@@ -261,6 +263,17 @@ class Trial:
             if not run_grasp_phase(self.simulation, self.recorder, self.timeline, phase):
                 self.not_lifted = "" if self.simulation.ended else why_not_lifted(self.simulation)
                 break
+
+    def run_phases(self, results: Iterable[PhaseResult]) -> None:
+        """Keep the ends of the phases of a movement as they come.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C ended the last one.
+        """
+        for result in results:
+            self.results.append(result)
+        if self.results and self.results[-1].reason == INTERRUPTED:
+            raise KeyboardInterrupt
 
     def judged(self, begin: float, *, interrupted: bool = False) -> TrialReport:
         """The verdict on what was recorded so far, and its report.
@@ -355,6 +368,7 @@ class Trial:
             events=simulation.events,
             error_model=simulation.senses(),
             path=self.recorder.path_errors(),
+            results=tuple(self.results),
         )
 
     def _remedies(self, verdict: Verdict) -> tuple[str, ...]:

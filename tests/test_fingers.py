@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,11 +12,13 @@ import pytest
 import trimesh
 
 from planner.collision.world import Clearance, CollisionWorld
-from planner.errors import PlannerError
+from planner.errors import FileFormatError, PlannerError
 from planner.failure import Failure
 from planner.files import read_manipulation, write_manipulation
+from planner.files.movements import movement_from_dict, movement_to_dict
 from planner.motion import tool_gait
-from planner.motion.plan import Knot, ManipulationPlan
+from planner.motion.phase import Knot
+from planner.motion.plan import ManipulationPlan
 from planner.motion.regrasp import FingerPaths
 from planner.motion.tool_gait import handle_cylinder, posture_blocked
 from planner.motion.verify import MovementVerifier, Waypoint
@@ -25,7 +28,7 @@ from planner.spatial import SE3, FloatArray
 from planner.tools import Tool, load_tool
 from sim.cli import main
 from sim.manipulation.machine import StateMachine
-from sim.tools import FingersTrial, UseTimeline, UseTrial, plan_fingers, use_tool
+from sim.tools import FingersTrial, UseTimeline, UseTrial, plan_fingers, plan_tool, use_tool
 from sim.tools.fingers import standing
 from sim.tools.trial import task_of_use
 from sim.verdict import Verdict
@@ -176,7 +179,7 @@ def test_idle_fingers_stay_where_swings_were_verified(
     """Moved by 20 degrees, an idle ring finger was 2.6 mm within the little finger's swing."""
     moved = SimpleNamespace(T_palm_wanted=None)
     monkeypatch.setattr("sim.manipulation.driver.out_of_the_way", lambda plan: moved)
-    assert FingersTrial(gait, screwdriver(40.0)).sim.driver._motion is gait
+    assert FingersTrial(gait).sim.driver._motion is gait
 
 
 def test_a_handle_that_is_round_is_planned_for_as_a_cylinder() -> None:
@@ -199,17 +202,20 @@ def test_a_bar_with_corners_equally_far_from_its_axis_is_not_round() -> None:
 
 def test_a_gait_is_used_with_its_own_tool_and_timeline(gait: ManipulationPlan) -> None:
     thicker = load_tool("screwdriver", scale=1.2)
-    with pytest.raises(PlannerError, match="the gait is of a screwdriver with another handle"):
-        FingersTrial(gait, thicker)
+    with pytest.raises(PlannerError, match="strokes are of a screwdriver of another handle"):
+        FingersTrial(replace(gait, tool=thicker))
+    for other in (replace(gait, tool=None), plan_tool("allegro_hand", "key", seed=0)):
+        with pytest.raises(PlannerError, match="is no gait of a tool; give what plan_fingers"):
+            FingersTrial(other)
     with pytest.raises(PlannerError, match="give no timeline"):
-        FingersTrial(gait, screwdriver(40.0), timeline=UseTimeline())
+        FingersTrial(gait, timeline=UseTimeline())
 
 
 def test_a_phase_that_fails_ends_a_use_by_fingers(
     gait: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Though nothing was dropped and nothing slipped."""
-    trial = FingersTrial(gait, screwdriver(40.0))
+    trial = FingersTrial(gait)
     monkeypatch.setattr(trial._phases, "perform", lambda call: ("it did not close", {}))
     monkeypatch.setattr(UseTrial, "_verdict", lambda *_: Verdict())
     verdict = trial.run().verdict
@@ -241,10 +247,25 @@ def test_what_drives_a_tool_is_wrist_or_fingers(
     assert "takes the whole hand" in capsys.readouterr().err.replace("\n", " ")
 
 
+def test_a_file_holds_a_gait_with_its_tool_and_is_checked(gait: ManipulationPlan) -> None:
+    data = json.loads(json.dumps(movement_to_dict(gait)))
+    again = movement_from_dict(data, "a file")
+    assert isinstance(again, ManipulationPlan)
+    assert again.tool is not None and gait.tool is not None
+    assert isinstance(again.tool.shape, Mesh) and isinstance(gait.tool.shape, Mesh)
+    assert np.allclose(again.tool.shape.vertices, gait.tool.shape.vertices, rtol=0.0, atol=1e-12)
+    assert (again.tool.use, again.tool.needed) == (gait.tool.use, gait.tool.needed)
+    assert FingersTrial(again)._goal == FingersTrial(gait)._goal
+    thicker = load_tool("screwdriver", scale=1.2)
+    other = json.loads(json.dumps(movement_to_dict(replace(gait, tool=thicker))))
+    with pytest.raises(FileFormatError, match="strokes are of a screwdriver of another handle"):
+        movement_from_dict(other, "a file")
+
+
 def test_a_tool_in_its_fixture_is_neither_lifted_nor_put_down(gait: ManipulationPlan) -> None:
-    trial = FingersTrial(gait, screwdriver(40.0))
+    trial = FingersTrial(gait)
     trial._goal = 0.0  # turned as far as asked after one stroke
-    machine = StateMachine(gait, trial, retry=True, lifts=False)
+    machine = StateMachine(gait, trial, retry=True)
     phases = []
     while (call := machine.next) is not None:
         phases.append(call.phase)
@@ -255,8 +276,7 @@ def test_a_tool_in_its_fixture_is_neither_lifted_nor_put_down(gait: Manipulation
 
 @pytest.mark.slow
 def test_fingers_turn_a_screw_by_strokes_and_regrasps(gait: ManipulationPlan) -> None:
-    tool = screwdriver(40.0)
-    report = FingersTrial(gait, tool).run()
+    report = FingersTrial(gait).run()
     assert report.success, str(report)
     assert report.use is not None
     angle = np.array(report.use["channels"]["angle_deg"])

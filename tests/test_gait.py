@@ -24,8 +24,9 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics import HandState
 from planner.motion import plan_motion
-from planner.motion.gait import GaitPlan, NoOrder, Order, Relocation, find_order, plan_gait
+from planner.motion.gait import GaitPlan, NoOrder, Order, find_order, plan_gait
 from planner.motion.order import holding, standing
+from planner.motion.phase import Relocation, Stroke
 from planner.motion.regrasp import FingerPaths, RegraspPlanner
 from planner.motion.verify import MovementVerifier, same_space
 from planner.objects import parse_object
@@ -184,8 +185,9 @@ def test_two_strokes_with_all_fingers_moving_on_between(twice: GaitPlan) -> None
 
 
 def test_postures_and_the_object_go_on_without_a_jump(twice: GaitPlan) -> None:
-    q, pose = twice.phases[0].postures[0], twice.motion.knots[0].T_world_object
+    q, pose = twice.strokes[0].postures[0], twice.motion.knots[0].T_world_object
     for phase in twice.phases:
+        assert isinstance(phase, Stroke | Relocation)
         assert np.allclose(phase.postures[0], q, atol=1e-12)
         steps = np.abs(np.diff(phase.postures, axis=0))
         assert steps.max() < 0.6

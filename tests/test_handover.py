@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -19,12 +20,18 @@ from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, PlannerError
 from planner.failure import Failure
-from planner.files import read_handover, write_handover
-from planner.motion.handover import HandoverPlan, plan_handover, put_together
+from planner.files import read_movement, write_movement
+from planner.files.handovers import HandoverData
+from planner.files.movements import movement_from_dict, movement_to_dict
+from planner.motion.handover import plan_handover, put_together
+from planner.motion.phase import Handover
+from planner.motion.plan import ManipulationPlan, MovementPlan
+from planner.pages.motion_page import motion_page, object_motion
+from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.system.package import models_dir
 from sim import Timeline
-from sim.cli.reading import one_plan
+from sim.cli.reading import one_plan, plan_to_test
 from sim.controllers import Observation
 from sim.controllers.base import PadReading
 from sim.handover import (
@@ -36,6 +43,7 @@ from sim.handover import (
     judge_handover,
 )
 from sim.report import TrialReport
+from sim.report_file import ReportFile
 from sim.verdict import Thresholds
 
 pytestmark = pytest.mark.usefixtures("coarse_steps")
@@ -49,23 +57,34 @@ def refused(word: str) -> pytest.RaisesExc[PlannerError]:
 
 
 @pytest.fixture(scope="module")
-def plan() -> HandoverPlan:
+def movement() -> ManipulationPlan:
     return plan_handover(GraspTask.create("two_allegro_hands", "box:0.06x0.06x0.16"), seed=0)
 
 
 @pytest.fixture(scope="module")
-def report(plan: HandoverPlan) -> TrialReport:
-    return hand_over(plan, timeline=QUICK)
+def give(movement: ManipulationPlan) -> GraspPlan:
+    return movement.grasp
+
+
+@pytest.fixture(scope="module")
+def plan(movement: ManipulationPlan) -> Handover:
+    assert movement.handover is not None
+    return movement.handover
+
+
+@pytest.fixture(scope="module")
+def report(movement: ManipulationPlan) -> TrialReport:
+    return hand_over(movement, timeline=QUICK)
 
 
 class Pair:
     """MuJoCo's own model of a pair, its base at a pose."""
 
-    def __init__(self, plan: HandoverPlan) -> None:
+    def __init__(self, plan: Handover) -> None:
         """Load it."""
         self.model = plan.task.hand.mj_model
         self.data = mujoco.MjData(self.model)
-        self._pose = plan.give.T_world_base
+        self._pose = plan.both.T_world_base
 
     def put(self, q: FloatArray) -> None:
         self.data.qpos[:] = q
@@ -91,7 +110,7 @@ class Pair:
         )
 
 
-def test_carriages_bring_both_hands_where_they_grasp_alone(plan: HandoverPlan) -> None:
+def test_carriages_bring_both_hands_where_they_grasp_alone(plan: Handover) -> None:
     pair = Pair(plan)
     pair.put(plan.both.q)
     for side, alone in zip((plan.giver, plan.taker), plan.alone, strict=True):
@@ -100,7 +119,7 @@ def test_carriages_bring_both_hands_where_they_grasp_alone(plan: HandoverPlan) -
         assert np.allclose(off.homogeneous, np.eye(4), atol=1e-8)
 
 
-def test_hands_come_and_go_as_when_alone(plan: HandoverPlan) -> None:
+def test_hands_come_and_go_as_when_alone(plan: Handover) -> None:
     """The carriages move them as far, and in the direction, in which each alone comes in."""
     pair, (give, take) = Pair(plan), plan.alone
     for q, side, alone in (
@@ -112,7 +131,7 @@ def test_hands_come_and_go_as_when_alone(plan: HandoverPlan) -> None:
         assert np.allclose(base.homogeneous, alone.T_world_base_start.homogeneous, atol=1e-8)
 
 
-def test_weak_carriages_take_nothing(plan: HandoverPlan, tmp_path: Path) -> None:
+def test_weak_carriages_take_nothing(plan: Handover, tmp_path: Path) -> None:
     text = (models_dir() / "hands/two_allegro_hands/hand.toml").read_text()
     hands = models_dir() / "hands"
     file = tmp_path / "hand.toml"
@@ -123,13 +142,15 @@ def test_weak_carriages_take_nothing(plan: HandoverPlan, tmp_path: Path) -> None
     assert found.kind == "no_forces"
 
 
-def test_each_hand_holds_alone_and_any_blend_of_their_forces_holds(plan: HandoverPlan) -> None:
-    give, take = plan.give.contacts, plan.take.contacts
+def test_each_hand_holds_alone_and_any_blend_of_their_forces_holds(
+    plan: Handover, give: GraspPlan
+) -> None:
+    given, take = give.contacts, plan.take.contacts
     weight = plan.task.object.mass * GRAVITY
     center = plan.task.T_world_object.translation
     for share in np.linspace(0.0, 1.0, 6):
         total = np.zeros(6)
-        for contacts, part in ((give, 1.0 - share), (take, share)):
+        for contacts, part in ((given, 1.0 - share), (take, share)):
             forces = part * contacts.forces_in_axes()
             arms = contacts.positions - center
             total[:3] += forces.sum(axis=0)
@@ -140,17 +161,17 @@ def test_each_hand_holds_alone_and_any_blend_of_their_forces_holds(plan: Handove
         assert np.allclose(total, [0, 0, weight, 0, 0, 0], atol=1e-6)
 
 
-def test_motors_bear_the_forces_of_both(plan: HandoverPlan) -> None:
+def test_motors_bear_the_forces_of_both(plan: Handover, give: GraspPlan) -> None:
     """By MuJoCo's Jacobians: torques J^T f and the hands' weight, within the actuators' limits."""
     pair, hand = Pair(plan), plan.task.hand
     model, data = pair.model, pair.data
     pair.put(plan.take.q)
-    turn = plan.give.T_world_base.rotation
+    turn = give.T_world_base.rotation
     low, high = hand.actuation.torque_limits(plan.take.q).T
     for share in (0.0, 0.5, 1.0):
         torque = np.zeros(hand.nq)
-        for grasp, part in ((plan.give, 1.0 - share), (plan.take, share)):
-            points = grasp.contacts.positions - plan.give.T_world_base.translation
+        for grasp, part in ((give, 1.0 - share), (plan.take, share)):
+            points = grasp.contacts.positions - give.T_world_base.translation
             for finger, point, force in zip(
                 grasp.task.fingers, points @ turn, grasp.contacts.forces_in_axes(), strict=True
             ):
@@ -166,7 +187,7 @@ def test_motors_bear_the_forces_of_both(plan: HandoverPlan) -> None:
         assert (torque <= high + 1e-6).all()
 
 
-def test_hands_keep_apart_on_their_ways(plan: HandoverPlan) -> None:
+def test_hands_keep_apart_on_their_ways(plan: Handover) -> None:
     """By MuJoCo's distances; the ways are straight between their points."""
     pair = Pair(plan)
     for way in (plan.way_in, np.vstack([plan.take.q, plan.way_out])):
@@ -176,16 +197,16 @@ def test_hands_keep_apart_on_their_ways(plan: HandoverPlan) -> None:
                 assert pair.apart(plan.giver, plan.taker) > 5e-4
 
 
-def test_the_taking_hand_waits_above_the_table(plan: HandoverPlan) -> None:
-    world = CollisionWorld(plan.give.task)
+def test_the_taking_hand_waits_above_the_table(plan: Handover, give: GraspPlan) -> None:
+    world = CollisionWorld(give.task)
     names = frozenset(g.name for g in plan.task.hand.geometries if g.name.startswith("left/"))
-    for pose in (plan.give.T_world_base, plan.give.T_world_base_start):
-        assert world.nearest_of(pose, plan.give.q, names).distance >= 0.01
+    for pose in (give.T_world_base, give.T_world_base_start):
+        assert world.nearest_of(pose, give.q, names).distance >= 0.01
 
 
-def test_an_object_is_handed_over(plan: HandoverPlan, report: TrialReport) -> None:
+def test_an_object_is_handed_over(plan: Handover, give: GraspPlan, report: TrialReport) -> None:
     assert report.verdict.outcome == "held", report.verdict
-    samples, n = report.samples, len(plan.give.task.finger_names)
+    samples, n = report.samples, len(give.task.finger_names)
     assert tuple(dict.fromkeys(samples.phase)) == HANDOVER_PHASES
     end, held = samples.during("hold"), samples.during("reach")
     planned = plan.take.contacts.forces[:, 0]
@@ -199,25 +220,27 @@ def test_an_object_is_handed_over(plan: HandoverPlan, report: TrialReport) -> No
 
 
 def test_forces_go_from_one_hand_to_the_other_along_a_ramp(
-    plan: HandoverPlan, report: TrialReport
+    plan: Handover, give: GraspPlan, report: TrialReport
 ) -> None:
-    samples, n = report.samples, len(plan.give.task.finger_names)
+    samples, n = report.samples, len(give.task.finger_names)
     moments = samples.during("transfer")
     given, taken = samples.normal_force[moments][:, :n], samples.normal_force[moments][:, n:]
     middle = len(moments) // 2
-    full = plan.give.contacts.forces[:, 0].sum(), plan.take.contacts.forces[:, 0].sum()
+    full = give.contacts.forces[:, 0].sum(), plan.take.contacts.forces[:, 0].sum()
     assert given[middle].sum() == pytest.approx(full[0] / 2, rel=0.25)
     assert taken[middle].sum() == pytest.approx(full[1] / 2, rel=0.3)
     assert (np.diff(given.sum(axis=1)) < 0.05 * full[0]).all()
     assert (np.diff(taken.sum(axis=1)) > -0.05 * full[1]).all()
 
 
-def test_what_goes_wrong_is_named(plan: HandoverPlan, report: TrialReport) -> None:
-    samples, n = report.samples, len(plan.give.task.finger_names)
+def test_what_goes_wrong_is_named(
+    plan: Handover, movement: ManipulationPlan, give: GraspPlan, report: TrialReport
+) -> None:
+    samples, n = report.samples, len(give.task.finger_names)
     hold, open_, reach = (samples.during(phase) for phase in ("hold", "open", "reach"))
 
     def reason(**changes: Any) -> str:
-        fault = judge_handover(replace(samples, **changes), plan, Thresholds())
+        fault = judge_handover(replace(samples, **changes), movement, Thresholds())
         return "" if fault is None else f"{fault.reason}: {fault.detail}"
 
     assert reason() == ""
@@ -243,44 +266,157 @@ def test_what_goes_wrong_is_named(plan: HandoverPlan, report: TrialReport) -> No
 
 
 def test_a_hand_that_feels_nothing_takes_nothing(
-    plan: HandoverPlan, monkeypatch: pytest.MonkeyPatch
+    plan: Handover, movement: ManipulationPlan, give: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    names = plan.give.task.finger_names
+    names = give.task.finger_names
     monkeypatch.setattr("sim.handover.felt_by", lambda simulation: names)
-    trial = HandoverTrial(plan, timeline=QUICK)
+    trial = HandoverTrial(movement, timeline=QUICK)
     report = trial.run()
     assert "too few fingers of left felt" in report.verdict.detail
     assert report.samples.phase[-1] == "take"
+    last = report.results[-1]
+    assert (last.phase, last.reason) == (
+        "take",
+        "too few fingers of left felt the object to take it",
+    )
     assert (report.samples.contacts[-1, : len(names)] > 0).all()  # still held
 
 
-def test_a_file_holds_it_and_is_checked(plan: HandoverPlan, tmp_path: Path) -> None:
+def _older(plan: Handover, version: int = 1) -> dict[str, Any]:
+    """A handover in the format that files of it alone had."""
+    told = HandoverData.of(plan).model_dump(mode="json")
+    del told["T_world_pair"]
+    return {"format": "opposable-handover", "version": version, "written_by": "0.9", **told}
+
+
+def _handed(plan: MovementPlan) -> Handover:
+    assert plan.handover is not None
+    return plan.handover
+
+
+def test_a_movement_file_holds_it_and_is_checked(
+    movement: ManipulationPlan, plan: Handover, tmp_path: Path
+) -> None:
     file = tmp_path / "plan.json"
-    write_handover(plan, file)
-    again = read_handover(file)
+    write_movement(movement, file)
+    again = read_movement(file)
+    assert np.allclose(_handed(again).both.q, plan.both.q, atol=1e-9)
+    assert np.allclose(_handed(again).way_in, plan.way_in, atol=1e-9)
+    assert _handed(again).lift_height == plan.lift_height
+    assert np.allclose(again.grasp.q, movement.grasp.q, atol=1e-9)
+    with refused(f"opposable test {file} a handover or the use of a tool"):
+        one_plan(file)
+    assert plan_to_test(file).task.finger_names == movement.task.finger_names
+    whole = json.loads(file.read_text())
+
+    def fails(match: str, change: Callable[[dict[str, Any]], None]) -> None:
+        data = json.loads(json.dumps(whole))
+        change(data)
+        file.write_text(json.dumps(data))
+        with pytest.raises(FileFormatError, match=match):
+            read_movement(file)
+
+    def turn_a_joint(data: dict[str, Any]) -> None:
+        data["handover"]["take"]["grasp"]["q_rad"][3] += 0.2
+
+    def move_the_pair(data: dict[str, Any]) -> None:
+        data["handover"]["T_world_pair"]["position_m"][0] += 1.0
+
+    fails("take", turn_a_joint)
+    fails("the carriages do not reach both grasps", move_the_pair)
+    fails("lift_height_m", lambda data: data["handover"].update(lift_height_m=-1.0))
+    fails(r"angle_rad is not what follows", lambda data: data.update(angle_rad=1.0))
+    fails(r"grasp.q_rad\[5\] is not", lambda data: _add(data["grasp"]["grasp"]["q_rad"], 5))
+    fails(r"knots\[1\].q_rad\[2\] is not", lambda data: _add(data["knots"][1]["q_rad"], 2))
+    fails("knots is not", lambda data: data["knots"].pop())
+
+
+def _add(numbers: list[float], k: int) -> None:
+    numbers[k] += 0.01
+
+
+def test_a_file_keeps_where_the_pair_stands() -> None:
+    """Of two places that are as good rounding took the other one when this file was read."""
+    task = GraspTask.create("shadow_hand+allegro_hand_left", "box:0.06x0.06x0.16")
+    planned = plan_handover(task, seed=0)
+    again = movement_from_dict(json.loads(json.dumps(movement_to_dict(planned))), "a file")
+    assert again.T_world_base.isApprox(planned.T_world_base, 1e-9)
+    assert np.allclose(_handed(again).way_in, _handed(planned).way_in, atol=1e-9)
+
+
+def test_files_of_handovers_alone_are_read_and_checked(plan: Handover, tmp_path: Path) -> None:
+    file, data = tmp_path / "plan.json", _older(plan)
+    file.write_text(json.dumps(data))
+    again = _handed(read_movement(file))
     assert np.allclose(again.both.q, plan.both.q, atol=1e-9)
-    assert np.allclose(again.way_in, plan.way_in, atol=1e-9)
-    assert again.lift_height == plan.lift_height
-    data = json.loads(file.read_text())
+    assert np.allclose(again.way_out, plan.way_out, atol=1e-9)
     data["task"]["joint_error_rad"] = 0.05
     file.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match="joint_error_rad is in version 2 alone"):
-        read_handover(file)
-    write_handover(plan, file)
-    with refused(f"opposable test {file} executes it"):
-        one_plan(file)
-    data = json.loads(file.read_text())
+        read_movement(file)
+    data = _older(plan)
     data["take"]["grasp"]["q_rad"][3] += 0.2
     file.write_text(json.dumps(data))
     with pytest.raises(FileFormatError, match="take"):
-        read_handover(file)
-    data["lift_height_m"] = -1.0
-    file.write_text(json.dumps(data))
-    with pytest.raises(FileFormatError, match="lift_height_m"):
-        read_handover(file)
+        read_movement(file)
 
 
-def test_what_cannot_be_handed_over_is_said(plan: HandoverPlan) -> None:
+def test_its_joints_over_time_go_through_all_it_planned(
+    movement: ManipulationPlan, plan: Handover
+) -> None:
+    """For real hands: from phase to phase without a jump, through the ends of both ways."""
+    made = movement.joint_trajectory(rate_hz=100.0)
+    order = list(dict.fromkeys(made.phases))
+    assert order == ["approach", "close", "lift", "reach", "take", "open", "retreat"]
+    ends = {name: max(i for i, p in enumerate(made.phases) if p == name) for name in order}
+    for name, q in (
+        ("close", movement.grasp.q),
+        ("reach", plan.way_in[-1]),
+        ("take", plan.both.q),
+        ("open", plan.way_out[0]),
+        ("retreat", plan.way_out[-1]),
+    ):
+        assert np.allclose(made.positions[ends[name]], q, atol=1e-9), name
+    lifted = made.T_world_base[-1].translation - movement.T_world_base.translation
+    assert np.allclose(lifted, [0.0, 0.0, plan.lift_height])
+    assert np.abs(np.diff(made.positions, axis=0)).max() < 0.05
+
+
+def test_its_page_shows_the_object_in_one_hand_then_in_the_other(
+    movement: ManipulationPlan, plan: Handover
+) -> None:
+    page = motion_page(movement)
+    assert page.title == "two_allegro_hands hands over box:0.06x0.06x0.16"
+    made = movement.joint_trajectory(rate_hz=30.0)
+    found = object_motion(movement, made)
+
+    def holds(phase: str) -> set[str]:
+        last = max(i for i, p in enumerate(made.phases) if p == phase)
+        contacts = found.contacts[last]
+        return set() if contacts is None else set(contacts.fingers)
+
+    assert holds("reach") == set(movement.task.finger_names)
+    assert holds("retreat") == set(plan.take.task.finger_names)
+    assert found.poses[-1].translation[2] == pytest.approx(
+        plan.task.T_world_object.translation[2] + plan.lift_height
+    )
+
+
+def test_the_machine_runs_it_and_the_report_tells_each_phase(report: TrialReport) -> None:
+    assert [r.phase for r in report.results] == [
+        *("stand", "approach", "close", "squeeze", "verify", "lift"),
+        *("reach", "take", "transfer", "open", "retreat", "hold"),
+    ]
+    assert all(r.passed for r in report.results)
+    assert report.results[-1].numbers["moved_mm"] < 5.0
+    times = [(r.begin, r.end) for r in report.results]
+    assert all(a[1] == b[0] for a, b in pairwise(times))
+    data = report.to_dict(states=False)
+    assert [p["phase"] for p in data["phases"]] == [r.phase for r in report.results]
+    assert ReportFile.model_validate(data).phases[-1].passed
+
+
+def test_what_cannot_be_handed_over_is_said(plan: Handover, movement: ManipulationPlan) -> None:
     with refused("takes two hands"):
         plan_handover(GraspTask.create("allegro_hand", "box"))
     task = GraspTask.create("two_allegro_hands", "box")
@@ -297,9 +433,9 @@ def test_what_cannot_be_handed_over_is_said(plan: HandoverPlan) -> None:
     with refused("is no handover"):
         hand_over(wrong)
     with refused("its own controller"):
-        HandoverTrial(plan, controller="feedforward")
+        HandoverTrial(movement, controller="feedforward")
     with refused("HandoverTimeline"):
-        HandoverTrial(plan, timeline=Timeline())
+        HandoverTrial(movement, timeline=Timeline())
     small = GraspTask.create("two_allegro_hands", "box:0.025x0.025x0.025")
     with pytest.raises(NoGraspFoundError, match="room for both hands"):
         plan_handover(small, rounds=1)

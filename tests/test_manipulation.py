@@ -29,7 +29,8 @@ from planner.motion.manipulation import (
     plan_manipulation,
     plan_single_stroke,
 )
-from planner.motion.plan import Stroke, standing_under
+from planner.motion.phase import Stroke
+from planner.motion.plan import standing_under
 from planner.motion.single_stroke import (
     Fallback,
     fallback_schedule,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from manipulations import task_of
 
 from planner.failure import Failure
 from planner.kinematics import HandState
-from planner.motion.gait import Relocation, Stroke
-from planner.motion.manipulation import Ending, ManipulationPlan, plan_single_stroke
+from planner.motion.manipulation import ManipulationPlan, plan_single_stroke
+from planner.motion.phase import Ending, Handover, Relocation, Stroke, ToolUse
+from planner.tools import load_tool
 from sim.manipulation.driver import FingerSwing
-from sim.manipulation.machine import StateMachine
+from sim.manipulation.machine import PhaseCall, StateMachine
+from sim.report import PhaseResult
 
 
 @pytest.fixture(scope="module")
@@ -218,3 +221,62 @@ def test_a_failure_while_putting_down_is_the_end(plan: ManipulationPlan) -> None
     seen, machine, _ = run(plan, Script(down=plan.ending), fails, retry=True)
     assert seen[-1] == "open half-way"
     assert not machine.put_down
+
+
+def test_a_tool_is_used_and_an_object_handed_over_before_it_is_held_at_last(
+    plan: ManipulationPlan,
+) -> None:
+    """Both end in the hand; a tool is not lifted before."""
+    use = ToolUse(way=(plan.T_world_base,), finger="", postures=np.zeros((0, 16)))
+    tool = load_tool("key")
+    used = ManipulationPlan.of_held(plan.grasp, plan.knots[:2], use, tool=tool)
+    machine, seen = StateMachine(used), []
+    while (call := machine.next) is not None:
+        seen.append(call.phase)
+        machine.passed()
+    assert seen == [*PICK[:-1], "engage", "use", "withdraw", "hold"]
+    assert machine.complete
+    handover = Handover(
+        both=plan.grasp,
+        take=plan.grasp,
+        way_in=np.zeros((2, 16)),
+        way_out=np.zeros((2, 16)),
+        giver="first",
+        taker="second",
+        lift_height=0.2,
+        task=plan.task,
+        alone=(plan.grasp, plan.grasp),
+    )
+    given = ManipulationPlan.of_held(plan.grasp, plan.knots[:2], handover)
+    for fails in ("", "take", "hold"):
+        machine, made = StateMachine(given), list[PhaseResult]()
+
+        def perform(call: PhaseCall, fails: str = fails) -> tuple[str, dict[str, float]]:
+            return "it fails" if call.phase == fails else "", {"n": 1.0}
+
+        for result in machine.run(perform, partial(count, made)):
+            made.append(result)
+        phases = [*PICK, "reach", "take", "transfer", "open", "retreat", "hold"]
+        ended = phases.index(fails) + 1 if fails else len(phases)
+        assert [r.phase for r in made] == phases[:ended]
+        assert machine.complete == (not fails)
+        assert made[-1].reason == ("it fails" if fails else "")
+        assert (made[1].begin, made[1].numbers) == (1.0, {"n": 1.0})
+
+
+def count(made: list[PhaseResult]) -> float:
+    """A clock that goes on by one with every phase."""
+    return float(len(made))
+
+
+def test_ctrl_c_ends_a_run_after_the_phase_that_it_struck(plan: ManipulationPlan) -> None:
+    def perform(call: PhaseCall) -> tuple[str, dict[str, float]]:
+        if call.phase == "turn":
+            raise KeyboardInterrupt
+        return "", {}
+
+    machine = StateMachine(plan, Script(), retry=True)
+    seen = list(machine.run(perform, lambda: 0.0))
+    assert [r.phase for r in seen] == [*PICK, "turn"]
+    assert (seen[-1].reason, seen[-1].then) == ("interrupted", "")
+    assert not machine.complete

@@ -28,7 +28,7 @@ from planner.kinematics import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
 from planner.motion.context import finger_sets, on_opposed_sides, with_rolling_pads
 from planner.motion.path import ATTITUDES
-from planner.motion.plan import Knot
+from planner.motion.phase import Knot
 from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
 from planner.motion.residuals import MotionResiduals
 from planner.motion.search import MOTION_OPTIONS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +13,13 @@ import pytest
 from planner.collision.world import CollisionWorld
 from planner.errors import ObjectError, PlannerError, TaskError
 from planner.failure import Failure
+from planner.files.movements import movement_from_dict, movement_to_dict
 from planner.hand_loading import load_hand
 from planner.kinematics import HandState
+from planner.motion.plan import ManipulationPlan
+from planner.motion.tool_use import with_use
 from planner.plan import GraspPlan
+from planner.spatial import FloatArray
 from planner.tools import Tool, load_tool
 from sim.contacts.reading import _kind, _side
 from sim.scene.build import OBJECT
@@ -41,8 +46,13 @@ def press(**numbers: float) -> Press:
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
+def movement() -> ManipulationPlan:
     return plan_tool("allegro_hand", "spray_bottle", seed=0)
+
+
+@pytest.fixture(scope="module")
+def plan(movement: ManipulationPlan) -> GraspPlan:
+    return movement.grasp
 
 
 def test_the_others_hold_and_balance_the_pressing_finger(plan: GraspPlan) -> None:
@@ -142,7 +152,9 @@ def test_a_press_goes_down_stays_and_comes_up(plan: GraspPlan) -> None:
     assert [finger.share(t) for t in times] == pytest.approx([0.0, 1.0, 0.0, 1.0])
 
 
-def test_the_finger_presses_with_the_torque_of_the_force(plan: GraspPlan) -> None:
+def test_the_finger_presses_with_the_torque_of_the_force(
+    plan: GraspPlan, movement: ManipulationPlan
+) -> None:
     use = press()
     way = use.finger_way(plan.task, plan.T_world_base, plan.q)
     assert not isinstance(way, Failure)
@@ -154,7 +166,7 @@ def test_the_finger_presses_with_the_torque_of_the_force(plan: GraspPlan) -> Non
     work = -use.numbers["force_N"] * float(normal @ moved)
     assert float(way.torque @ (2 * small)) == pytest.approx(work, rel=1e-3)
     # and its drives get it while the lever is down, and before not
-    seen = UseTrial(plan, bottle()).simulation.observe("use", 0.0)
+    seen = UseTrial(movement).simulation.observe("use", 0.0)
     told = []
     for torque in (way.torque, 0.0 * way.torque):
         finger = PressingFinger(plan, replace(way, torque=torque), np.zeros(6))
@@ -167,10 +179,12 @@ def test_the_finger_presses_with_the_torque_of_the_force(plan: GraspPlan) -> Non
     assert np.abs(more[1]).max() > 1e-3
 
 
-def test_the_others_are_told_what_the_press_asks_of_them(plan: GraspPlan) -> None:
+def test_the_others_are_told_what_the_press_asks_of_them(
+    plan: GraspPlan, movement: ManipulationPlan
+) -> None:
     finger = press().finger(plan)
     controller = UseController(plan, learns=False, finger=finger)
-    seen = UseTrial(plan, bottle()).simulation.observe("use", 0.0)
+    seen = UseTrial(movement).simulation.observe("use", 0.0)
     loads = []
     for t in (0.0, IN + STAY / 2, IN + STAY + OUT + REST / 2):
         controller.step(seen.altered(time=t))
@@ -213,8 +227,8 @@ def test_a_lever_that_would_be_on_the_wrong_side_is_refused() -> None:
         use_of(replace(bottle(), axis=np.array([0.0, 0.0, 1.0])))
 
 
-def test_a_hand_on_a_part_of_the_object_has_not_collided(plan: GraspPlan) -> None:
-    trial = UseTrial(plan, bottle())
+def test_a_hand_on_a_part_of_the_object_has_not_collided(movement: ManipulationPlan) -> None:
+    trial = UseTrial(movement)
     scene = trial.simulation.scene
     lever = int(scene.model.body_geomadr[scene.model.body(LEVER).id])
     assert _kind({"hand", _side(scene, lever)}) is None
@@ -244,11 +258,60 @@ def test_the_bottle_stands_above_its_block_at_any_size() -> None:
 
 
 @pytest.mark.slow
-def test_a_finger_presses_a_lever_while_the_others_hold(plan: GraspPlan) -> None:
-    report = UseTrial(plan, bottle(presses=3.0)).run()
+def test_a_finger_presses_a_lever_while_the_others_hold(movement: ManipulationPlan) -> None:
+    report = UseTrial(replace(movement, tool=bottle(presses=3.0))).run()
     assert report.success, str(report)
     assert report.use is not None
     assert "3 of 3 times" in report.use["summary"]
     assert max(report.use["channels"]["force_N"]) > 1.8
     assert max(report.use["channels"]["stray_N"]) == 0.0
     assert report.largest_slip[0] < 3.0
+
+
+def test_the_plan_has_the_finger_s_way_and_a_file_keeps_it(
+    movement: ManipulationPlan, plan: GraspPlan
+) -> None:
+    use = movement.tool_use
+    assert use is not None
+    way = press().finger_way(plan.task, plan.T_world_base, plan.q)
+    assert not isinstance(way, Failure)
+    assert use.finger == "index"
+    assert np.array_equal(use.postures[0], plan.q)
+    assert np.array_equal(use.postures[-1], way.stroke[-1])
+    assert len(use.postures) == len(way.reach) + len(way.stroke) - 1
+    data = json.loads(json.dumps(movement_to_dict(movement)))
+    again = movement_from_dict(data, "a file").tool_use
+    assert again is not None
+    assert np.allclose(again.postures, use.postures, atol=1e-9)
+    made = movement.joint_trajectory()
+    assert list(dict.fromkeys(made.phases)) == ["approach", "close", "use", "withdraw"]
+    assert np.allclose(made.positions[-1], plan.q)
+    pressed = [q for q, phase in zip(made.positions, made.phases, strict=True) if phase == "use"]
+    assert np.allclose(pressed[-1], way.stroke[-1])
+
+
+def test_a_finger_s_way_is_checked_by_the_planner(
+    movement: ManipulationPlan, plan: GraspPlan
+) -> None:
+    use, hand = movement.tool_use, plan.task.hand
+    assert use is not None
+    index = hand.fingers["index"].q_index
+
+    def failure(postures: FloatArray, finger: str = "index") -> str:
+        found = with_use(plan, replace(use, postures=postures, finger=finger))
+        return "" if not isinstance(found, Failure) else found.text
+
+    assert failure(use.postures) == ""
+    assert "does not begin at the grasp" in failure(use.postures[1:])
+    assert "does not begin at the grasp" in failure(np.zeros((0, hand.nq)))
+    others = use.postures.copy()
+    others[-1, hand.fingers["ring"].q_index] += 0.01
+    assert "moves other joints too" in failure(others)
+    beyond = use.postures.copy()
+    beyond[-1, index] = hand.q_upper[index] + 0.1
+    assert "index is beyond a limit by 0.1 rad" in failure(beyond)
+    curled = use.postures.copy()
+    curled[-1, index[1:]] = hand.q_upper[index[1:]]
+    assert "index is not free on its way" in failure(curled)
+    with pytest.raises(TaskError, match=r"ring does not work in a use, .* free are index"):
+        failure(use.postures, "ring")

@@ -19,12 +19,9 @@ from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.motion import manipulation as search
-from planner.motion.gait import GaitPlan, Relocation, cut_motion, plan_back, plan_others
-from planner.motion.manipulation import (
-    ManipulationPlan,
-    plan_manipulation,
-    plan_regrasping,
-)
+from planner.motion.gait import GaitPlan, cut_motion, plan_back, plan_others
+from planner.motion.manipulation import ManipulationPlan, plan_manipulation, plan_regrasping
+from planner.motion.phase import Relocation
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Event, ObjectImpedance, Observation

@@ -23,7 +23,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.motion import plan_motion
 from planner.motion.gait import plan_gait
-from planner.motion.plan import Knot
+from planner.motion.phase import Knot
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.quality import force_closure

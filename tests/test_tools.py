@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gc
 import io
+import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -30,13 +32,16 @@ from planner import (
 )
 from planner.certify import certify
 from planner.collision.pair_table import Clearance
-from planner.errors import NoGraspFoundError, ObjectError, PlannerError, TaskError
+from planner.errors import FileFormatError, NoGraspFoundError, ObjectError, PlannerError, TaskError
 from planner.failure import Failure
-from planner.files import read_plan, write_plan
+from planner.files import read_movement, read_plan, write_movement, write_plan
 from planner.files.plans import plan_from_dict, plan_to_dict
 from planner.kinematics import HandState
+from planner.motion.plan import ManipulationPlan
 from planner.objects import parse_object
+from planner.pages.motion_page import motion_page, object_motion
 from planner.search.attempt import Attempt
+from planner.shapes import Mesh
 from planner.spatial import SE3, shifted
 from planner.synthesis.options import SynthesisOptions, needed_options
 from planner.tools import (
@@ -50,9 +55,10 @@ from planner.tools import (
     way_blocked,
 )
 from planner.verification import verify_grasp
-from sim import UseTrial, plan_tool
+from sim import UseTrial, manipulate, plan_tool
 from sim.cli import main
 from sim.cli.grasp import UseOptions
+from sim.cli.reading import one_plan, plan_to_test
 from sim.controllers import PadReading
 from sim.controllers.monitors import ALARM_TIME, LOST_TIME
 from sim.controllers.object_impedance import GRIP_STEP, ObjectImpedance
@@ -99,8 +105,27 @@ def written(folder: Path, text: str) -> Path:
 
 
 @pytest.fixture(scope="module")
-def plan() -> GraspPlan:
+def movement() -> ManipulationPlan:
     return plan_tool("allegro_hand", "screwdriver", seed=0)
+
+
+@pytest.fixture(scope="module")
+def plan(movement: ManipulationPlan) -> GraspPlan:
+    return movement.grasp
+
+
+class Enough(Exception):
+    """Ends a planning of which the rest is of no interest."""
+
+
+def noting(seen: list[dict[str, Any]]) -> Callable[..., Any]:
+    """In place of ``plan_use``: notes what it is given."""
+
+    def note(*_: object, **given: Any) -> None:
+        seen.append(given)
+        raise Enough
+
+    return note
 
 
 def test_a_tool_is_told_about_its_centre_of_mass(tmp_path: Path) -> None:
@@ -291,20 +316,26 @@ def test_fingers_that_follow_a_blow_keep_apart(plan: GraspPlan) -> None:
 
 
 def test_a_strike_is_planned_for_fingers_that_follow(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: dict[str, Any] = {}
-    monkeypatch.setattr("sim.tools.trial.plan_use", lambda *_, **kwargs: given.update(kwargs))
-    plan_tool("allegro_hand", "hammer")
-    assert given["gives_way"] == Strike.gives_way > 0
+    asked: list[dict[str, Any]] = []
+    monkeypatch.setattr("sim.tools.trial.plan_use", noting(asked))
+    with pytest.raises(Enough):
+        plan_tool("allegro_hand", "hammer")
+    assert asked[0]["gives_way"] == Strike.gives_way > 0
 
 
 def test_only_a_blow_is_rehearsed_and_not_where_that_is_not_wanted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    asked: list[Any] = []
-    monkeypatch.setattr("sim.tools.trial.plan_use", lambda *_, **given: asked.append(given))
-    plan_tool("allegro_hand", "hammer")
-    plan_tool("allegro_hand", "hammer", rehearse=False)
-    plan_tool("allegro_hand", "key")
+    asked: list[dict[str, Any]] = []
+    monkeypatch.setattr("sim.tools.trial.plan_use", noting(asked))
+    calls: list[tuple[str, dict[str, Any]]] = [
+        ("hammer", {}),
+        ("hammer", {"rehearse": False}),
+        ("key", {}),
+    ]
+    for name, changes in calls:
+        with pytest.raises(Enough):
+            plan_tool("allegro_hand", name, **changes)
     assert [given["rehearse"] is not None for given in asked] == [True, False, False]
 
 
@@ -377,7 +408,7 @@ class Rehearsed:
     reason, phase = "", "use"
     slips: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
 
-    def __init__(self, plan: GraspPlan, tool: Tool, **given: Any) -> None:
+    def __init__(self, movement: ManipulationPlan, **given: Any) -> None:
         """Note how it was made."""
         self.given, self.thresholds = given, USE_THRESHOLDS
         self.recorder = SimpleNamespace(every=0.01, slip=iter(self.slips).__next__)
@@ -442,12 +473,12 @@ def test_ctrl_c_in_a_rehearsal_ends_planning(
         rehearsed(plan, load_tool("screwdriver"))
 
 
-def test_a_use_that_is_over_is_given_back_at_once(plan: GraspPlan) -> None:
+def test_a_use_that_is_over_is_given_back_at_once(movement: ManipulationPlan) -> None:
     """Each holds 30 MB; many are rehearsed one after the other."""
     gc.collect()
     gc.disable()
     try:
-        trial = UseTrial(plan, load_tool("screwdriver"))
+        trial = UseTrial(movement)
         kept: list[Any] = [ref(trial), ref(trial.simulation), ref(trial.simulation.scene)]
         trial.run(on_step=lambda simulation: simulation.stop("seen enough"))
         del trial
@@ -490,7 +521,7 @@ def test_kinds_of_use_are_registered() -> None:
 @pytest.mark.slow
 def test_a_key_is_turned_and_the_report_tells_it(tmp_path: Path) -> None:
     tool = load_tool("key")
-    trial = UseTrial(plan_tool("shadow_hand", tool, seed=0), tool)
+    trial = UseTrial(plan_tool("shadow_hand", tool, seed=0))
     report = trial.run()
     assert report.success, report.verdict
     assert report.use is not None
@@ -594,7 +625,7 @@ def test_a_guided_tool_is_wanted_where_it_is_across_the_axis(plan: GraspPlan) ->
 def test_a_lid_hardly_turns_in_the_fingertips() -> None:
     # where nothing is learned while the wrist turns it turns by 11 degrees in them
     lid = load_tool("lid")
-    report = UseTrial(plan_tool("allegro_hand", lid, seed=1), lid).run()
+    report = UseTrial(plan_tool("allegro_hand", lid, seed=1)).run()
     assert report.success, str(report)
     assert report.largest_slip[1] < 6.0
 
@@ -636,8 +667,8 @@ def test_the_command_refuses_bad_input(capsys: pytest.CaptureFixture[str], tmp_p
 
 
 @pytest.fixture(scope="module")
-def trial(plan: GraspPlan) -> UseTrial:
-    return UseTrial(plan, load_tool("screwdriver"), friction=2.0)
+def trial(movement: ManipulationPlan) -> UseTrial:
+    return UseTrial(movement, friction=2.0)
 
 
 def test_a_phase_begins_where_the_hand_is(trial: UseTrial, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -690,10 +721,10 @@ def test_the_wrist_brakes_without_lag_in_a_blow(
 
 
 def test_a_use_ends_when_the_tool_is_gone_and_says_so(
-    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+    movement: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    trial = UseTrial(plan, load_tool("screwdriver"))
-    assert not trial._run("engage")  # nothing touches at the start
+    trial = UseTrial(movement)
+    assert trial._run("engage") == "nothing of the hand touches the tool"  # not yet, at the start
     assert trial.simulation.time < 0.1
     monkeypatch.setattr(Simulation, "diverged", "a speed of 1e9")
     verdict = trial.judged(0.0).verdict
@@ -723,26 +754,139 @@ def test_blows_are_judged_by_every_time_step() -> None:
     assert use.summary(seen).endswith("against 40 N")
 
 
-def test_a_plan_of_another_tool_place_or_number_is_none(plan: GraspPlan) -> None:
-    tool = load_tool("screwdriver")
+def test_a_plan_of_another_tool_place_or_number_is_none(movement: ManipulationPlan) -> None:
+    tool, plan = load_tool("screwdriver"), movement.grasp
     with pytest.raises(PlannerError, match="object is not that of key"):
-        UseTrial(plan, load_tool("key"))
+        UseTrial(replace(movement, tool=load_tool("key")))
     with pytest.raises(PlannerError, match="shape is not that of screwdriver"):
-        UseTrial(plan, load_tool("screwdriver", scale=1.1))
+        UseTrial(replace(movement, tool=load_tool("screwdriver", scale=1.1)))
     stronger = replace(tool, needed=(replace(tool.needed[0], torque=(0, 0, -0.09)),))
     with pytest.raises(PlannerError, match="needed wrenches is not"):
-        UseTrial(plan, stronger)
+        UseTrial(replace(movement, tool=stronger))
     shift = SE3(np.eye(3), np.array([0.0, 0.0, 0.01]))
     moved = replace(plan.task, T_world_object=shift * plan.task.T_world_object)
     with pytest.raises(PlannerError, match="where its use offers it"):
-        UseTrial(replace(plan, task=moved), tool)
+        UseTrial(replace(movement, grasp=replace(plan, task=moved)))
     turned = replace(plan.task, T_world_object=use_of(tool).offered(0.4))
     assert np.isclose(yaw_of_plan(replace(plan, task=turned), use_of(tool)), 0.4)
     for friction in (-1.0, float("nan")):
         with pytest.raises(PlannerError, match="friction is"):
-            UseTrial(plan, tool, friction=friction)
+            UseTrial(movement, friction=friction)
     with pytest.raises(PlannerError, match="yaw is"):
         plan_tool("allegro_hand", tool, yaw=float("nan"))
+    with pytest.raises(PlannerError, match="uses no tool; give what plan_tool"):
+        UseTrial(replace(movement, tool=None))
+    grasp: Any = plan
+    with pytest.raises(PlannerError, match="movement is"):
+        UseTrial(grasp)
+
+
+def test_a_movement_of_a_use_begins_with_its_grasp_and_goes_its_way(
+    movement: ManipulationPlan, plan: GraspPlan
+) -> None:
+    """What is kept as one plan is what the use does: held throughout, through the poses checked."""
+    use = movement.tool_use
+    assert use is not None and movement.tool is plan.task.object
+    way = use_of(load_tool("screwdriver")).way(plan)
+    assert len(use.way) == len(way) == 16
+    assert all(a.isApprox(b) for a, b in zip(use.way, way, strict=True))
+    assert (use.finger, use.postures.shape) == ("", (0, plan.task.hand.nq))
+    (stroke,) = movement.strokes
+    for knot in stroke.knots:
+        assert np.array_equal(knot.q, plan.q)
+        assert knot.T_world_object.isApprox(plan.task.T_world_object)
+        (needed,) = knot.needed
+        assert needed.found  # what the screw needs is produced at every knot
+    assert str(use) == "use: the hand goes through 16 poses"
+    assert "screwdriver: held as it is" in str(movement)
+    assert "roll, pitch, yaw" not in str(movement)
+    assert repr(movement).endswith("use: the hand goes through 16 poses>")
+
+
+def assert_same_tool(one: Tool | None, other: Tool | None) -> None:
+    """All of it, with the mesh as files round it."""
+    assert one is not None and other is not None
+    for field in ("name", "mass", "touch", "needed", "use", "grip_force", "scale"):
+        assert getattr(one, field) == getattr(other, field), field
+    assert np.array_equal((one.tip, one.axis), (other.tip, other.axis))
+    assert isinstance(one.shape, Mesh) and isinstance(other.shape, Mesh)
+    assert np.allclose(one.shape.vertices, other.shape.vertices, rtol=0.0, atol=1e-12)
+
+
+def test_a_file_holds_a_use_and_is_checked(movement: ManipulationPlan, tmp_path: Path) -> None:
+    file = tmp_path / "plan.json"
+    write_movement(movement, file)
+    again = read_movement(file)
+    assert_same_tool(again.tool, movement.tool)
+    assert again.tool_use is not None and movement.tool_use is not None
+    assert all(
+        a.isApprox(b) for a, b in zip(again.tool_use.way, movement.tool_use.way, strict=True)
+    )
+    assert isinstance(again, ManipulationPlan)
+    assert UseTrial(again).use.numbers == UseTrial(movement).use.numbers
+    tested = plan_to_test(file)
+    assert isinstance(tested, ManipulationPlan)
+    assert_same_tool(tested.tool, movement.tool)
+    assert np.array_equal(one_plan(file).q, movement.grasp.q)  # to be analysed as a grasp
+    whole = json.loads(file.read_text())
+
+    def fails(match: str, change: Callable[[dict[str, Any]], object]) -> None:
+        data = json.loads(json.dumps(whole))
+        change(data)
+        file.write_text(json.dumps(data))
+        with pytest.raises(FileFormatError, match=match):
+            read_movement(file)
+
+    fails("tells a use and no tool", lambda data: data.pop("tool"))
+    fails("angle_rad is not what follows", lambda data: data.update(angle_rad=0.1))
+    fails("cycles is not what follows", lambda data: data.update(cycles=2))
+    fails("index does not work in a use", lambda data: data["tool_use"].update(finger="index"))
+
+    def lowered(data: dict[str, Any]) -> None:
+        data["tool_use"]["T_world_base"][4]["position_m"][2] -= 0.15  # into the workpiece
+
+    fails("a use that fails its checks: the way of the use is not free, at pose 5 of 16", lowered)
+    turned = json.loads(json.dumps(whole))
+    turned["tool_use"]["T_world_base"] = turned["tool_use"]["T_world_base"][:3]
+    file.write_text(json.dumps(turned))
+    short = read_movement(file)  # it is free
+    assert isinstance(short, ManipulationPlan)
+    with pytest.raises(
+        TaskError, match="the way in the plan is not that of the use of screwdriver"
+    ):
+        UseTrial(short)
+
+
+def test_a_use_is_no_turn_in_the_hand(movement: ManipulationPlan, tmp_path: Path) -> None:
+    with pytest.raises(TaskError, match="hands over or uses a tool; execute it by"):
+        manipulate(movement)
+    file = tmp_path / "plan.json"
+    write_movement(movement, file)
+    with pytest.raises(SystemExit):
+        main(["manipulate", "--plan", str(file)])
+
+
+def test_its_joints_over_time_go_along_its_way(movement: ManipulationPlan) -> None:
+    made = movement.joint_trajectory(rate_hz=50.0)
+    assert list(dict.fromkeys(made.phases)) == ["approach", "close", "use"]
+    use = movement.tool_use
+    assert use is not None
+    assert made.T_world_base[-1].isApprox(use.way[-1], 1e-6)
+    speeds = [
+        float(np.linalg.norm(pin.log6(a.inverse() * b).vector[3:])) * 50.0
+        for a, b in pairwise(made.T_world_base)
+    ]
+    assert max(speeds) < 4.0  # rad/s: at an even rate, with minimum jerk at its ends
+
+
+def test_the_page_of_a_use_carries_the_tool_with_the_hand(movement: ManipulationPlan) -> None:
+    page = motion_page(movement)
+    assert page.title == "allegro_hand uses screwdriver"
+    made = movement.joint_trajectory(rate_hz=30.0)
+    found = object_motion(movement, made)
+    held = movement.T_world_base.inverse() * movement.task.T_world_object
+    assert found.poses[-1].isApprox(made.T_world_base[-1] * held, 1e-6)
+    assert found.contacts[-1] is not None
 
 
 @pytest.mark.parametrize(
@@ -962,7 +1106,7 @@ def test_a_contact_is_lost_later_where_blows_shake_fingers_off(
 @pytest.mark.slow
 def test_a_hammer_drives_its_nail_and_stays_in_the_hand() -> None:
     hammer = load_tool("hammer")
-    report = UseTrial(plan_tool("allegro_hand", hammer, seed=1), hammer).run()
+    report = UseTrial(plan_tool("allegro_hand", hammer, seed=1)).run()
     assert report.success, str(report)
     assert report.use is not None
     assert max(report.use["channels"]["speed_mps"]) > 0.8
@@ -971,11 +1115,12 @@ def test_a_hammer_drives_its_nail_and_stays_in_the_hand() -> None:
 
 
 def test_a_folder_of_an_earlier_use_keeps_nothing_of_it(
-    plan: GraspPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    movement: ManipulationPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(UseOptions, "plan", lambda *_: plan)
+    other = replace(movement, tool=load_tool("key"))  # the grasp is of a screwdriver
+    monkeypatch.setattr(UseOptions, "plan", lambda *_: other)
     (tmp_path / "report.json").write_text("{}")
-    with pytest.raises(SystemExit):  # the plan is of a screwdriver
+    with pytest.raises(SystemExit):
         main(["use", "allegro_hand", "key", "--out", str(tmp_path)])
     assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]
 
@@ -999,9 +1144,16 @@ def test_a_use_is_told_of_less_friction_and_refused_before_it_is_planned(
     assert "allegro_on_arm7 is on an arm" in told
 
 
-def test_a_use_that_fails_is_not_called_not_held(plan: GraspPlan) -> None:
-    trial = UseTrial(plan, load_tool("screwdriver"))
+def test_a_use_that_fails_is_not_called_not_held(movement: ManipulationPlan) -> None:
+    trial = UseTrial(movement)
     report = trial.run(on_step=lambda simulation: simulation.stop("seen enough"))
+    assert [(r.phase, r.reason) for r in report.results] == [
+        ("stand", ""),
+        ("approach", "stopped: seen enough"),
+    ]
+    page = trial_page(report.to_file())
+    assert page.title == "allegro_hand uses screwdriver"
+    assert page.verdict is not None and page.verdict.text.startswith("Not done")
     console = Console(record=True, width=200, file=io.StringIO())
     console.print(report)
     assert "not done, stopped" in console.export_text()

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
         write_json,
         write_trajectory,
     )
-    from planner.files.handovers import HandoverFile, read_handover, write_handover
     from planner.files.movements import (
         MovementFile,
         given_manipulation,
@@ -45,7 +44,6 @@ if TYPE_CHECKING:
 __all__ = [
     "PLAN_VERSION",
     "ContactsFile",
-    "HandoverFile",
     "MovementFile",
     "PlanFile",
     "TaskData",
@@ -59,7 +57,6 @@ __all__ = [
     "pose_of_plan",
     "read_contacts",
     "read_gait",
-    "read_handover",
     "read_json",
     "read_manipulation",
     "read_motion",
@@ -69,7 +66,6 @@ __all__ = [
     "task_from_data",
     "whole_file",
     "write_gait",
-    "write_handover",
     "write_json",
     "write_manipulation",
     "write_motion",
@@ -83,7 +79,6 @@ _NAMES = {
     "planner.files.disk": (
         "format_told plain_name plan_files read_json whole_file write_json write_trajectory"
     ),
-    "planner.files.handovers": "HandoverFile read_handover write_handover",
     "planner.files.movements": (
         "MovementFile given_manipulation read_gait read_manipulation read_motion read_movement "
         "write_gait write_manipulation write_motion write_movement"

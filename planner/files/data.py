@@ -122,6 +122,29 @@ class ObjectData(StrictData):
     mass_kg: float = Field(gt=0, allow_inf_nan=False)
     touch: TouchData | None = None
 
+    @classmethod
+    def of(cls, item: GraspObject) -> ObjectData:
+        """From an object."""
+        return cls(
+            name=item.name,
+            shape=shape_to_dict(item.shape),
+            mass_kg=item.mass,
+            touch=TouchData.of(item.touch),
+        )
+
+    def object(self) -> GraspObject:
+        """As an object.
+
+        Raises:
+            ObjectError: Its mesh file is missing or was changed.
+        """
+        return GraspObject(
+            name=self.name,
+            shape=shape_from_dict(self.shape),
+            mass=self.mass_kg,
+            touch=None if self.touch is None else self.touch.touch(),
+        )
+
 
 class ObstacleData(StrictData):
     """A fixed box."""
@@ -336,12 +359,7 @@ def task_data(task: GraspTask) -> TaskData:
         hand=HandData(
             name=hand.name, description_path=path, sha256=hand.digest, rolling=hand.rolls
         ),
-        object=ObjectData(
-            name=task.object.name,
-            shape=shape_to_dict(task.object.shape),
-            mass_kg=task.object.mass,
-            touch=TouchData.of(task.object.touch),
-        ),
+        object=ObjectData.of(task.object),
         T_world_object=PoseData.of(task.T_world_object),
         table_height_m=task.table_height,
         obstacles=[
@@ -380,12 +398,7 @@ def task_from_data(data: TaskData, hand: Hand) -> GraspTask:
     """The task that ``task_data`` wrote, for its hand."""
     return GraspTask(
         hand=hand,
-        object=GraspObject(
-            name=data.object.name,
-            shape=shape_from_dict(data.object.shape),
-            mass=data.object.mass_kg,
-            touch=None if data.object.touch is None else data.object.touch.touch(),
-        ),
+        object=data.object.object(),
         T_world_object=data.T_world_object.pose(),
         table_height=data.table_height_m,
         obstacles=tuple(

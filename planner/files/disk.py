@@ -38,13 +38,14 @@ PART = re.compile(r"\.[0-9a-f]{16}\.part")
 """Name of a file that is being written, or was when its process was killed."""
 
 HANDOVER_FORMAT = "opposable-handover"
-"""Format of plans in which one hand gives the object to another."""
+"""Older format of movements in which one hand gives the object to another."""
 
 MOVEMENT_FORMATS = (
     "opposable-movement",
     "opposable-motion",
     "opposable-gait",
     "opposable-manipulation",
+    HANDOVER_FORMAT,
 )
 """Formats of plans that are movements; all but the first are older and read only."""
 
@@ -157,13 +158,8 @@ def checked_file(
     versions = get_args(schema.model_fields["version"].annotation)
     kind = wanted.removeprefix("opposable-")
     if data.get("format") != wanted:
-        run = (
-            f"; opposable test {source} executes it"
-            if data.get("format") == HANDOVER_FORMAT
-            else ""
-        )
         raise FileFormatError(
-            f"{source} is not a {kind} file: its format is {shown(data.get('format'))}{run}"
+            f"{source} is not a {kind} file: its format is {shown(data.get('format'))}"
         )
     if data.get("version") not in versions:
         raise FileFormatError(

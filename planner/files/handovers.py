@@ -1,36 +1,85 @@
-"""Files of handovers: the task, and the grasps of both hands alone, each as in a plan file.
+"""Handovers in files: the task of the pair, and the grasps of both hands alone, as in plan files.
 
-Reading puts the two grasps together anew, with every check of planning.
+Reading puts the two grasps together anew, with every check of planning. A handover is kept in a
+movement file; files of its own format, ``opposable-handover``, are read as well.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from planner.errors import FileFormatError
 from planner.failure import Failure
-from planner.files.data import TaskData, task_data, task_from_data
-from planner.files.disk import checked_file, read_json, write_json
+from planner.files.data import LaterData, PoseData, TaskData, task_data, task_from_data
+from planner.files.disk import checked_file
 from planner.files.plans import given_hand, plan_from_dict, plan_to_dict
-from planner.motion.handover import HandoverPlan, put_together
-from planner.schema import StrictData
-from planner.system.package import written_by
+from planner.motion.handover import put_together
+from planner.motion.phase import Handover
+from planner.motion.plan import ManipulationPlan
 
 
-class HandoverFile(StrictData):
-    """A handover as JSON; version 2 was planned for joints that may be off."""
+class HandoverData(LaterData):
+    """What a handover is put together from; where the pair's base is not told it is found again."""
 
-    format: Literal["opposable-handover"] = "opposable-handover"
-    version: Literal[1, 2] = 1
-    written_by: str
+    later = "T_world_pair"
+
     task: TaskData
     to: str
     lift_height_m: float = Field(gt=0, allow_inf_nan=False)
     give: dict[str, Any]
     take: dict[str, Any]
+    T_world_pair: PoseData | None = None
+
+    @classmethod
+    def of(cls, handover: Handover) -> HandoverData:
+        """From a handover.
+
+        Raises:
+            TaskError: A hand was made in Python, so that no file can name it.
+        """
+        give, take = (plan_to_dict(grasp) for grasp in handover.alone)
+        return cls(
+            task=task_data(handover.task),
+            to=handover.taker,
+            lift_height_m=handover.lift_height,
+            give=give,
+            take=take,
+            T_world_pair=PoseData.of(handover.both.T_world_base),
+        )
+
+    def movement(self, source: str) -> ManipulationPlan:
+        """The movement, put together and checked.
+
+        Raises:
+            FileFormatError: It fails its checks now, or is for other hands.
+            PlannerError: A hand or the object cannot be loaded.
+        """
+        task = task_from_data(self.task, given_hand(self.task.hand, source))
+        give, take = (
+            plan_from_dict(grasp, f"{source}, {name}")
+            for name, grasp in (("give", self.give), ("take", self.take))
+        )
+        found = put_together(
+            task,
+            give,
+            take,
+            to=self.to,
+            lift_height=self.lift_height_m,
+            T_world_pair=None if self.T_world_pair is None else self.T_world_pair.pose(),
+        )
+        if isinstance(found, Failure):
+            raise FileFormatError(f"{source} holds a handover that fails its checks: {found.text}")
+        return found
+
+
+class HandoverFile(HandoverData):
+    """A handover in a file of its own; version 2 was planned for joints that may be off."""
+
+    format: Literal["opposable-handover"] = "opposable-handover"
+    version: Literal[1, 2] = 1
+    written_by: str
 
     @model_validator(mode="after")
     def _of_version(self) -> Self:
@@ -39,45 +88,11 @@ class HandoverFile(StrictData):
         return self
 
 
-def write_handover(plan: HandoverPlan, path: Path | str) -> None:
-    """Write a handover file; a whole one or none.
-
-    Raises:
-        TaskError: A hand was made in Python, so that no file can name it.
-        FileFormatError: The file cannot be written.
-    """
-    give, take = (plan_to_dict(grasp) for grasp in plan.alone)
-    file = HandoverFile(
-        version=2 if plan.task.joint_error else 1,
-        written_by=written_by(),
-        task=task_data(plan.task),
-        to=plan.taker,
-        lift_height_m=plan.lift_height,
-        give=give,
-        take=take,
-    )
-    write_json(file.model_dump(mode="json"), path)
-
-
-def read_handover(path: Path | str) -> HandoverPlan:
-    """Read a handover file and check it as when it was planned.
+def handover_from_dict(data: dict[str, Any], source: str) -> ManipulationPlan:
+    """The handover that plain data of its own format hold, checked like a file.
 
     Raises:
         FileFormatError: Damaged, of another version, for other hands, or no handover.
         PlannerError: A hand or the object cannot be loaded.
     """
-    return handover_from_dict(read_json(path, "handover file"), str(path))
-
-
-def handover_from_dict(data: dict[str, Any], source: str) -> HandoverPlan:
-    """The handover that plain data hold, checked like a file; errors as ``read_handover``."""
-    file = checked_file(HandoverFile, data, source)
-    task = task_from_data(file.task, given_hand(file.task.hand, source))
-    give, take = (
-        plan_from_dict(grasp, f"{source}, {name}")
-        for name, grasp in (("give", file.give), ("take", file.take))
-    )
-    found = put_together(task, give, take, to=file.to, lift_height=file.lift_height_m)
-    if isinstance(found, Failure):
-        raise FileFormatError(f"{source} holds a handover that fails its checks: {found.text}")
-    return found
+    return checked_file(HandoverFile, data, source).movement(source)

@@ -2,14 +2,16 @@
 
 A file holds the path and the knots of the first stroke, how the fingers move on after it, how often
 both are repeated, and how the object is put down, where that is planned. Later cycles are the first
-one with the object further along.
+one with the object further along. Of a tool it holds what is done with it and the way of the hand;
+of a handover what the grasps of both hands are put together from.
 
 Nothing in a file is believed: the hand's digest is checked, and grasp, knots and way out are judged
 again on the true geometry; orders and swings of fingers are searched again. A file whose contacts,
 relocations, target or torque reserve are not those of its joints is refused.
 
-Files of the three formats that this one replaces are read as well: ``opposable-motion``,
-``opposable-gait`` and ``opposable-manipulation``, version 1 (``as_movement``).
+Files of the formats that this one replaces are read as well: ``opposable-motion``,
+``opposable-gait`` and ``opposable-manipulation``, version 1 (``as_movement``), and handovers
+(``planner.files.handovers``).
 """
 
 from __future__ import annotations
@@ -24,26 +26,31 @@ from pydantic import Field
 from planner.collision.pregrasp import Approach
 from planner.errors import FileFormatError, TaskError, shown
 from planner.failure import Failure
-from planner.files.data import ArmData, ContactData, LaterData, PlanFile, PoseData
-from planner.files.disk import MOVEMENT_FORMATS, checked_file, read_json, write_json
+from planner.files.data import ArmData, ContactData, LaterData, ObjectData, PlanFile, PoseData
+from planner.files.disk import (
+    HANDOVER_FORMAT,
+    MOVEMENT_FORMATS,
+    checked_file,
+    read_json,
+    write_json,
+)
+from planner.files.handovers import HandoverData, handover_from_dict
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
 from planner.motion.ending import backwards, object_at_target, verify_release, verify_turned
 from planner.motion.path import ObjectPath, checked_attitude
-from planner.motion.plan import (
-    Ending,
-    Knot,
-    Limit,
-    ManipulationPlan,
-    MotionRecord,
-    MovementPlan,
-    Relocation,
-)
+from planner.motion.phase import Ending, Knot, Relocation, ToolUse
+from planner.motion.plan import Limit, ManipulationPlan, MotionRecord, MovementPlan
+from planner.motion.tool_gait import verify_tool_gait
+from planner.motion.tool_use import with_use
 from planner.motion.verify import MovementVerifier, Waypoint
 from planner.plan import GraspPlan
 from planner.schema import Finite, NotNegative, StrictData, Vector3
+from planner.shapes.registry import shape_key
 from planner.spatial import FloatArray
 from planner.system.package import written_by
+from planner.task import GraspTask
+from planner.tools import Tool, UseData, use_data
 
 SAME = 1e-9
 """How far (rad, m) the first knot of a file may be from its grasp."""
@@ -53,6 +60,9 @@ CONSISTENT = 1e-6
 
 RESERVE_TOL = 1e-3
 """How far (-) a torque reserve may be from that of the forces that are computed again."""
+
+QUATERNION = "quaternion_wxyz"
+"""Field of a pose whose sign means nothing; of a half turn rounding decides it."""
 
 MOST_CYCLES = 1000
 """Most cycles of a file: each is judged when it is read."""
@@ -143,6 +153,59 @@ class EndingData(LaterData):
     turned: bool = False
 
 
+class ToolData(LaterData):
+    """The tool of a use, in the frame of its object; ``object`` where the grasp is of another.
+
+    What its use needs is in the task of the grasp.
+    """
+
+    later = "object"
+
+    tip_m: Vector3
+    axis: Vector3
+    use: UseData
+    grip_N: float | None
+    scale: Finite
+    object: ObjectData | None = None
+
+    @classmethod
+    def of(cls, tool: Tool, task: GraspTask) -> ToolData:
+        """From a tool, and the task that was planned for it."""
+        same = shape_key(tool.shape) == shape_key(task.object.shape)
+        return cls(
+            tip_m=tuple(tool.tip),
+            axis=tuple(tool.axis),
+            use=use_data(tool),
+            grip_N=tool.grip_force,
+            scale=tool.scale,
+            object=None if same else ObjectData.of(tool),
+        )
+
+    def tool(self, task: GraspTask) -> Tool:
+        """The tool, for the task that was planned for it."""
+        item = task.object if self.object is None else self.object.object()
+        return Tool(
+            name=item.name,
+            shape=item.shape,
+            mass=item.mass,
+            touch=item.touch,
+            tip=np.array(self.tip_m),
+            axis=np.array(self.axis),
+            needed=task.needed,
+            use=self.use,
+            grip_force=self.grip_N,
+            scale=self.scale,
+        )
+
+
+class ToolUseData(StrictData):
+    """The way of the base in the use of a tool, or of a finger that does not hold."""
+
+    T_world_base: list[PoseData] = Field(min_length=1)
+    finger: str
+    q_rad: list[list[Finite]]
+
+
 class MovementFile(LaterData):
     """A movement of an object in the hand as JSON.
 
@@ -150,10 +213,12 @@ class MovementFile(LaterData):
     ``cycles`` is the number of strokes. ``angle_rad`` and ``shift_m`` are what was requested, which
     the strokes may exceed. ``ending`` is null where it is not planned how the object is put down,
     ``torque_reserve`` in files of older formats without one. ``then`` is the movement that begins
-    where this one has put the object down, null or left out for none.
+    where this one has put the object down, null or left out for none. ``tool`` is what is used, by
+    the strokes or, with ``tool_use``, by the hand as a whole; ``handover`` is how another hand
+    takes the object.
     """
 
-    later = "then"
+    later = "then tool tool_use handover"
 
     format: Literal["opposable-movement"] = "opposable-movement"
     version: Literal[1] = 1
@@ -171,6 +236,9 @@ class MovementFile(LaterData):
     torque_reserve: Finite | None
     record: MotionRecordData
     then: MovementFile | None = None
+    tool: ToolData | None = None
+    tool_use: ToolUseData | None = None
+    handover: HandoverData | None = None
 
 
 def movement_to_dict(plan: MovementPlan) -> dict[str, Any]:
@@ -189,9 +257,20 @@ def movement_to_dict(plan: MovementPlan) -> dict[str, Any]:
         ending=None if plan.ending is None else _ending_data(plan.grasp, plan.ending),
         torque_reserve=plan.reserve,
         record=MotionRecordData.model_validate(plan.record, from_attributes=True),
+        tool=None if plan.tool is None else ToolData.of(plan.tool, plan.task),
+        tool_use=None if plan.tool_use is None else _use_data(plan.tool_use),
+        handover=None if plan.handover is None else HandoverData.of(plan.handover),
     )
     written: dict[str, Any] = data.model_dump(mode="json")
     return written if plan.then is None else {**written, "then": movement_to_dict(plan.then)}
+
+
+def _use_data(use: ToolUse) -> ToolUseData:
+    return ToolUseData(
+        T_world_base=[PoseData.of(pose) for pose in use.way],
+        finger=use.finger,
+        q_rad=use.postures.tolist(),
+    )
 
 
 def _path_data(path: ObjectPath) -> PathData:
@@ -363,9 +442,15 @@ def movement_from_dict(
         FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
         PlannerError: The hand or object cannot be loaded.
     """
+    if data.get("format") == HANDOVER_FORMAT:
+        return handover_from_dict(data, source)
     data = as_movement(data, source)
     file = checked_file(MovementFile, data, source)
+    if file.handover is not None:
+        return _handed_over(file, file.handover, source)
     grasp = plan_from_dict(data["grasp"], source, hand=hand)
+    if file.tool_use is not None:
+        return _used(file, file.tool_use, grasp, source)
     plan = _strokes(file, grasp, source)
     if file.ending is None:
         plan = replace(plan, angle=file.angle_rad, shift=np.array(file.shift_m))
@@ -374,6 +459,11 @@ def movement_from_dict(
     fault = _fault(plan, file.torque_reserve)
     if fault:
         raise FileFormatError(f"{source}: {fault}; it is damaged")
+    if file.tool is not None:
+        plan = replace(plan, tool=file.tool.tool(grasp.task))
+        blocked = verify_tool_gait(plan)
+        if blocked is not None:
+            raise FileFormatError(f"{source} holds strokes that fail their checks: {blocked}")
     if data.get("then") is None:
         return plan
     then = manipulation_from_dict(data["then"], f"{source}, what follows", hand=hand)
@@ -381,6 +471,82 @@ def movement_from_dict(
     if first is None or not first.isApprox(then.task.T_world_object, CONSISTENT):
         raise FileFormatError(f"{source}: what follows begins elsewhere; it is damaged")
     return replace(plan, then=then)
+
+
+def _handed_over(file: MovementFile, handover: HandoverData, source: str) -> ManipulationPlan:
+    """The handover of a file, put together again.
+
+    Raises:
+        FileFormatError: It fails its checks, or the file says something else beside.
+    """
+    plan = handover.movement(source)
+    _refuse_others(file, plan, source)
+    return plan
+
+
+def _used(file: MovementFile, use: ToolUseData, grasp: GraspPlan, source: str) -> ManipulationPlan:
+    """The use of a tool by the hand as a whole, judged again.
+
+    Raises:
+        FileFormatError: The file has no tool, the hand cannot go there, or the file says something
+            else beside.
+    """
+    if file.tool is None:
+        raise FileFormatError(f"{source} tells a use and no tool; it is damaged")
+    tool, hand = file.tool.tool(grasp.task), grasp.task.hand
+    phase = ToolUse(
+        way=tuple(pose.pose() for pose in use.T_world_base),
+        finger=use.finger,
+        postures=np.array([hand.checked_q(q, "q_rad") for q in use.q_rad]).reshape(-1, hand.nq),
+    )
+    try:
+        found = with_use(replace(grasp, task=replace(grasp.task, object=tool)), phase)
+    except TaskError as error:
+        raise FileFormatError(f"{source} is damaged: {error}") from error
+    if isinstance(found, Failure):
+        raise FileFormatError(f"{source} holds a use that fails its checks: {found}")
+    _refuse_others(file, found, source)
+    return found
+
+
+RETOLD = {"written_by", "record", "torque_reserve", "handover", "tool", "then"}
+"""Fields of a use or a handover that are not compared with what follows from the others."""
+
+
+def _refuse_others(file: MovementFile, plan: MovementPlan, source: str) -> None:
+    """Refuse a file of a use or a handover whose other fields are not those of its plan.
+
+    Raises:
+        FileFormatError: One is another.
+    """
+    true = MovementFile.model_validate(movement_to_dict(plan))
+    told, own = (
+        {k: v for k, v in f.model_dump().items() if k not in RETOLD}
+        | {"grasp": f.grasp.grasp.model_dump()}
+        for f in (file, true)
+    )
+    other = _other(told, own)
+    if file.then is not None or other:
+        raise FileFormatError(
+            f"{source}: {other or 'then'} is not what follows from its grasps; it is damaged"
+        )
+
+
+def _other(told: Any, true: Any, name: str = "") -> str:
+    """Name of the first value of plain data that is not the true one, "" if all are."""
+    if isinstance(true, dict) and isinstance(told, dict) and told.keys() == true.keys():
+        if (sign := QUATERNION) in true and np.dot(told[sign], true[sign]) < 0.0:  # the same turn
+            told = {**told, sign: [-v for v in told[sign]]}
+        found = (_other(told[key], true[key], f"{name}.{key}".strip(".")) for key in true)
+        return next(filter(None, found), "")
+    if isinstance(true, list | tuple) and isinstance(told, list | tuple) and len(told) == len(true):
+        found = (
+            _other(a, b, f"{name}[{k}]") for k, (a, b) in enumerate(zip(told, true, strict=True))
+        )
+        return next(filter(None, found), "")
+    if isinstance(true, float) and isinstance(told, float | int):
+        return "" if _same(np.array(told, dtype=float), np.array(true)) else name
+    return "" if told == true else name
 
 
 def _strokes(file: MovementFile, grasp: GraspPlan, path: str) -> MovementPlan:

@@ -41,7 +41,7 @@ from planner.files.data import (
     task_data,
     task_from_data,
 )
-from planner.files.disk import checked_file, read_json, write_json
+from planner.files.disk import MOVEMENT_FORMATS, checked_file, read_json, write_json
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
@@ -303,7 +303,7 @@ def plan_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = Non
     """The plan that plain data hold, checked like a file.
 
     Args:
-        data: What ``plan_to_dict`` gave.
+        data: What ``plan_to_dict`` gave; of the use of a tool its grasp is taken.
         source: What errors call it, as the path of a file.
         hand: The hand to use; the one that the data name if None.
 
@@ -331,6 +331,8 @@ def pose_of_plan(path: Path | str) -> tuple[GraspTask, SE3, FloatArray]:
 
 def _with_hand(data: dict[str, Any], source: str, hand: Hand | None) -> tuple[PlanFile, Hand]:
     """A plan's data after the checks of its form, and the hand that they are for."""
+    if data.get("format") == MOVEMENT_FORMATS[0] and data.get("tool_use"):
+        data = data["grasp"]
     file = checked_file(PlanFile, data, source)
     hand = given_hand(file.task.hand, source, hand)
     if list(hand.joint_names) != file.grasp.joint_names:

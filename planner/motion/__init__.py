@@ -9,21 +9,18 @@
 from planner.motion.ending import Rests, planned_ending
 from planner.motion.gait import plan_gait
 from planner.motion.goals import plan_reorientation
-from planner.motion.handover import HandoverPlan, plan_handover
+from planner.motion.handover import plan_handover
 from planner.motion.manipulation import manipulation_of, plan_manipulation, plan_regrasping
 from planner.motion.order import Lift, NoOrder, Order, find_order
 from planner.motion.path import ObjectPath
+from planner.motion.phase import Ending, Handover, Knot, Relocation, Stroke, ToolUse
 from planner.motion.plan import (
-    Ending,
     GaitPlan,
-    Knot,
     Limit,
     ManipulationPlan,
     MotionPlan,
     MotionRecord,
     MovementPlan,
-    Relocation,
-    Stroke,
 )
 from planner.motion.regrasp import cut_motion, plan_back, plan_others
 from planner.motion.search import MotionAttempt, motion_attempts, plan_motion
@@ -33,7 +30,7 @@ from planner.motion.task import manipulation_task, on_stand
 __all__ = [
     "Ending",
     "GaitPlan",
-    "HandoverPlan",
+    "Handover",
     "Knot",
     "Lift",
     "Limit",
@@ -48,6 +45,7 @@ __all__ = [
     "Relocation",
     "Rests",
     "Stroke",
+    "ToolUse",
     "cut_motion",
     "find_order",
     "manipulation_of",

@@ -30,7 +30,8 @@ from planner.errors import TaskError
 from planner.failure import Failure
 from planner.kinematics import HandState
 from planner.motion.path import ObjectPath
-from planner.motion.plan import Knot, MotionRecord, MovementPlan
+from planner.motion.phase import Knot
+from planner.motion.plan import MotionRecord, MovementPlan
 from planner.motion.problem import motion_problem_for
 from planner.motion.solve import MotionCandidate, MotionSolver
 from planner.motion.terms import Stance

@@ -24,7 +24,8 @@ from planner.collision.pair_table import lift_to_rest
 from planner.collision.pregrasp import Approach, find_approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.failure import Failure
-from planner.motion.plan import Ending, MovementPlan
+from planner.motion.phase import Ending
+from planner.motion.plan import MovementPlan
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 

@@ -28,7 +28,8 @@ from planner.motion.path import (
     checked_axis,
     checked_shift,
 )
-from planner.motion.plan import GaitPlan, MovementPlan, Relocation, Stroke
+from planner.motion.phase import Relocation, Stroke
+from planner.motion.plan import GaitPlan, MovementPlan
 from planner.motion.regrasp import cut_motion, plan_back, plan_others
 from planner.motion.search import MOTION_OPTIONS, PATH_TOLERANCE, UP, check_task
 from planner.motion.terms import Stance

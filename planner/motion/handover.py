@@ -20,7 +20,7 @@ that is at a distance d from all others may move by d before it could touch.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice, product
 from typing import Any
 
@@ -35,7 +35,10 @@ from planner.failure import Failure
 from planner.hands.fingers import Side
 from planner.hands.hand import Hand
 from planner.hands.two_hands import carriage_joints
-from planner.immutable import freeze
+from planner.motion.path import ObjectPath
+from planner.motion.phase import Handover
+from planner.motion.plan import ManipulationPlan
+from planner.motion.verify import MovementVerifier
 from planner.numerics.kernels import planning_time
 from planner.plan import GraspPlan
 from planner.search.attempt import Attempt, check_seed, nothing_found
@@ -50,7 +53,7 @@ from planner.verification import (
     verify_grasp,
 )
 
-__all__ = ["HandoverPlan", "plan_handover", "put_together"]
+__all__ = ["plan_handover", "put_together"]
 
 ROUNDS = 20
 """Rounds of a search, each of which adds one grasp to give with and ``TAKES`` to take with."""
@@ -95,48 +98,12 @@ BELOW = "table below"
 TABLE_ROOM = 0.01
 """Least distance (m) of the waiting hand from the table and all else."""
 
+REACHED = 1.0 + 1e-9
+"""Largest share (-) of its range that a joint of a carriage takes up, with what a file rounds."""
+
 LEAST_STEP = 5e-4
 """Shortest step (m) along a way: half of the clearance that is asked for, so that nothing is jumped
 over."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HandoverPlan:
-    """A verified handover; the joints are those of the pair.
-
-    Attributes:
-        give: Grasp of the giving hand; the other one waits.
-        both: Grasp of both hands, at the same place.
-        take: Grasp of the taking hand, with the other one still there.
-        way_in: Joints (m, nq): the taking hand's way from where it waits to the pre-grasp, straight
-            from one to the next.
-        way_out: Joints (m, nq): the giving hand's way back, from where its fingers are open.
-        giver: Name of the hand that gives.
-        taker: Name of the hand that takes.
-        lift_height: How far the object is lifted before the other hand comes, m. The poses of all
-            three grasps are those before the lift.
-        task: What was asked.
-        alone: The grasps of both hands, each alone, the giving one's first.
-    """
-
-    give: GraspPlan
-    both: GraspPlan
-    take: GraspPlan
-    way_in: FloatArray
-    way_out: FloatArray
-    giver: str
-    taker: str
-    lift_height: float
-    task: GraspTask
-    alone: tuple[GraspPlan, GraspPlan]
-
-    def __post_init__(self) -> None:
-        """Keep copies that nobody changes."""
-        freeze(self, arrays=("way_in", "way_out"))
-
-    def __repr__(self) -> str:
-        """One line."""
-        return f"<HandoverPlan from {self.giver} to {self.taker} of {self.task!r}>"
 
 
 def plan_handover(
@@ -146,8 +113,8 @@ def plan_handover(
     seed: int = 0,
     lift_height: float = LIFT_HEIGHT,
     rounds: int = ROUNDS,
-) -> HandoverPlan:
-    """A handover between the two hands of a task.
+) -> ManipulationPlan:
+    """A handover between the two hands of a task: a movement with a ``Handover`` in it.
 
     Args:
         task: A task of two hands: its object, where that stands, friction and surroundings. Its
@@ -170,7 +137,7 @@ def plan_handover(
     meeting = _Meeting(task, giver, taker, lift_height)
     gives = _grasps(giver, _alone(task, giver), seed)
     takes = _grasps(taker, replace(_alone(task, taker), **meeting.in_the_air), seed)
-    made: list[Attempt[HandoverPlan]] = []
+    made: list[Attempt[ManipulationPlan]] = []
     mine: list[GraspPlan] = []
     others: list[GraspPlan] = []
     for _ in range(rounds):
@@ -195,8 +162,14 @@ def plan_handover(
 
 
 def put_together(
-    task: GraspTask, give: GraspPlan, take: GraspPlan, *, to: str, lift_height: float
-) -> HandoverPlan | Failure:
+    task: GraspTask,
+    give: GraspPlan,
+    take: GraspPlan,
+    *,
+    to: str,
+    lift_height: float,
+    T_world_pair: SE3 | None = None,
+) -> ManipulationPlan | Failure:
     """A handover out of two grasps, or why it is none: everything is checked as when planning.
 
     Args:
@@ -205,11 +178,13 @@ def put_together(
         take: Grasp of the taking hand alone, in the air.
         to: Name of the hand that takes.
         lift_height: See ``plan_handover``, m.
+        T_world_pair: Pose of the pair's base; where the carriages reach best if None. Two places
+            may be as good, of which rounding takes one.
 
     Raises:
         NotFoundError, TaskError: See ``plan_handover``.
     """
-    return _Meeting(task, *_sides(task, to), lift_height).plan(give, take)
+    return _Meeting(task, *_sides(task, to), lift_height).plan(give, take, T_world_pair)
 
 
 def _sides(task: GraspTask, to: str | None) -> tuple[Side, Side]:
@@ -344,14 +319,16 @@ class _Meeting:
         self._air = CollisionWorld(replace(task, **self.in_the_air))
         self._standing = CollisionWorld(task)
 
-    def plan(self, give: GraspPlan, take: GraspPlan) -> HandoverPlan | Failure:
-        """A handover with these grasps, or why it is none."""
+    def plan(
+        self, give: GraspPlan, take: GraspPlan, pair: SE3 | None = None
+    ) -> ManipulationPlan | Failure:
+        """A handover with these grasps, the pair at a pose if one is given; or why it is none."""
         if _alike(give, take) > LEAST_OPPOSED:
             return Failure(kind="one_side", text="both hands would come from one side")
         if _apart(give, take) < LEAST_APART:
             return Failure(kind="contacts_meet", text="both hands would touch at one place")
-        pair = self._placed(give, take)
-        if pair is None:
+        pair = self._placed(give, take) if pair is None else pair
+        if pair is None or self._strain(pair, give, take) > REACHED:
             return Failure(kind="carriage_reach", text="the carriages do not reach both grasps")
         giver, taker = self._hands
         held = self._joints(pair, give, take, give.q, take.q)
@@ -378,8 +355,11 @@ class _Meeting:
         taken = _grasp(world.of(alone), pair, held, opened, take)
         if isinstance(taken, Failure):
             return taken
-        return HandoverPlan(
-            give=waiting,
+        held_still = ObjectPath.of_wrist(np.eye(3))
+        knots = MovementVerifier(waiting.task).held(pair, waiting.q, held_still)
+        if isinstance(knots, Failure):
+            return knots
+        handover = Handover(
             both=both,
             take=taken,
             way_in=np.array([waiting.q, come, opened]),
@@ -390,6 +370,7 @@ class _Meeting:
             task=self._task,
             alone=(give, take),
         )
+        return ManipulationPlan.of_held(waiting, knots, handover)
 
     def _placed(self, give: GraspPlan, take: GraspPlan) -> SE3 | None:
         """Pose of the pair at which the carriages reach best; None if they nowhere do.
@@ -409,15 +390,19 @@ class _Meeting:
             at = [(plan.T_world_base * hand.at_rest).translation for plan, hand in ends]
             rest = [turn @ hand.root.translation for _, hand in ends]
             pair = SE3(turn, np.mean(np.array(at) + np.array(ways) / 2.0 - np.array(rest), axis=0))
-            strain = max(
-                hand.strain(pair.inverse() * SE3(base.rotation, base.translation + share * way))
-                for (plan, hand), way in zip(ends, ways, strict=True)
-                for share in (0.0, 1.0)
-                for base in (plan.T_world_base,)
-            )
+            strain = self._strain(pair, give, take)
             if strain <= least:
                 best, least = pair, strain
         return best
+
+    def _strain(self, pair: SE3, give: GraspPlan, take: GraspPlan) -> float:
+        """Largest share (-) of its range that a joint of the carriages takes up, the pair there."""
+        return max(
+            hand.strain(pair.inverse() * SE3(base.rotation, base.translation + share * way))
+            for plan, hand in zip((give, take), self._hands, strict=True)
+            for base, way in [(plan.T_world_base, _way_back(plan))]
+            for share in (0.0, 1.0)
+        )
 
     def _joints(
         self, pair: SE3, give: GraspPlan, take: GraspPlan, giving: FloatArray, taking: FloatArray

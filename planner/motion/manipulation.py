@@ -32,7 +32,8 @@ from planner.motion.path import (
     checked_shift,
     tilts,
 )
-from planner.motion.plan import Ending, ManipulationPlan, MovementPlan
+from planner.motion.phase import Ending
+from planner.motion.plan import ManipulationPlan, MovementPlan
 from planner.motion.single_stroke import (
     LEAST_OVERSHOOT,
     MAX_ATTEMPTS,

@@ -31,7 +31,8 @@ from planner.motion.path import (
     ObjectPath,
     checked_attitude,
 )
-from planner.motion.plan import Ending, MovementPlan, rise_for
+from planner.motion.phase import Ending
+from planner.motion.plan import MovementPlan, rise_for
 from planner.motion.verify import MovementVerifier, Waypoint
 from planner.plan import SolveRecord
 from planner.spatial import SE3, FloatArray, rotation_angle, shifted

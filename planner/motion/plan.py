@@ -1,48 +1,54 @@
 """``MovementPlan``: how an object moves in the hand, as a sequence of phases on one base pose.
 
-    grasp -> stroke -> [a relocation of every finger -> stroke] x (cycles - 1) -> ending
+    grasp -> stroke -> [a relocation of every finger -> stroke] x (cycles - 1)
+                    -> [the use of a tool, or another hand takes it] -> ending
 
-A phase is a ``Stroke``: the object goes along its path, all contacts stay and roll; or a
-``Relocation``: one contact moves, the others stay and hold the object still. A motion is one stroke
+A phase (``planner.motion.phase``) is a ``Stroke``: the object goes along its path, all contacts
+stay and roll; a ``Relocation``: one contact moves, the others stay and hold the object still; a
+``ToolUse`` or a ``Handover``, before which the object stays in the fingers. A motion is one stroke
 (``plan_motion``), a gait several (``plan_gait``), a manipulation has an ``Ending`` as well
-(``plan_manipulation``). All are searched by one kind of attempt (``planner.motion.context``),
-judged sample by sample by one verifier (``planner.motion.verify``), and kept in one kind of file
-(``planner.files.movements``).
+(``plan_manipulation``, ``plan_handover``, ``sim.plan_tool``). All are judged by one verifier
+(``planner.motion.verify``), run by one machine (``sim.manipulation.machine``), and kept in one kind
+of file (``planner.files.movements``).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
 from planner.collision.arm_path import LIFT_HEIGHT
-from planner.collision.pregrasp import Approach, way_back
-from planner.contacts import Contact, ContactSet
+from planner.collision.pregrasp import way_back
 from planner.errors import TaskError
-from planner.forces import ForceSolution
 from planner.immutable import freeze
 from planner.kinematics import HandState
 from planner.motion.path import ObjectPath
+from planner.motion.phase import Ending, Handover, Knot, Phase, Relocation, Stroke, ToolUse
 from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
-from planner.plan import GraspPlan, JointTrajectory, SearchRecord, Verification
-from planner.quality import ClosureResult
+from planner.plan import GraspPlan, JointTrajectory, SearchRecord
 from planner.showing import Shown, in_notebook
 from planner.spatial import SE3, FloatArray, shifted
 from planner.synthesis.objectives import driving
 from planner.task import GraspTask, Obstacle
 
+if TYPE_CHECKING:
+    from planner.tools import Tool
+
 LIFT_S, CARRY_S, LOWER_S, OPEN_S, RETREAT_S = 0.7, 0.8, 0.6, 0.4, 0.6
 """Durations (s) of the pieces of a trajectory in which the base moves or the fingers open."""
 
 WRIST_RATE = 1.0
-"""Mean rate (rad/s) at which the wrist turns to the attitude and back."""
+"""Mean rate (rad/s) at which the wrist turns to the attitude and back, and in the use of a tool."""
+
+USE_SPEED = 0.1
+"""Mean speed (m/s) of the base on the way of a use, in a trajectory."""
 
 TORSION = 5e-3
 """Torsional friction (m) of pads that pivot, that of trials (``sim.scene.physics``). It helps to
@@ -57,6 +63,9 @@ SMALLEST_RANGE = 1e-3
 
 NO_LIMIT = 1e-9
 """Least limit (N m, N) that divides a force."""
+
+HALVES = slice(0, 3), slice(3, 6)
+"""Translation and rotation in a motion vector."""
 
 SAME_PLACE = 1e-6
 """Distance (m) below which two places are the same."""
@@ -92,147 +101,6 @@ class Limit:
         return f"{self.what}, at {100 * self.path_parameter:.0f} % of the path"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Knot:
-    """The object in the hand at one point of its path, verified like a grasp.
-
-    Attributes:
-        path_parameter: Where on the path, 0 to 1.
-        T_world_object: Pose of the object; the base stands where the grasp has it.
-        q: Joints (nq,), pads just touching.
-        contacts: Contacts with the true surface, world, with the planned forces.
-        forces: The distribution that bears the object's weight here.
-        closure: Force closure of the contacts.
-        verification: Residuals on the true geometry.
-        off_path: Distance of the object from its path, m.
-        slips: Slip (n,), m, of each pad since the knot before: 0 if it rolls.
-        between: Largest pad gap, m, half-way from the knot before, joints interpolated linearly.
-        on_the_way: The distributions while the wrist turns from the path's attitude back to that
-            of the grasp, at its ``wrist_shares`` from the last but one to the first; () without.
-        needed: The distributions that produce each wrench that the task needs, with its margin.
-    """
-
-    path_parameter: float
-    T_world_object: SE3
-    q: FloatArray
-    contacts: ContactSet
-    forces: ForceSolution
-    closure: ClosureResult
-    verification: Verification
-    off_path: float
-    slips: FloatArray
-    between: float
-    on_the_way: tuple[ForceSolution, ...] = ()
-    needed: tuple[ForceSolution, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Keep copies that nobody changes."""
-        freeze(self, poses=("T_world_object",), arrays=("q", "slips"))
-
-    @property
-    def contacts_in_object(self) -> ContactSet:
-        """The contacts in the object's frame."""
-        return self.contacts.transformed(self.T_world_object.inverse())
-
-    @property
-    def clearance(self) -> float:
-        """Smallest distance of geometries that must not touch, m."""
-        return min((c.distance for c in self.verification.closest), default=np.inf)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Stroke:
-    """The object goes along its path while all fingers hold it.
-
-    Attributes:
-        cycle: Its number, from 0.
-        knots: In order, each verified like a grasp.
-    """
-
-    cycle: int
-    knots: tuple[Knot, ...]
-
-    @property
-    def postures(self) -> FloatArray:
-        """Joints (m, nq) at the knots."""
-        return np.array([knot.q for knot in self.knots])
-
-    @property
-    def margin(self) -> float:
-        """Least normalised min-weight of closure (-) over all knots."""
-        return min(knot.closure.normalised_min_weight for knot in self.knots)
-
-    def __str__(self) -> str:
-        """One line."""
-        return f"stroke {self.cycle + 1}: {len(self.knots)} knots, least closure {self.margin:.3f}"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Relocation:
-    """One finger moves on while the others hold the object still.
-
-    Attributes:
-        cycle: Number of the stroke before it.
-        finger: Name of the finger.
-        T_world_object: Pose of the object, held still.
-        postures: Joints (m, nq) along the swing; the finger touches at the first and the last.
-        before: All contacts before the lift, with their forces, world.
-        during: The contacts that hold, with the forces that take over the load before the lift.
-        after: All contacts after the landing, with their forces.
-        margin: Normalised min-weight (-) of the contacts that hold.
-        grip: Least normal force (N) of each of them.
-    """
-
-    cycle: int
-    finger: str
-    T_world_object: SE3
-    postures: FloatArray
-    before: ContactSet
-    during: ContactSet
-    after: ContactSet
-    margin: float
-    grip: float
-
-    def __post_init__(self) -> None:
-        """Keep copies that nobody changes."""
-        freeze(self, poses=("T_world_object",), arrays=("postures",))
-
-    @property
-    def landing(self) -> Contact:
-        """Where the finger lands, world."""
-        return self.after[self.after.fingers.index(self.finger)]
-
-    def __str__(self) -> str:
-        """One line."""
-        strongest = float(self.during.forces[:, 0].max())
-        return (
-            f"{self.finger} moves on: the others close with {self.margin:.3f} and press with up to "
-            f"{strongest:.2f} N"
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Ending:
-    """How an object is put down, or held at last.
-
-    Attributes:
-        T_world_target: Final pose of the object; if it is held, at the height of the grasp.
-        release: Opened fingers and the way out where the motion ends, or where it began if the
-            motion is reversed, both for a hand that is not turned by the wrist; None if it is held.
-        back: Why the motion is reversed before, "" if it is not.
-        turned: Whether the hand stays in the attitude of the path; else the wrist turns back.
-    """
-
-    T_world_target: SE3
-    release: Approach | None
-    back: str
-    turned: bool = False
-
-    def __post_init__(self) -> None:
-        """Keep copies that nobody changes."""
-        freeze(self, poses=("T_world_target",))
-
-
 @dataclass(frozen=True, kw_only=True)
 class MotionRecord(SearchRecord):
     """Where a movement comes from.
@@ -256,7 +124,7 @@ class MovementPlan(Shown):
     Attributes:
         grasp: The grasp with which it begins, with its approach, where the object is.
         path: The path of one stroke; shorter than requested if that was too long.
-        phases: Strokes and relocations in their order, beginning and ending with a stroke.
+        phases: In their order, beginning with a stroke.
         path_tolerance: Largest distance of the object from the path, m.
         limits: What kept the path from being longer, if the longest path was requested.
         record: Where the plan comes from.
@@ -264,11 +132,13 @@ class MovementPlan(Shown):
         shift: Requested translation in the hand (3,), m, world.
         ending: How the object is put down or held; None where that is not planned.
         then: The movement that begins where this one has put the object down; None for none.
+        tool: The tool that is used, as it is; fingers that turn it may be planned for a cylinder.
+            None where none is used.
     """
 
     grasp: GraspPlan
     path: ObjectPath
-    phases: tuple[Stroke | Relocation, ...]
+    phases: tuple[Phase, ...]
     path_tolerance: float
     limits: tuple[Limit, ...]
     record: MotionRecord
@@ -276,6 +146,7 @@ class MovementPlan(Shown):
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))
     ending: Ending | None = None
     then: ManipulationPlan | None = None
+    tool: Tool | None = None
 
     def __post_init__(self) -> None:
         """Keep copies that nobody changes."""
@@ -339,6 +210,16 @@ class MovementPlan(Shown):
     def relocations(self) -> tuple[Relocation, ...]:
         """The relocations, in order."""
         return tuple(p for p in self.phases if isinstance(p, Relocation))
+
+    @cached_property
+    def tool_use(self) -> ToolUse | None:
+        """The use of a tool by the hand as a whole; None without one."""
+        return next((p for p in self.phases if isinstance(p, ToolUse)), None)
+
+    @cached_property
+    def handover(self) -> Handover | None:
+        """How another hand takes the object; None where none does."""
+        return next((p for p in self.phases if isinstance(p, Handover)), None)
 
     @property
     def regrasps(self) -> tuple[Relocation, ...]:
@@ -506,7 +387,9 @@ class MovementPlan(Shown):
         Phases are approach, close, and turn, or "stroke 1", "regrasp FINGER", "stroke 2" and so on.
         With an ending lift comes before the turn, and after it back where the plan has one, carry,
         lower, open and retreat; in another attitude also wrist before the turn, and "wrist back"
-        before the carry; the turn ends at ``angle`` then, short of the planned overshoot.
+        before the carry; the turn ends at ``angle`` then, short of the planned overshoot. Of a tool
+        the use follows the closing: the way that was verified, at an even speed. Of a handover
+        lift, reach, take, open and retreat do, as high as it is planned.
         Contact forces are not part of it. Joints pass through the knots without overshoot.
 
         Args:
@@ -528,6 +411,12 @@ class MovementPlan(Shown):
             turn_rate=turn_rate,
             rate_hz=rate_hz,
         )
+        if self.tool_use is not None:
+            self._use(builder, self.tool_use)
+            return builder.built()
+        if self.handover is not None:
+            self._hand_over(builder, self.handover)
+            return builder.built()
         if self.ending is None:
             self._move(builder)
             return builder.built()
@@ -560,6 +449,7 @@ class MovementPlan(Shown):
             if isinstance(phase, Relocation):
                 shares = np.linspace(0.0, 1.0, len(phase.postures))
                 builder.turn(f"regrasp {phase.finger}", phase.postures, shares)
+            if not isinstance(phase, Stroke):
                 continue
             until = end if phase.cycle == self.cycles - 1 else 1.0
             parameters, postures = self._postures(until)
@@ -570,6 +460,31 @@ class MovementPlan(Shown):
         parameters, postures = self._postures(end)
         builder.turn("back", postures[::-1], end - parameters[::-1], end * self.path.angle)
         return self.knots[0].T_world_object, self.knots[0].q
+
+    def _use(self, builder: TrajectoryBuilder, use: ToolUse) -> None:
+        """Append the way of a use, and back where a finger works."""
+        if use.finger:
+            shares = np.linspace(0.0, 1.0, len(use.postures))
+            builder.turn("use", use.postures, shares)
+            builder.turn("withdraw", use.postures[::-1], shares)
+            return
+        steps = [pin.log6(a.inverse() * b).vector for a, b in pairwise(use.way)]
+        far, turned = (sum(float(np.linalg.norm(s[part])) for s in steps) for part in HALVES)
+        builder.move_along("use", use.way[1:], max(far / USE_SPEED, turned / WRIST_RATE))
+
+    def _hand_over(self, builder: TrajectoryBuilder, given: Handover) -> None:
+        """Append the lift, the ways of both hands, and how they close and open."""
+        up = np.array([0.0, 0.0, given.lift_height])
+        builder.move_base("lift", shifted(self.T_world_base, up), LIFT_S)
+        taken = np.array([given.way_in[-1], given.both.q])
+        left = np.array([given.both.q, given.way_out[0]])
+        for name, way in (
+            ("reach", given.way_in),
+            ("take", taken),
+            ("open", left),
+            ("retreat", given.way_out),
+        ):
+            builder.turn(name, way, np.linspace(0.0, 1.0, len(way)))
 
     def _postures(self, until: float) -> tuple[FloatArray, FloatArray]:
         """Path parameters (m,) of a stroke up to one of them, and joints (m, nq) there."""
@@ -610,9 +525,9 @@ class MovementPlan(Shown):
         joint, room, where = self.joint_room
         task, cycles = self.task, self.cycles
         strokes = f"{cycles} strokes of " if cycles > 1 else ""
+        item = task.object.shape.spec if self.tool is None else self.tool.name
         lines = [
-            f"{task.hand.name} ({', '.join(task.finger_names)}), {task.object.shape.spec}: "
-            f"{strokes}{self.path}",
+            f"{task.hand.name} ({', '.join(task.finger_names)}), {item}: {strokes}{self.path}",
             f"  {len(self.knots)} knots, off the path by up to "
             f"{1e3 * max(k.off_path for k in self.knots):.1f} mm "
             f"(tolerance {1e3 * self.path_tolerance:.1f})",
@@ -628,6 +543,7 @@ class MovementPlan(Shown):
             + " mm in all",
         ]
         lines += [f"  after each stroke, {r}" for r in self.regrasps]
+        lines += [f"  {p}" for p in (self.tool_use, self.handover) if p is not None]
         if self.limits:
             lines.append("  longer if these gave way:")
             lines += [f"    {limit}" for limit in self.limits]
@@ -666,12 +582,54 @@ class ManipulationPlan(MovementPlan):
             angle=angle,
             shift=shift,
             ending=ending,
+            tool=movement.tool,
+        )
+
+    @classmethod
+    def of_held(
+        cls,
+        grasp: GraspPlan,
+        knots: Sequence[Knot],
+        phase: ToolUse | Handover,
+        *,
+        tool: Tool | None = None,
+    ) -> ManipulationPlan:
+        """The use of a tool or a handover: the object stays in the fingers, and is held at last.
+
+        Args:
+            grasp: The grasp with which it begins.
+            knots: Of the object as it is held.
+            phase: What is done with it.
+            tool: The tool of a use.
+        """
+        made = grasp.record
+        return cls(
+            grasp=grasp,
+            path=ObjectPath.of_wrist(np.eye(3)),
+            phases=(Stroke(cycle=0, knots=tuple(knots)), phase),
+            path_tolerance=0.0,
+            limits=(),
+            record=MotionRecord(
+                iterations=made.iterations,
+                worst=0.0,
+                **{f.name: getattr(made, f.name) for f in fields(SearchRecord)},
+            ),
+            angle=0.0,
+            ending=Ending(
+                T_world_target=grasp.task.T_world_object, release=None, back="", turned=True
+            ),
+            tool=tool,
         )
 
     @property
     def chain(self) -> tuple[ManipulationPlan, ...]:
         """This plan and those that follow on it, in order."""
         return (self, *(() if self.then is None else self.then.chain))
+
+    @property
+    def moves(self) -> bool:
+        """Whether the object is to move in the hand or by the wrist; else it is held throughout."""
+        return self.tool_use is None and self.handover is None
 
     @property
     def attempts(self) -> int:
@@ -690,7 +648,9 @@ class ManipulationPlan(MovementPlan):
 
     def __repr__(self) -> str:
         """One line."""
-        return f"<ManipulationPlan of {self.task!r}: {np.rad2deg(self.angle):.1f} degrees>"
+        one = self.tool_use or self.handover
+        what = f"{np.rad2deg(self.angle):.1f} degrees" if one is None else str(one)
+        return f"<ManipulationPlan of {self.task!r}: {what}>"
 
     def __str__(self) -> str:
         """The movement and the ending."""
@@ -708,7 +668,7 @@ class ManipulationPlan(MovementPlan):
             target = ", ".join(f"{v:.3f}" for v in self.ending.T_world_target.translation[:2])
         lines = [
             super().__str__(),
-            f"  {requested} at ({target}) m",
+            *([f"  {requested} at ({target}) m"] if self.moves else []),
             f"  the most loaded actuator keeps {100 * self.reserve:.0f} % of its limit",
         ]
         if self.ending.back:

@@ -39,7 +39,8 @@ from planner.failure import Failure
 from planner.hands.fingers import Finger
 from planner.kinematics import MovingHand
 from planner.motion.order import NoOrder, Order, find_order, holding, standing
-from planner.motion.plan import MovementPlan, Relocation
+from planner.motion.phase import Relocation
+from planner.motion.plan import MovementPlan
 from planner.numerics.least_squares import Barrier, Task, constrained_ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask

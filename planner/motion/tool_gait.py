@@ -24,11 +24,13 @@ from planner.errors import NoGraspFoundError, ObjectError
 from planner.failure import Failure
 from planner.motion.ending import let_go
 from planner.motion.gait import MAX_ATTEMPTS, STROKES, plan_gait
-from planner.motion.plan import ManipulationPlan, MovementPlan, Stroke
+from planner.motion.phase import Phase, Relocation, Stroke
+from planner.motion.plan import ManipulationPlan, MovementPlan
 from planner.motion.regrasp import LOADED_ROOM
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.task import SEEDS_APART
 from planner.shapes import Mesh
+from planner.shapes.registry import shape_key
 from planner.shapes.round import Cylinder
 from planner.spatial import FloatArray
 from planner.task import GraspTask
@@ -114,7 +116,8 @@ def plan_tool_gait(
         max_attempts: Budget in attempts of each of ``SEARCHES`` searches.
 
     Returns:
-        Strokes and regrasps of a cylinder (``handle_cylinder``); the tool ends where it stands.
+        Strokes and regrasps of a cylinder (``handle_cylinder``), with the tool as it is; it ends
+        where it stands.
 
     Raises:
         NoGraspFoundError: The budget ended; says what ended the last search.
@@ -153,7 +156,8 @@ def plan_tool_gait(
         if isinstance(ending, Failure):
             why.append(str(ending))
             continue
-        return ManipulationPlan.of(gait, ending, angle=angle, shift=np.zeros(3))
+        whole = ManipulationPlan.of(gait, ending, angle=angle, shift=np.zeros(3))
+        return replace(whole, tool=tool)
     raise NoGraspFoundError(
         f"no gait of {tool.name} with {task.hand.name} in {attempts} attempts; the last search: "
         f"{why[-1]}. Take another seed, a tool of another size, or turn it by the wrist",
@@ -173,6 +177,22 @@ def _searches(task: GraspTask) -> Iterator[tuple[GraspTask, tuple[float, ...]]]:
     rounds = product((STROKES, SHORT_STROKES), sets)
     for strokes, one in islice(cycle(rounds), SEARCHES):
         yield task.with_fingers(one), strokes
+
+
+def verify_tool_gait(gait: MovementPlan) -> Failure | None:
+    """Why strokes and regrasps are none of their tool, or not free where it stands; None if so."""
+    tool = gait.tool
+    assert tool is not None
+    planned, rounded = gait.task.object, handle_cylinder(tool)
+    for what, one, other in (
+        ("name", planned.name, rounded.name),
+        ("handle", shape_key(planned.shape), shape_key(rounded.shape)),
+        ("needed wrenches", gait.task.needed, rounded.needed),
+    ):
+        if one != other:
+            text = f"the strokes are of a {planned.name} of another {what} than {tool.name} has"
+            return Failure(kind="other_tool", text=text)
+    return posture_blocked(gait, replace(gait.task, object=tool))
 
 
 IDLE_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -213,13 +233,16 @@ def idle_fingers_apart(gait: MovementPlan, task: GraspTask) -> MovementPlan:
     found = verify_grasp(gait.task, grasp.T_world_base, q, record=grasp.record)
     if isinstance(found, Failure):
         return gait
-    phases = tuple(
-        replace(phase, knots=tuple(replace(knot, q=at(best, knot.q)) for knot in phase.knots))
-        if isinstance(phase, Stroke)
-        else replace(phase, postures=at(best, phase.postures))
-        for phase in gait.phases
-    )
-    return replace(gait, grasp=found, phases=phases)
+
+    def apart(phase: Phase) -> Phase:
+        if isinstance(phase, Stroke):
+            knots = tuple(replace(knot, q=at(best, knot.q)) for knot in phase.knots)
+            return replace(phase, knots=knots)
+        if isinstance(phase, Relocation):
+            return replace(phase, postures=at(best, phase.postures))
+        return phase
+
+    return replace(gait, grasp=found, phases=tuple(map(apart, gait.phases)))
 
 
 def _postures(gait: MovementPlan) -> list[FloatArray]:

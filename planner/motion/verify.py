@@ -27,7 +27,8 @@ from planner.failure import Failure
 from planner.forces import ForceSolution
 from planner.motion.order import NoOrder
 from planner.motion.path import ObjectPath
-from planner.motion.plan import Knot, MovementPlan, Relocation, Stroke
+from planner.motion.phase import Knot, Relocation, Stroke
+from planner.motion.plan import MovementPlan
 from planner.motion.regrasp import RegraspPlanner
 from planner.motion.solve import MotionCandidate
 from planner.motion.terms import slips
@@ -152,10 +153,16 @@ class MovementVerifier:
         grasp = verify_grasp(self._task, T_world_base, q, record=record, world=self._world)
         if isinstance(grasp, Failure):
             return grasp
+        knots = self.held(T_world_base, q, path)
+        return knots if isinstance(knots, Failure) else (grasp, knots)
+
+    def held(
+        self, T_world_base: SE3, q: FloatArray, path: ObjectPath
+    ) -> tuple[Knot, ...] | Failure:
+        """The knots of an object that stays in the fingers of a grasp; see ``verify_held``."""
         T_object_base = self._task.T_world_object.inverse() * T_world_base
         ends = [Waypoint(path_parameter=s, T_object_base=T_object_base, q=q) for s in (0.0, 1.0)]
-        knots = self.verify_knots(T_world_base, ends, path, 0.0)
-        return knots if isinstance(knots, Failure) else (grasp, knots)
+        return self.verify_knots(T_world_base, ends, path, 0.0)
 
     def verify_knots(
         self,

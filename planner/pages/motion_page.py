@@ -1,9 +1,10 @@
-"""``motion_page``: a planned motion of an object in the hand, a gait, or a whole manipulation.
+"""``motion_page``: a planned movement: in the hand, of a tool, or from one hand to another.
 
 ``object_motion``: where the object is, and what touches it, along a planned trajectory.
 
 A trajectory has joints and poses of the base alone. The object stands until the hand closes, then
-goes along with the base, moves in the hand as the knots say, and stays where the hand opens.
+goes along with the base, moves in the hand as the knots say, and stays where the hand opens, or
+where another one has taken it.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ from planner.pages.scene import Contacts, Line, Motion, Plot, Scene, pose_rows
 from planner.plan import GraspPlan, JointTrajectory
 from planner.spatial import SE3, FloatArray, minimum_jerk, signed_twist
 
+BEGIN = ("turn", "stroke", "use", "reach")
+"""Beginnings of the phases at which a page opens."""
+
 RATE = 30.0
 """Samples of a motion per second in a page."""
 
@@ -33,8 +37,7 @@ def motion_page(plan: MovementPlan) -> Page:
     """The page of a motion; its numbers are the plan's file."""
     grasp, stage = plan.grasp, stage_of(plan.grasp)
     return Page(
-        title=f"{grasp.task.hand.name} moves {without_folder(grasp.task.object.shape.spec)} in the "
-        "hand",
+        title=_title(plan),
         subtitle=f"Movement plan: {_path(plan)}",
         verdict=Verdict(
             good=True,
@@ -49,7 +52,17 @@ def motion_page(plan: MovementPlan) -> Page:
     )
 
 
+def _title(plan: MovementPlan) -> str:
+    hand, item = plan.task.hand.name, without_folder(plan.task.object.shape.spec)
+    if plan.tool is not None:
+        return f"{hand} uses {plan.tool.name}"
+    return f"{hand} hands over {item}" if plan.handover else f"{hand} moves {item} in the hand"
+
+
 def _path(plan: MovementPlan) -> str:
+    one = plan.tool_use or plan.handover
+    if one is not None:
+        return str(one).partition(": ")[2]
     strokes = f"{plan.cycles} strokes of " if plan.cycles > 1 else ""
     if plan.ending is None:
         return f"{strokes}{plan.path}"
@@ -61,7 +74,8 @@ def _scene(plan: MovementPlan, grasp: GraspPlan, stage: Stage) -> Scene:
     trajectory = plan.joint_trajectory(rate_hz=RATE)
     found = object_motion(plan, trajectory)
     bands = bands_of(trajectory)
-    start = next((b.begin for b in bands if b.name.startswith(("turn", "stroke"))), 0.0)
+    start = next((b.begin for b in bands if b.name.startswith(BEGIN)), 0.0)
+    fingers = (plan.handover.both if plan.handover else grasp).task.finger_names
     return Scene(
         models=stage.models,
         actors=tuple(stage.actors),
@@ -76,8 +90,8 @@ def _scene(plan: MovementPlan, grasp: GraspPlan, stage: Stage) -> Scene:
                 q=np.zeros((len(found.poses), 0)),
             ),
         ),
-        contacts=(_contacts(grasp.task.finger_names, found.contacts, float(grasp.task.mu)),),
-        plots=_plots(grasp.task.finger_names, found, plan.path.axis),
+        contacts=(_contacts(fingers, found.contacts, float(grasp.task.mu)),),
+        plots=_plots(fingers, found, plan.path.axis),
         bands=bands,
         start=start,
         views=stage.views(grasp.contacts),
@@ -241,6 +255,7 @@ class _Follower:
         self.motion, self.strokes = plan, plan.strokes
         self.relocations = list(plan.relocations)
         self.end = plan.final_parameter
+        self.taken: ContactSet | None = None  # once another hand has it
         self.T_base_world = self.motion.T_world_base.inverse()
         self.held = self.motion.grasp.contacts_in_object
         self.T_base_object = self.T_base_world * self.motion.grasp.task.T_world_object
@@ -262,10 +277,12 @@ class _Follower:
             self.held = relocation.after.transformed(to_object)
         elif kind in ("approach", "close"):
             self._standing(self.motion.grasp.task.T_world_object, len(bases))
-        elif kind in ("open", "retreat"):
+        elif kind in ("open", "retreat") and self.taken is None:
             self._standing(self.poses[-1], len(bases))
-        else:  # lift, carry, lower
+        else:  # lift, carry, lower, the use of a tool, what two hands do
             self._carried(bases, self.held)
+            if kind == "take" and self.motion.handover is not None:
+                self.held = self.taken = self.motion.handover.take.contacts_in_object
 
     def _standing(self, pose: SE3, count: int) -> None:
         self.poses += [pose] * count

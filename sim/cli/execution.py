@@ -27,8 +27,10 @@ from sim.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from planner.motion.plan import ManipulationPlan
     from sim.report import TrialReport
     from sim.scene.build import Truth
+    from sim.trial import Trial
 
 POLICY = "policy:"
 """What the name of a learned controller begins with."""
@@ -222,6 +224,17 @@ def share_bar(title: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(bar, completed=share)
 
 
+def trial_of(plan: ManipulationPlan) -> Callable[..., Trial]:
+    """What executes a movement that is no turn in the hand: a handover, or the use of a tool."""
+    if plan.handover is not None:
+        from sim.handover import HandoverTrial
+
+        return HandoverTrial
+    from sim.tools import FingersTrial, UseTrial
+
+    return FingersTrial if plan.tool_use is None else UseTrial
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrialOptions(ExecutionOptions):
     """How ``run`` and ``test`` execute the plan of a grasp."""
@@ -240,13 +253,13 @@ class TrialOptions(ExecutionOptions):
             tell(report.drawn)
 
     def trial(
-        self, truth: Truth | None = None, *, handover: bool = False
+        self, truth: Truth | None = None, *, movement: bool = False
     ) -> Callable[[Any, Path | None], TrialReport]:
         """What executes a plan, with a progress bar on stderr, and draws it.
 
         Args:
             truth: What there really is; as planned if None.
-            handover: Whether the plans are of handovers, not of grasps.
+            movement: Whether the plans are of handovers or uses of tools, not of grasps.
 
         Raises:
             PlannerError: A controller or physics that there is not, no display to view on, or a
@@ -255,7 +268,7 @@ class TrialOptions(ExecutionOptions):
         from sim.trial import simulate
 
         parts: dict[str, Any] = {**self.parts(), "truth": truth}
-        if handover and self.controller == ExecutionOptions.controller:
+        if movement and self.controller == ExecutionOptions.controller:
             parts["controller"] = None  # its own
         if self.view:
             from sim.show.painter import check_display
@@ -269,10 +282,8 @@ class TrialOptions(ExecutionOptions):
                     **{"progress": progress, "view": self.view, "picture": picture},
                     **{"video": self.video, "arrows": self.arrows},
                 }
-                if handover:
-                    from sim.handover import HandoverTrial
-
-                    return HandoverTrial(plan, **parts).run(**shown)
+                if movement:
+                    return trial_of(plan)(plan, **parts).run(**shown)
                 return simulate(plan, **parts, **shown)
 
         return execute

@@ -31,6 +31,7 @@ from sim.cli.execution import (
     print_report,
     share_bar,
     tell_truth,
+    trial_of,
 )
 from sim.cli.options import (
     GRIP,
@@ -139,16 +140,16 @@ def run(
         from sim.scan import scanned_truth  # here: for clouds alone
 
         truth = scanned_truth(object)
-    execute = trial.trial(truth, handover=handover_to is not None)
+    execute = trial.trial(truth, movement=handover_to is not None)
     trial.check_policy(hand, lambda: object_of(object, **request.told_of_object()), None)
     request, write = trial.reckoned(request), cast(Any, write_plan)
     if handover_to is None:
         found: Any = request.of_cloud(hand, object) if cloud else request.plan(hand, object)
         plan: Any = found.plan if cloud else found
     else:
-        from planner.files import write_handover
+        from planner.files import write_movement
 
-        found, write = request.handover(hand, object, handover_to), write_handover
+        found, write = request.handover(hand, object, handover_to), write_movement
         plan = found
     item = _folder_name(plan.task.object)
     if cloud:
@@ -233,7 +234,7 @@ class UseOptions:
     video: VideoOption = None
     verbose: VerboseOption = False
 
-    def plan(self, hand: str, tool: Tool) -> GraspPlan | ManipulationPlan:
+    def plan(self, hand: str, tool: Tool) -> ManipulationPlan:
         """Plan with a spinner that counts attempts, on stderr."""
         from sim.tools import plan_fingers, plan_tool
         from sim.tools.fingers import checked_by
@@ -277,10 +278,8 @@ def use(
     """
     from planner.arrays import checked_number
     from planner.errors import TaskError
-    from planner.files import write_manipulation, write_plan
-    from planner.plan import GraspPlan
+    from planner.files import write_movement
     from planner.tools import load_tool
-    from sim.tools import FingersTrial, UseTrial
     from sim.tools.trial import MOST_RESIST
 
     checked_number("--resist", request.resist, least=0.0, most=MOST_RESIST, error=TaskError)
@@ -295,13 +294,8 @@ def use(
         make_folder(out_dir)
     plan = request.plan(hand, loaded)
     folder = _begun(out_dir, plan.task.hand.name, loaded.name, request.seed, "used")
-    trial: UseTrial
-    if isinstance(plan, GraspPlan):
-        write_plan(plan, folder / "plan.json")
-        trial = UseTrial(plan, loaded, friction=request.resist, **parts)
-    else:
-        write_manipulation(plan, folder / "plan.json")
-        trial = FingersTrial(plan, loaded, friction=request.resist, **parts)
+    write_movement(plan, folder / "plan.json")
+    trial = trial_of(plan)(plan, friction=request.resist, **parts)
     if request.verbose and not as_json:
         tell(str(plan))
     with share_bar("using") as progress:

@@ -15,6 +15,7 @@ from sim.cli.options import flag, names, option
 if TYPE_CHECKING:
     from planner.exchange.audit import GraspFile
     from planner.exchange.formats import Reading
+    from planner.motion.plan import ManipulationPlan
     from planner.plan import GraspPlan
 
 READING = "What the file does not say"
@@ -121,15 +122,15 @@ def listed_plans(paths: Sequence[Path]) -> list[Path]:
 
 
 def one_plan(path: Path) -> GraspPlan:
-    """The plan of a file, or of a folder that holds one.
+    """The grasp plan of a file, or of a folder that holds one; of a tool's use its grasp.
 
     Raises:
-        TaskError: The folder holds several, or the file is the plan of a movement or a handover.
+        TaskError: The folder holds several, or the file is the plan of a movement.
         FileFormatError: It holds none, or the file is none.
     """
     from planner.errors import TaskError, few_of, shown
-    from planner.files import format_told, read_plan
-    from planner.files.disk import HANDOVER_FORMAT, MOVEMENT_FORMATS
+    from planner.files import format_told, read_json, read_plan
+    from planner.files.disk import MOVEMENT_FORMATS
 
     files = listed_plans([path])
     if len(files) > 1:
@@ -139,17 +140,32 @@ def one_plan(path: Path) -> GraspPlan:
         )
     kind = format_told(files[0])
     if kind in MOVEMENT_FORMATS:
+        if read_json(files[0], "plan file").get("tool_use"):
+            return read_plan(files[0])
         raise TaskError(
             f"{files[0]} is of the format {shown(kind)}, and the plan of a grasp is taken; "
-            f"opposable manipulate --plan {files[0]} executes it in simulation, and opposable "
-            "export --to ros2-trajectory writes its joints over time"
-        )
-    if kind == HANDOVER_FORMAT:
-        raise TaskError(
-            f"{files[0]} is the plan of a handover, and that of one grasp is taken; opposable test "
-            f"{files[0]} executes it"
+            f"opposable manipulate --plan {files[0]} executes a turn in the hand, opposable test "
+            f"{files[0]} a handover or the use of a tool, and opposable export --to "
+            "ros2-trajectory writes the joints over time"
         )
     return read_plan(files[0])
+
+
+def plan_to_test(path: Path) -> GraspPlan | ManipulationPlan:
+    """The plan of a grasp, a handover or the use of a tool.
+
+    Raises:
+        TaskError: As ``one_plan``.
+        FileFormatError: The file is none.
+    """
+    from planner.files import format_told, read_json, read_manipulation
+    from planner.files.disk import HANDOVER_FORMAT
+
+    if not path.is_dir():
+        data = read_json(path, "plan file")
+        if format_told(path) == HANDOVER_FORMAT or data.get("handover") or data.get("tool"):
+            return read_manipulation(path)
+    return one_plan(path)
 
 
 def renaming(given: Sequence[str]) -> dict[str, str]:

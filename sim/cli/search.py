@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from planner.errors import NoGraspFoundError
-    from planner.motion.handover import HandoverPlan
+    from planner.motion.plan import ManipulationPlan
     from planner.plan import GraspPlan
     from planner.search.from_cloud import CloudPlan
     from planner.search.grasp import Attempt
@@ -144,7 +144,7 @@ class BestOptions(PlanOptions):
             "progress": progress,
         }
 
-    def handover(self, hand: str, object: str, to: str) -> HandoverPlan:
+    def handover(self, hand: str, object: str, to: str) -> ManipulationPlan:
         """Plan a handover, with a spinner on stderr.
 
         Args:

@@ -38,7 +38,7 @@ from sim.cli.options import (
     command,
     option,
 )
-from sim.cli.reading import listed_plans, one_plan
+from sim.cli.reading import listed_plans, one_plan, plan_to_test
 
 if TYPE_CHECKING:
     from planner.plan import GraspPlan
@@ -169,8 +169,7 @@ def _hold(
 ) -> None:
     """Execute each plan as it is; files belong to a single one."""
     from planner.errors import TaskError
-    from planner.files import format_told, read_handover
-    from planner.files.disk import HANDOVER_FORMAT
+    from planner.plan import GraspPlan
     from sim.report_file import PAGE_SUFFIXES, write_report
 
     check_folder(output, picture)
@@ -182,16 +181,12 @@ def _hold(
         )
     keep_inputs(output, *files)
     there = None if truth is None else truth_of(truth, needed=True)
-    handed = [format_told(file) == HANDOVER_FORMAT for file in files]
-    loaded: list[Any] = [
-        read_handover(file) if is_handover else one_plan(file)
-        for file, is_handover in zip(files, handed, strict=True)
-    ]
+    loaded = [plan_to_test(file) for file in files]
     for plan in loaded:
         trial.check_policy(plan.task.hand, partial(getattr, plan.task, "object"), None)
     reports = []
-    for file, plan, is_handover in zip(files, loaded, handed, strict=True):
-        execute = trial.trial(there, handover=is_handover)
+    for file, plan in zip(files, loaded, strict=True):
+        execute = trial.trial(there, movement=not isinstance(plan, GraspPlan))
         report = replace(execute(plan, picture), command=command)
         reports.append(report)
         page = None if output is None else output.with_suffix(".html")

@@ -18,9 +18,9 @@ from sim.manipulation.timeline import (
     PHASES,
     ManipulationPhase,
     ManipulationTimeline,
-    PhaseResult,
     SuccessCriteria,
 )
+from sim.report import PhaseResult
 
 __all__ = [
     "IN_THE_AIR",

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.motion.plan import Knot, MovementPlan, Stroke
+from planner.motion.phase import Knot, Relocation, Stroke
+from planner.motion.plan import MovementPlan
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.scene.build import build_scene
@@ -86,6 +87,7 @@ def _poses(plan: MovementPlan) -> Iterator[Pose]:
     for phase in plan.phases:
         if isinstance(phase, Stroke):
             yield from _stroke(phase.knots)
+        if not isinstance(phase, Relocation):
             continue
         along = np.linspace(0.0, len(phase.postures) - 1.0, round(RELOCATION_S * RATE))
         for place in along:

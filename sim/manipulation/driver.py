@@ -33,9 +33,9 @@ from planner.collision.pregrasp_ik import idle_joints, spread_idle
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.kinematics import PEAK, MovingHand, palm_paths, palm_pose, posture_times
-from planner.motion.gait import Relocation
 from planner.motion.manipulation import ManipulationPlan
-from planner.motion.plan import Knot, MovementPlan
+from planner.motion.phase import Knot, Relocation
+from planner.motion.plan import MovementPlan
 from planner.plan import GraspPlan
 from planner.search.beyond import SEARCH_DAMPING
 from planner.spatial import SE3, FloatArray, minimum_jerk

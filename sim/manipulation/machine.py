@@ -1,9 +1,11 @@
-"""``StateMachine``: which phase of a manipulation comes next, all transitions in one place.
+"""``StateMachine``: which phase of a movement comes next, all transitions in one place.
 
     state      phases                                          passed            failed, with retry
     ---------  ----------------------------------------------  ----------------  ------------------
-    pick       stand, approach, close, squeeze, verify, lift,  turn, hold        end
-               wrist
+    pick       stand, approach, close, squeeze, verify, lift,  turn, hold, use,  end
+               wrist                                           hand over
+    use        engage, use, withdraw                           hold              end
+    hand over  reach, take, transfer, open, retreat            hold              end
     turn       turn                                            regrasp, hold     regrasp, put down
     regrasp    regrasp, once for each finger                   turn              regrasp, put down
     hold       hold                                            place             put down
@@ -25,27 +27,33 @@ failure ends the run unless a retry is asked for and the hand still touches the 
 "back" is run only where the ending says that the motion is made backwards, "wrist" where the motion
 is made in another attitude of the hand than the grasp, "wrist back" if it is not put down or held
 in that one, and "turn" if the object is moved in the fingers. Held at last, it is brought to its
-target, and "verify again" is the last phase.
+target, and "verify again" is the last phase. A tool that is used is not lifted; it and what was
+handed over are held at last, and "hold" is the last phase.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 
 from planner.failure import Failure
-from planner.motion.gait import Relocation
-from planner.motion.manipulation import Ending, ManipulationPlan
-from sim.manipulation.timeline import ManipulationPhase
+from planner.motion.manipulation import ManipulationPlan
+from planner.motion.phase import Ending, Relocation
+from sim.manipulation.timeline import ManipulationPhase, Measured
+from sim.report import INTERRUPTED, PhaseResult
 
-State: TypeAlias = Literal["pick", "turn", "regrasp", "hold", "place", "put down", "end"]
+State: TypeAlias = Literal[
+    "pick", "use", "hand over", "turn", "regrasp", "hold", "place", "put down", "end"
+]
 
 PICK: tuple[ManipulationPhase, ...] = ("stand", "approach", "close", "squeeze", "verify", "lift")
 DOWN: tuple[ManipulationPhase, ...] = ("lower", "release", "open", "retreat")
+USE: tuple[ManipulationPhase, ...] = ("engage", "use", "withdraw")
+HAND_OVER: tuple[ManipulationPhase, ...] = ("reach", "take", "transfer", "open", "retreat")
 HALF_WAY = "half-way"
 
 CLOSE_TO = float(np.deg2rad(0.4))
@@ -109,16 +117,15 @@ class StateMachine:
     """
 
     def __init__(
-        self, plan: ManipulationPlan, situation: Situation, *, retry: bool, lifts: bool = True
+        self, plan: ManipulationPlan, situation: Situation | None = None, *, retry: bool = False
     ) -> None:
         """Begin with picking.
 
         Args:
             plan: What is executed.
-            situation: Asked when a transition is chosen.
+            situation: Asked when a transition is chosen; None for a use by the hand as a whole, or
+                a handover, in which nothing is made up for.
             retry: Whether failures of the turn are made up for.
-            lifts: Whether the object is lifted and put down; else it stays where it is grasped, and
-                the run ends with "hold".
         """
         self.state: State = "pick"
         self.ending = plan.ending
@@ -128,9 +135,44 @@ class StateMachine:
         self._went_back = False
         self._moved: list[str] = []
         self._queue: deque[tuple[ManipulationPhase, str, Relocation | None]] = deque()
-        self._lifts = lifts
-        pick = PICK if lifts else PICK[:-1]
+        pick = PICK if plan.tool is None else PICK[:-1]
         self._enter("pick", *pick, *(("wrist",) if plan.path.turns_wrist else ()))
+
+    def run(
+        self, perform: Callable[[PhaseCall], Measured], now: Callable[[], float]
+    ) -> Iterator[PhaseResult]:
+        """Run all phases, or up to the first that fails and is not made up for.
+
+        Ctrl-C ends it: the last result then has ``INTERRUPTED`` as its reason.
+
+        Args:
+            perform: Runs a phase; why it failed, "" if it did not, and its numbers.
+            now: Time, s.
+
+        Yields:
+            The end of each phase.
+        """
+        while (call := self.next) is not None:
+            begin = now()
+            try:
+                reason, numbers = perform(call)
+            except KeyboardInterrupt:
+                reason, numbers = INTERRUPTED, {}
+            end = now()
+            then = self.failed() if reason not in ("", INTERRUPTED) else ""
+            if not reason:
+                self.passed()
+            yield PhaseResult(
+                phase=call.phase,
+                about=call.about,
+                begin=begin,
+                end=end,
+                reason=reason,
+                numbers=numbers,
+                then=then,
+            )
+            if reason == INTERRUPTED:
+                return
 
     @property
     def next(self) -> PhaseCall | None:
@@ -147,7 +189,12 @@ class StateMachine:
             self._moved.append(about)
         if self._queue:
             return
-        if self.state == "pick" and self._plan.path.stays:
+        plan = self._plan
+        if self.state == "pick" and plan.tool_use is not None:
+            self._enter("use", *USE)
+        elif self.state == "pick" and plan.handover is not None:
+            self._enter("hand over", *HAND_OVER)
+        elif self.state in ("use", "hand over") or (self.state == "pick" and plan.path.stays):
             self._enter("hold", "hold")
         elif self.state in ("pick", "regrasp"):
             self._turn()
@@ -157,7 +204,7 @@ class StateMachine:
             else:
                 self._moved = []
                 self._regrasp(self._cycle)
-        elif self.state == "hold" and self._lifts:
+        elif self.state == "hold" and plan.tool is None and plan.handover is None:
             if self.ending.release is None:
                 self._enter("place", "carry", "verify again")
             else:
@@ -170,12 +217,13 @@ class StateMachine:
     def failed(self) -> str:
         """The phase was run and failed; tells what is done about it, "" if nothing."""
         situation, state = self._situation, self.state
-        if not self._retry or state not in ("turn", "regrasp", "hold") or not situation.touched:
+        over = situation is None or not self._retry or state not in ("turn", "regrasp", "hold")
+        if situation is None or over or not situation.touched:
             self._enter("end")
             return ""
         moves: tuple[Relocation, ...] | Failure = Failure(kind="turn_over", text="the turn is over")
         if state == "turn":
-            moves = self._fingers_back()
+            moves = self._fingers_back(situation)
         elif state == "regrasp" and self._plan.cycles > 1:
             moves = situation.other_order(self._moved)
         if not isinstance(moves, Failure):
@@ -206,7 +254,7 @@ class StateMachine:
     def _turned(self) -> bool:
         """Whether no stroke follows: the turn is made, or there were enough of them."""
         cycles = self._plan.cycles
-        if cycles == 1 or self._stroke == cycles + MORE_STROKES:
+        if self._situation is None or cycles == 1 or self._stroke == cycles + MORE_STROKES:
             return True
         return self._situation.left <= CLOSE_TO
 
@@ -218,12 +266,12 @@ class StateMachine:
             about = "again" if self._went_back else ""
         self._enter("turn", "turn", about=about)
 
-    def _fingers_back(self) -> tuple[Relocation, ...] | Failure:
+    def _fingers_back(self, situation: Situation) -> tuple[Relocation, ...] | Failure:
         if self._plan.cycles > 1 or self._went_back:
             return Failure(kind="regrasped", text="regrasps were made already")
         if self._plan.ending.back or self._plan.shift.any():
             return Failure(kind="not_repeatable", text="it is to be moved, or turned back")
-        moves = self._situation.fingers_back()
+        moves = situation.fingers_back()
         self._went_back = not isinstance(moves, Failure)
         return moves
 

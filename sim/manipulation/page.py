@@ -35,9 +35,9 @@ from sim.show.parts import (
     events_block,
     facts_of,
     force_plot,
-    in_words,
     measured_contacts,
     moving_stage,
+    phase_blocks,
     physics_blocks,
     plan_blocks,
     quality_plot,
@@ -302,7 +302,8 @@ def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
         blocks.append(Sentence(text=text))
     blocks += [*error_blocks(report.error_model), PlotsHere(), *pressure_blocks(report.error_model)]
     for part in parts:
-        blocks += _phases(part)
+        title = "Phases" if not part.shift else "Phases of the second run"
+        blocks += phase_blocks(part.report.phases, title)
     numbers = dict(report.numbers)
     if not any(report.asked_shift_mm):
         numbers.pop("shift_off_mm", None)
@@ -335,17 +336,6 @@ def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
         *source_blocks(report.written_by, report.command),
     ]
     return tuple(blocks)
-
-
-def _phases(part: Part) -> list[Block]:
-    rows = []
-    for p in part.report.phases:
-        told = ", ".join(f"{in_words(name)} {shown(value)}" for name, value in p.numbers.items())
-        outcome = "passed" if p.passed else "; ".join(filter(None, (p.reason, p.then)))
-        rows.append((f"{p.phase} {p.about}".strip(), shown(p.end_s), outcome, told))
-    table = Table(columns=("phase", "ended at (s)", "outcome", "numbers"), rows=tuple(rows))
-    title = "Phases" if not part.shift else "Phases of the second run"
-    return [Folded(title=title, blocks=(table,))]
 
 
 def _forces(report: ManipulationReportFile) -> list[Block]:

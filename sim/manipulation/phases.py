@@ -17,7 +17,8 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.kinematics import PATH_STEP, ROUNDING
-from planner.motion.manipulation import Ending, ManipulationPlan
+from planner.motion.manipulation import ManipulationPlan
+from planner.motion.phase import Ending
 from planner.motion.single_stroke import MOST_PIVOT
 from planner.quality import QualityReport, analyse
 from planner.spatial import SE3, FloatArray, shifted

@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.motion.gait import Relocation
 from planner.motion.manipulation import ManipulationPlan
+from planner.motion.phase import Relocation
 from planner.quality import force_closure
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES

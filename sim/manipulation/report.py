@@ -18,14 +18,12 @@ from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.simulation import DROPPED
 from sim.manipulation.timeline import (
     IN_THE_AIR,
-    INTERRUPTED,
     TURNING,
     ManipulationTimeline,
-    PhaseResult,
     SuccessCriteria,
     short_of,
 )
-from sim.report import ExecutionReport
+from sim.report import INTERRUPTED, ExecutionReport, PhaseResult
 from sim.screen import error_lines
 from sim.verdict import Fault, first_collision, lost
 
@@ -335,19 +333,6 @@ class ManipulationReport(ExecutionReport):
                 "shifted_mm": finite(1e3 * self.shifted),
                 "made_backwards_because": self.back,
                 "numbers": finite(self.numbers()),
-                "phases": [
-                    {
-                        "phase": r.phase,
-                        "about": r.about,
-                        "begin_s": r.begin,
-                        "end_s": r.end,
-                        "passed": r.passed,
-                        "reason": r.reason,
-                        "then": r.then,
-                        "numbers": finite(r.numbers),
-                    }
-                    for r in self.results
-                ],
                 "forces": [
                     {
                         "finger": f.finger,

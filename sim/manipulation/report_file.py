@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -9,20 +10,13 @@ from planner.files.disk import checked_file
 from planner.schema import StrictData
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.timeline import ManipulationPhase
-from sim.report_file import EventData, ExecutionFile, report_data, upgraded
+from sim.report_file import EventData, ExecutionFile, PhaseData, report_data, upgraded
 
 
-class PhaseData(StrictData):
-    """The end of a phase."""
+class ManipulationPhaseData(PhaseData):
+    """The end of a phase of a manipulation."""
 
     phase: ManipulationPhase
-    about: str
-    begin_s: float
-    end_s: float
-    passed: bool
-    reason: str
-    then: str
-    numbers: dict[str, float | None]
 
 
 class ForceData(StrictData):
@@ -66,7 +60,7 @@ class ManipulationReportFile(ExecutionFile):
     shifted_mm: list[float | None]
     made_backwards_because: str
     numbers: dict[str, float | None]
-    phases: list[PhaseData]
+    phases: Sequence[ManipulationPhaseData]
     forces: list[ForceData]
     contact_modes: dict[str, dict[str, dict[str, int]]]
     quality_before: dict[str, Any] | None

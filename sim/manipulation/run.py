@@ -19,9 +19,10 @@ from planner.errors import PlannerError, TaskError
 from planner.failure import Failure
 from planner.files import given_manipulation
 from planner.motion.ending import backwards, find_release, object_at_target, stands
-from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
-from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
+from planner.motion.gait import cut_motion, plan_back, plan_others
+from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.motion.on_arm import lifted_blocked
+from planner.motion.phase import Ending, Relocation
 from planner.motion.verify import ASKED_SHARE
 from planner.spatial import SE3, pose_from_wxyz, signed_twist
 from sim.manipulation.in_hand import GuidedController, in_hand_controller
@@ -41,7 +42,8 @@ from sim.manipulation.simulation import (
     ManipulationSim,
 )
 from sim.manipulation.standing import rests
-from sim.manipulation.timeline import INTERRUPTED, TURNING, UP, PhaseResult
+from sim.manipulation.timeline import TURNING, UP
+from sim.report import PhaseResult
 from sim.show.picture import Drawn, check_video, draw_tape
 from sim.simulation import Simulation
 
@@ -78,8 +80,14 @@ class ManipulationRun:
             changes: Fields of ``ManipulationOptions`` by name that are to be others.
 
         Raises:
-            TaskError: An arm cannot carry the object through the places.
+            TaskError: The plan is a handover or the use of a tool, or an arm cannot carry the
+                object through the places.
         """
+        if plan.handover is not None or plan.tool is not None:
+            raise TaskError(
+                f"{plan!r} hands over or uses a tool; execute it by hand_over, UseTrial or "
+                "FingersTrial, or by opposable test FILE"
+            )
         self.plan = plan
         self.options = options = (options or ManipulationOptions()).with_changes(**changes)
         self.results: list[PhaseResult] = []
@@ -127,29 +135,8 @@ class ManipulationRun:
         if view:
             self.sim.simulation.show()
         try:
-            while (call := machine.next) is not None:
-                begin = self.sim.simulation.time
-                try:
-                    reason, numbers = self._phases.perform(call)
-                except KeyboardInterrupt:
-                    reason, numbers = INTERRUPTED, {}
-                end = self.sim.simulation.time
-                then = machine.failed() if reason not in ("", INTERRUPTED) else ""
-                if not reason:
-                    machine.passed()
-                self.results.append(
-                    PhaseResult(
-                        phase=call.phase,
-                        about=call.about,
-                        begin=begin,
-                        end=end,
-                        reason=reason,
-                        numbers=numbers,
-                        then=then,
-                    )
-                )
-                if reason == INTERRUPTED:
-                    break
+            for result in machine.run(self._phases.perform, lambda: self.sim.simulation.time):
+                self.results.append(result)
         finally:
             self.sim.simulation.close()
         report = self._report(machine)

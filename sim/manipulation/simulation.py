@@ -232,7 +232,7 @@ class ManipulationSim:
                 break
         simulation.data.xfrc_applied[simulation.scene.object_body] = 0.0
         self.mover.stay()
-        return fault or (f"stopped: {simulation.stopped}" if simulation.stopped else "")
+        return fault or simulation.why_ended
 
     @property
     def touched(self) -> bool:

@@ -1,7 +1,4 @@
-"""Phases of a manipulation, how long they take, and where each one fails.
-
-``PhaseResult``: what a phase of a manipulation ended in, and the checks before and after.
-"""
+"""Phases of a movement; how long they take in a manipulation, and where each one fails there."""
 
 from __future__ import annotations
 
@@ -36,10 +33,16 @@ ManipulationPhase: TypeAlias = Literal[
     "back",
     "wrist",
     "wrist back",
+    "engage",
+    "use",
+    "withdraw",
+    "reach",
+    "take",
+    "transfer",
 ]
-"""A phase of a manipulation."""
+"""A phase of a movement."""
 
-PHASES: tuple[ManipulationPhase, ...] = ManipulationPhase.__args__[:-4]  # type: ignore[attr-defined]
+PHASES: tuple[ManipulationPhase, ...] = ManipulationPhase.__args__[:14]  # type: ignore[attr-defined]
 """Phases of a manipulation in order, of one stroke that goes as planned. What else may happen is in
 ``sim.manipulation.machine``."""
 
@@ -71,6 +74,12 @@ CONTROLLER_PHASE: dict[ManipulationPhase, Phase] = {
     "back": "turn",
     "wrist": "carry",
     "wrist back": "carry",
+    "engage": "engage",
+    "use": "use",
+    "withdraw": "withdraw",
+    "reach": "reach",
+    "take": "take",
+    "transfer": "transfer",
 }
 """What each phase is to a controller."""
 
@@ -172,48 +181,6 @@ Measured: TypeAlias = tuple[str, dict[str, float]]
 """Why a phase failed, "" if it did not, and its numbers by name with unit."""
 
 UP: FloatArray = np.array([0.0, 0.0, 1.0])
-
-
-INTERRUPTED = "interrupted"
-"""Why a phase failed that Ctrl-C ended."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PhaseResult:
-    """The end of one phase.
-
-    Attributes:
-        phase: Which.
-        about: Which one of several: a stroke's number, or the finger that moves on; "" of one.
-        begin: When it began, s.
-        end: When it ended, s.
-        reason: Why it failed, "" if it did not.
-        numbers: What was looked at, by name with unit.
-        then: What was tried after a failure, and what came of that; "" if nothing was.
-    """
-
-    phase: ManipulationPhase
-    begin: float
-    end: float
-    reason: str
-    numbers: dict[str, float]
-    about: str = ""
-    then: str = ""
-
-    @property
-    def passed(self) -> bool:
-        """Whether the phase ended as it should."""
-        return not self.reason
-
-    def __str__(self) -> str:
-        """One line."""
-        told = ", ".join(f"{name} {value:.3g}" for name, value in self.numbers.items())
-        mark = "ok  " if self.passed else "FAIL"
-        name = f"{self.phase} {self.about}".strip()
-        line = f"{mark} {name:<15}{self.end - self.begin:5.2f} s  {told}"
-        if self.reason:
-            line += f"\n     {self.reason}"
-        return f"{line}\n     then: {self.then}" if self.then else line
 
 
 def short_of(asked: float, turned: FloatArray | float) -> FloatArray:

@@ -13,8 +13,7 @@ from typing import Any, TypeVar
 from planner.describe import check_hand, propose
 from planner.errors import NoGraspFoundError, ObjectError
 from planner.files import plan_from_dict
-from planner.files.disk import HANDOVER_FORMAT, MOVEMENT_FORMATS
-from planner.files.handovers import handover_from_dict
+from planner.files.disk import MOVEMENT_FORMATS
 from planner.files.movements import movement_from_dict
 from planner.hand_loading import load_hand
 from planner.hands.catalog import MODEL_SUFFIXES, find_hand, foreign_hand_names, hand_names
@@ -169,14 +168,8 @@ PLAN = Kind(
     takes=frozenset({"alternatives"}),
 )
 
-HANDOVER = Kind(
-    name="a plan of a handover: the moment in which both hands hold",
-    recognises=lambda target: target.format == HANDOVER_FORMAT,
-    shown=lambda target, _: plan_page(_read(target, handover_from_dict).both),
-)
-
 MOTION = Kind(
-    name="a plan of a movement in the hand",
+    name="a plan of a movement: in the hand, of a tool, or from hand to hand",
     recognises=lambda target: target.format in MOVEMENT_FORMATS,
     shown=lambda target, _: motion_page(_read(target, movement_from_dict)),
 )
@@ -225,6 +218,6 @@ PAGE = Kind(
     shown=_page,
 )
 
-OURS = (HAND, MESH, PLAN, MOTION, HANDOVER, REPORT, DATASET, PAGE)
+OURS = (HAND, MESH, PLAN, MOTION, REPORT, DATASET, PAGE)
 """In the order in which they are asked and listed; pages last: plans and reports are made anew from
 theirs."""

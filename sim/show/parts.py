@@ -24,7 +24,7 @@ from planner.spatial import FloatArray
 from planner.task import GraspTask, Obstacle
 from sim.controllers.base import COMMANDED
 from sim.recording import Recording
-from sim.report_file import EventData
+from sim.report_file import EventData, PhaseData
 from sim.screen import error_lines
 
 DIGITS = 3
@@ -150,6 +150,19 @@ def events_block(events: Sequence[EventData]) -> tuple[Block, ...]:
     rows = tuple((shown(e.time_s), e.kind, e.finger, e.detail) for e in events)
     table = Table(columns=("time (s)", "what", "finger", "detail"), rows=rows)
     return (Folded(title="Events of the controller", blocks=(table,)),)
+
+
+def phase_blocks(phases: Sequence[PhaseData], title: str = "Phases") -> tuple[Block, ...]:
+    """The phases that were run, on demand; nothing where none are told."""
+    if not phases:
+        return ()
+    rows = []
+    for p in phases:
+        told = ", ".join(f"{in_words(name)} {shown(value)}" for name, value in p.numbers.items())
+        outcome = "passed" if p.passed else "; ".join(filter(None, (p.reason, p.then)))
+        rows.append((f"{p.phase} {p.about}".strip(), shown(p.end_s), outcome, told))
+    table = Table(columns=("phase", "ended at (s)", "outcome", "numbers"), rows=tuple(rows))
+    return (Folded(title=title, blocks=(table,)),)
 
 
 def source_blocks(written_by: str, command: str) -> tuple[Block, ...]:

@@ -49,6 +49,7 @@ from sim.show.parts import (
     moving_stage,
     per_finger,
     phase_bands,
+    phase_blocks,
     physics_blocks,
     plan_blocks,
     plan_file,
@@ -158,7 +159,7 @@ def trial_page(report: ReportFile, task: GraspTask | None = None) -> Page:
             task = task_of_plan(plan)
         stage = None if task is None else moving_stage(task, recording)
     return Page(
-        title=f"{report.hand} grasps {without_folder(report.object)}",
+        title=f"{report.hand} {_does(report)} {without_folder(report.object)}",
         subtitle=f"Trial, seed {report.seed}, {shown(report.mass_kg, 'kg')}, {report.controller}",
         verdict=_verdict(report),
         summary=_summary(report, plan, stage),
@@ -173,9 +174,16 @@ def page_of_report(report: Any) -> Page:
     return trial_page(report.to_file(), report.plan.task)
 
 
+def _does(report: ReportFile) -> str:
+    """What the hand does with the object, by the phases that were run."""
+    if report.use is not None:
+        return "uses"
+    return "hands over" if any(p.phase == "reach" for p in report.phases) else "grasps"
+
+
 def _verdict(report: ReportFile) -> Verdict:
     if not report.success:
-        text = f"Not held: {report.reason}"
+        text = f"Not {'held' if report.use is None else 'done'}: {report.reason}"
         return Verdict(good=False, text=text, reason=report.detail, time=report.reason_time_s)
     reason = (
         f"The object moved {shown(report.largest_slip_mm, 'mm')} and "
@@ -184,7 +192,7 @@ def _verdict(report: ReportFile) -> Verdict:
     if report.other_grasp:
         reason = f"Not the planned grasp: {report.other_grasp}. {reason}"
         return Verdict(good=False, text="Held, by another grasp", reason=reason)
-    return Verdict(good=True, text="Held", reason=reason)
+    return Verdict(good=True, text="Held" if report.use is None else "Done", reason=reason)
 
 
 # ---- the scene
@@ -342,6 +350,7 @@ def _summary(report: ReportFile, plan: PlanFile | None, stage: Moving | None) ->
         blocks.append(Sentence(text="Each of these keeps the object from creeping:"))
         blocks += [Sentence(text=remedy) for remedy in report.remedies]
     blocks += [*error_blocks(report.error_model), PlotsHere()]
+    blocks += phase_blocks(report.phases)
     blocks += [*pressure_blocks(report.error_model), *_comparison(report)]
     blocks += events_block(report.events)
     rows = [("hand", report.hand), ("object", report.object), ("mass", shown(report.mass_kg, "kg"))]

@@ -21,22 +21,22 @@ import numpy as np
 
 from planner.errors import NotFoundError, TaskError
 from planner.failure import Failure
-from planner.motion.gait import MAX_ATTEMPTS, Relocation, plan_others
-from planner.motion.plan import Ending, ManipulationPlan
-from planner.motion.tool_gait import handle_cylinder, plan_tool_gait
+from planner.motion.gait import MAX_ATTEMPTS, plan_others
+from planner.motion.phase import Ending, Relocation
+from planner.motion.plan import ManipulationPlan
+from planner.motion.tool_gait import plan_tool_gait, verify_tool_gait
 from planner.motion.verify import ASKED_SHARE
 from planner.plan import GraspPlan
-from planner.shapes.registry import shape_key
 from planner.spatial import FloatArray
 from planner.tools import Tool, load_tool, use_data
 from sim.controllers import Observation
 from sim.controllers.object_impedance import ObjectImpedance
 from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.log import force_limit
-from sim.manipulation.machine import StateMachine
+from sim.manipulation.machine import PhaseCall, StateMachine
 from sim.manipulation.phases import Phases
 from sim.manipulation.simulation import ManipulationOptions, ManipulationSim
-from sim.manipulation.timeline import SuccessCriteria
+from sim.manipulation.timeline import Measured, SuccessCriteria
 from sim.report import FingerComparison, TrialReport
 from sim.tools.trial import GuidedLoad, UseRecorder, UseTrial, plan_tool, task_of_use
 from sim.tools.turn import HINGE, Turn
@@ -105,7 +105,6 @@ class FingersTrial(UseTrial):
     def __init__(
         self,
         movement: ManipulationPlan,
-        tool: Tool,
         options: TrialOptions | None = None,
         *,
         friction: float = 1.0,
@@ -114,33 +113,26 @@ class FingersTrial(UseTrial):
         """Build the scene with the fixture, and put hand and tool at their start.
 
         Args:
-            movement: A gait of the tool, from ``plan_fingers``.
-            tool: The tool.
+            movement: A gait of a tool, from ``plan_fingers`` or a file.
             options: As for ``UseTrial``, as all below.
             friction: Factor on the dry friction of the fixture that the plan does not know (-).
             changes: Fields of ``TrialOptions`` by name that are to be others.
 
         Raises:
-            TaskError: The gait is of another tool, or a timeline is given: that of a manipulation
+            TaskError: The plan is no gait of a tool, or a timeline is given: that of a manipulation
                 is used.
             PlannerError: As ``UseTrial``.
         """
-        grasp, tool = movement.grasp, standing(tool)
+        if movement.tool is None or movement.tool_use is not None:
+            raise TaskError(f"{movement!r} is no gait of a tool; give what plan_fingers returns")
+        grasp, tool = movement.grasp, standing(movement.tool)
         if changes.get("timeline") is not None or (options and options.timeline is not None):
             raise TaskError("strokes have the timeline of a manipulation; give no timeline")
-        planned, rounded = grasp.task.object, handle_cylinder(tool)
-        if (planned.name, shape_key(planned.shape), grasp.task.needed) != (
-            rounded.name,
-            shape_key(rounded.shape),
-            rounded.needed,
-        ):
-            raise TaskError(
-                f"the gait is of a {planned.name} with another handle or other needed wrenches "
-                f"than this {tool.name} has; give a gait of plan_fingers for this tool"
-            )
-        self.movement = movement
+        if (failure := verify_tool_gait(movement)) is not None:
+            raise TaskError(f"{failure}; give a gait of plan_fingers for this tool")
         true = replace(grasp, task=replace(grasp.task, object=tool))
-        super().__init__(true, tool, options, friction=friction, **changes)
+        super().__init__(replace(movement, grasp=true), options, friction=friction, **changes)
+        self.movement = movement
         # how far it turned is judged by the fixture, and more is planned than is asked
         conditions = ManipulationOptions(criteria=SuccessCriteria(angle_deg=np.inf))
         holding = StrokeController(grasp, max_normal=ASKED_SHARE * force_limit(movement))
@@ -162,18 +154,17 @@ class FingersTrial(UseTrial):
                 told(seen)
 
         simulation.on_step = on_step
-        machine = StateMachine(self.movement, self, retry=True, lifts=False)
-        while (call := machine.next) is not None:
+        machine = StateMachine(self.movement, self, retry=True)
+
+        def perform(call: PhaseCall) -> Measured:
             recorder.strokes = machine.state in ("turn", "regrasp")
             if recorder.strokes:
                 simulation.scene.release(simulation.data)
-            fault, _ = self._phases.perform(call)
-            if fault:
-                self._ended = f"{call.phase} {call.about}: {fault}"
-                machine.failed()
-            else:
-                self._ended = ""
-                machine.passed()
+            return self._phases.perform(call)
+
+        self.run_phases(machine.run(perform, lambda: simulation.time))
+        last = self.results[-1]
+        self._ended = "" if last.passed else f"{last.phase} {last.about}: {last.reason}"
         self._complete = machine.complete
         recorder.record()
 
@@ -282,8 +273,8 @@ def use_tool(
     """
     tool = load_tool(tool)
     if checked_by(by) == "fingers":
-        return FingersTrial(plan_fingers(hand, tool, seed=seed), tool, options, **changes).run()
-    return UseTrial(plan_tool(hand, tool, seed=seed), tool, options, **changes).run()
+        return FingersTrial(plan_fingers(hand, tool, seed=seed), options, **changes).run()
+    return UseTrial(plan_tool(hand, tool, seed=seed), options, **changes).run()
 
 
 def checked_by(by: str) -> By:

@@ -30,6 +30,7 @@ from planner.failure import Failure
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics import MovingHand
+from planner.motion.phase import ToolUse
 from planner.motion.regrasp import LOADED_ROOM, FingerPaths
 from planner.motion.tool_gait import UPRIGHT
 from planner.plan import GraspPlan
@@ -324,15 +325,33 @@ class Press(Use):
                 return Failure(kind="lever_blocked", text=text)
         return None
 
+    def _way_of(self, plan: GraspPlan) -> FingerWay:
+        """The finger's way in a grasp.
+
+        Raises:
+            TaskError: It has none.
+        """
+        way = self.finger_way(plan.task, plan.T_world_base, plan.q)
+        if isinstance(way, Failure):
+            raise TaskError(f"{way}; give a plan of plan_tool for {self.tool.name}")
+        return way
+
+    def planned(self, plan: GraspPlan) -> ToolUse:
+        """The finger's way to the lever and through its stroke; the hand stays."""
+        way = self._way_of(plan)
+        return ToolUse(
+            way=tuple(self.way(plan)),
+            finger=way.finger.name,
+            postures=np.vstack([way.reach, way.stroke[1:]]),
+        )
+
     def finger(self, plan: GraspPlan) -> PressingFinger:
         """What drives the pressing finger.
 
         Raises:
             TaskError: It has no way to the lever in this grasp.
         """
-        way = self.finger_way(plan.task, plan.T_world_base, plan.q)
-        if isinstance(way, Failure):
-            raise TaskError(f"{way}; give a plan of plan_tool for {self.tool.name}")
+        way = self._way_of(plan)
         (needed,) = plan.task.needed
         wrench = plan.task.T_world_object.rotation @ needed.wrench.reshape(2, 3).T
         return PressingFinger(plan, way, (plan.T_world_base.rotation.T @ wrench).T.ravel())

@@ -194,10 +194,11 @@ class Strike(Use):
         pivot, axis, _ = self._pivot(plan)
         top = np.deg2rad(self.numbers["swing_deg"])
         out = []
+        swings = np.linspace(0.0, top, POSES)
         for drop in (0.0, self._gap, self._gap + self.numbers["depth_m"]):
             base = shifted(plan.T_world_base, drop * DOWN)
-            swings = np.linspace(0.0, top, POSES)
             out += [about(pivot + drop * DOWN, axis, s) * base for s in swings]
+            swings = swings[::-1]  # down again where it was swung up
         return [*out, shifted(plan.T_world_base, [0.0, 0.0, RISE])]
 
     def begin(self, simulation: Simulation, phase: Phase) -> None:

@@ -18,11 +18,14 @@ from weakref import proxy
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import checked_number
-from planner.errors import TaskError
+from planner.arrays import checked_kind, checked_number
+from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
+from planner.motion.phase import ToolUse
+from planner.motion.plan import ManipulationPlan
+from planner.motion.tool_use import with_use
 from planner.plan import GraspPlan
 from planner.search.grasp import Attempt
 from planner.shapes.registry import shape_key
@@ -33,6 +36,8 @@ from sim.controllers import PHASES, Observation, Phase
 from sim.controllers.base import PadReading
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.object_impedance import ObjectImpedance
+from sim.manipulation.machine import PhaseCall, StateMachine
+from sim.manipulation.timeline import CONTROLLER_PHASE, Measured
 from sim.recorder import Recorder
 from sim.report import FingerComparison, TrialReport
 from sim.scene.carrier import Timeline, carrier_of
@@ -57,6 +62,10 @@ __all__ = ["UseTimeline", "UseTrial", "plan_tool"]
 
 MOST_RESIST = 100.0
 """Largest factor on a fixture's friction (-): more is a fixture that never moves."""
+
+SAME_WAY = 1e-4
+"""How far (rad, m, -) a planned way may be from the one that its grasp gives again: rounding, which
+inverse kinematics magnifies."""
 
 SAME_POSE = 1e-6
 """How far entries of two poses (-, m) may differ that are one: a plan file rounds."""
@@ -288,13 +297,14 @@ class UseTrial(Trial):
     """One use of a tool.
 
     Attributes:
-        use: What is done; ``plan`` is the grasp.
+        movement: What is executed; ``plan`` is its grasp.
+        use: What is done with the tool.
+        results: The phases that were run, in order.
     """
 
     def __init__(
         self,
-        plan: GraspPlan,
-        tool: Tool,
+        movement: ManipulationPlan,
         options: TrialOptions | None = None,
         *,
         friction: float = 1.0,
@@ -303,22 +313,28 @@ class UseTrial(Trial):
         """Build the scene with the fixture, and put hand and tool at their start.
 
         Args:
-            plan: A grasp of the tool, from ``plan_tool``.
-            tool: The tool.
+            movement: The use of a tool, from ``plan_tool`` or a file.
             options: Under which conditions; defaults if None.
             friction: Factor on the dry friction of the fixture that the plan does not know (-).
             changes: Fields of ``TrialOptions`` by name that are to be others.
 
         Raises:
-            TaskError: The hand is on an arm, the plan is none of this tool where its use offers it,
-                the factor is out of range, or a controller, a truth or a timeline is given that is
-                none of a use.
+            TaskError: The plan uses no tool, its hand is on an arm, its grasp is none where the use
+                offers the tool, its way not that of the use, the factor out of range, or a
+                controller, a truth or a timeline is given that is none of a use.
             PlannerError: As ``Trial``.
         """
         asked = replace(options or TrialOptions(), **changes)
+        plan = checked_kind("movement", movement, ManipulationPlan).grasp
+        if movement.tool is None:
+            raise TaskError(
+                f"{movement!r} uses no tool; give what plan_tool or plan_fingers returns"
+            )
         needs_gantry(plan.task)
-        self.use = use_of(tool)
+        self.movement, self.use = movement, use_of(movement.tool)
         self.use.yaw = yaw_of_plan(plan, self.use)
+        if movement.tool_use is not None:
+            _check_way(movement.tool_use, self.use.planned(plan), movement.tool.name)
         self.use.friction = checked_number(
             "friction", friction, least=0.0, most=MOST_RESIST, error=TaskError
         )
@@ -357,18 +373,30 @@ class UseTrial(Trial):
 
     def perform(self) -> None:
         """Run all phases, or up to the one after which going on makes no sense."""
-        simulation = self.simulation
-        for phase in PHASES[:4]:
-            if not run_grasp_phase(simulation, self.recorder, self.timeline, phase):
-                return
+        machine = StateMachine(self.movement)
+        self.run_phases(machine.run(self._perform, lambda: self.simulation.time))
+
+    def _perform(self, call: PhaseCall) -> Measured:
+        """Run a phase; why it failed, "" if it did not, and its numbers."""
+        phase, simulation = CONTROLLER_PHASE[call.phase], self.simulation
+        if call.phase == "stand":  # hand and tool are where they begin
+            return "", {}
+        if phase in (*USING, "hold"):
+            return self._run(phase), self._in_hand()
+        going_on = run_grasp_phase(simulation, self.recorder, self.timeline, phase)
+        if phase != "settle" or not going_on:
+            return "" if going_on else simulation.why_ended or why_not_lifted(simulation), {}
         self.not_lifted = why_not_lifted(simulation)
         if self.not_lifted:
             self.recorder.record()
-            return
-        simulation.scene.release(simulation.data)
-        for phase in (*USING, "hold"):
-            if not self._run(phase):
-                return
+        else:
+            simulation.scene.release(simulation.data)
+        return self.not_lifted, {}
+
+    def _in_hand(self) -> dict[str, float]:
+        """How far the tool has moved in the hand."""
+        slip_mm, slip_deg = self.recorder.slip()
+        return {"moved_mm": slip_mm, "turned_deg": slip_deg}
 
     def _comparison(self) -> tuple[FingerComparison, ...]:
         """None: the fingers press as the needed wrenches ask, not as the plan does to hold."""
@@ -381,8 +409,8 @@ class UseTrial(Trial):
             return wrong
         return float(samples.time[samples.during("use")][-1])
 
-    def _run(self, phase: Phase) -> bool:
-        """Run a phase of the use; whether going on makes sense."""
+    def _run(self, phase: Phase) -> str:
+        """Run a phase of the use; why going on makes no sense, "" if it does."""
         simulation, use = self.simulation, self.use
         use.begin(simulation, phase)
         duration = use.duration if phase == "use" else getattr(self.timeline, phase)
@@ -394,10 +422,12 @@ class UseTrial(Trial):
             gone = 0.0 if simulation.touching() else gone + simulation.timestep
             if gone >= GONE:
                 self.recorder.record()
-                return False
+                return "nothing of the hand touches the tool"
             if phase == "use" and self.carrier.done:
                 break
-        return not simulation.ended and simulation.touching() > 0
+        if simulation.ended:
+            return simulation.why_ended
+        return "" if simulation.touching() else "nothing of the hand touches the tool"
 
     def _verdict(self, compared: tuple[FingerComparison, ...], interrupted: bool) -> Verdict:
         """The verdict on a use: the object held, and the use done."""
@@ -474,6 +504,25 @@ class UseTrial(Trial):
         )
 
 
+def _check_way(told: ToolUse, true: ToolUse, name: str) -> None:
+    """Refuse a use whose way is not the one that its tool and grasp give.
+
+    Raises:
+        TaskError: It is another.
+    """
+    ways = [
+        np.array([pose.homogeneous for pose in one.way]).reshape(-1, 4, 4) for one in (told, true)
+    ]
+    same = told.finger == true.finger and all(
+        a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=SAME_WAY)
+        for a, b in (ways, (told.postures, true.postures))
+    )
+    if not same:
+        raise TaskError(
+            f"the way in the plan is not that of the use of {name} in this grasp; plan again"
+        )
+
+
 def _last_run(bad: NDArray[np.bool_]) -> IntArray:
     """Numbers of the samples from which on it stays bad to the end; none where it ends well."""
     good = np.flatnonzero(~bad)
@@ -544,7 +593,10 @@ def rehearsed(plan: GraspPlan, tool: Tool) -> float | Failure:
     Raises:
         KeyboardInterrupt: It was interrupted.
     """
-    trial = UseTrial(plan, tool, physics=PhysicsOptions(name="relied on", mu=plan.task.mu))
+    movement = with_use(plan, use_of(tool).planned(plan))
+    if isinstance(movement, Failure):
+        return movement
+    trial = UseTrial(movement, physics=PhysicsOptions(name="relied on", mu=plan.task.mu))
     most = 0.0
 
     def watch(simulation: Simulation) -> None:
@@ -580,8 +632,8 @@ def plan_tool(
     progress: Callable[[Attempt[GraspPlan]], object] | None = None,
     rehearse: bool = True,
     **changes: Any,
-) -> GraspPlan:
-    """A grasp of a tool for its use: needed wrenches with margin, way of the use free.
+) -> ManipulationPlan:
+    """The use of a tool: a grasp with the needed wrenches with margin, and a way that is free.
 
     Where proven margins do not tell whether the tool stays in the hand (``Use.rehearsed``), the use
     is tried with every grasp, see ``rehearsed``.
@@ -602,7 +654,7 @@ def plan_tool(
     """
     tool = load_tool(tool)
     task, use = task_of_use(hand, tool, yaw=yaw, **changes)
-    return plan_use(
+    grasp = plan_use(
         task,
         use.way,
         seed=seed,
@@ -613,3 +665,7 @@ def plan_tool(
         gives_way=use.gives_way,
         rehearse=(lambda plan: rehearsed(plan, tool)) if rehearse and use.rehearsed else None,
     )
+    found = with_use(grasp, use.planned(grasp))
+    if isinstance(found, Failure):
+        raise NoGraspFoundError(f"the grasp of {tool.name} is none for its use: {found}", ())
+    return found

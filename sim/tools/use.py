@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from planner.errors import ObjectError, TaskError
 from planner.failure import Failure
 from planner.hands.hand import Hand
+from planner.motion.phase import ToolUse
 from planner.plan import GraspPlan
 from planner.registry import Registry
 from planner.spatial import SE3, FloatArray, shifted
@@ -195,6 +196,14 @@ class Use(ABC):
         Raises:
             TaskError: The tool cannot be used in this grasp; another may do.
         """
+
+    def planned(self, plan: GraspPlan) -> ToolUse:
+        """The way of the use as a phase of a movement.
+
+        Raises:
+            TaskError: As ``way``.
+        """
+        return ToolUse(way=tuple(self.way(plan)), finger="", postures=np.zeros((0, len(plan.q))))
 
     @abstractmethod
     def begin(self, simulation: Simulation, phase: Phase) -> None:
