@@ -18,13 +18,14 @@ from planner.files import read_manipulation, write_manipulation
 from planner.files.movements import movement_from_dict, movement_to_dict
 from planner.motion import tool_gait
 from planner.motion.phase import Knot
-from planner.motion.plan import ManipulationPlan
+from planner.motion.plan import ManipulationPlan, MovementPlan
 from planner.motion.regrasp import FingerPaths
-from planner.motion.tool_gait import handle_cylinder, posture_blocked
+from planner.motion.tool_gait import handle_cylinder, posture_blocked, verify_tool_gait
 from planner.motion.verify import MovementVerifier, Waypoint
 from planner.objects import NeededWrench, TouchRegion
 from planner.shapes import Cylinder, Mesh
 from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
 from planner.tools import Tool, load_tool
 from sim.cli import main
 from sim.manipulation.machine import StateMachine
@@ -202,7 +203,7 @@ def test_a_bar_with_corners_equally_far_from_its_axis_is_not_round() -> None:
 
 def test_a_gait_is_used_with_its_own_tool_and_timeline(gait: ManipulationPlan) -> None:
     thicker = load_tool("screwdriver", scale=1.2)
-    with pytest.raises(PlannerError, match="strokes are of a screwdriver of another handle"):
+    with pytest.raises(PlannerError, match="strokes are of a screwdriver with other handle sizes"):
         FingersTrial(replace(gait, tool=thicker))
     for other in (replace(gait, tool=None), plan_tool("allegro_hand", "key", seed=0)):
         with pytest.raises(PlannerError, match="is no gait of a tool; give what plan_fingers"):
@@ -247,6 +248,26 @@ def test_what_drives_a_tool_is_wrist_or_fingers(
     assert "takes the whole hand" in capsys.readouterr().err.replace("\n", " ")
 
 
+def test_strokes_are_checked_against_all_of_their_tool(
+    gait: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert gait.tool is not None
+    assert verify_tool_gait(gait) is None
+    stronger = replace(gait.tool.needed[0], torque=(0.0, 0.0, -0.2))
+    other = verify_tool_gait(replace(gait, tool=replace(gait.tool, needed=(stronger,))))
+    assert other is not None and "other needed wrenches" in other.text
+    seen: list[str] = []
+
+    def blocked(_: MovementPlan, task: GraspTask) -> Failure:
+        seen.append(task.object.shape.spec)
+        return Failure(kind="use_collision", text="in the way")
+
+    monkeypatch.setattr(tool_gait, "posture_blocked", blocked)
+    found = verify_tool_gait(gait)
+    assert found is not None and found.text == "in the way"
+    assert seen == [gait.tool.shape.spec]  # the tool, not the cylinder that was planned for
+
+
 def test_a_file_holds_a_gait_with_its_tool_and_is_checked(gait: ManipulationPlan) -> None:
     data = json.loads(json.dumps(movement_to_dict(gait)))
     again = movement_from_dict(data, "a file")
@@ -258,7 +279,9 @@ def test_a_file_holds_a_gait_with_its_tool_and_is_checked(gait: ManipulationPlan
     assert FingersTrial(again)._goal == FingersTrial(gait)._goal
     thicker = load_tool("screwdriver", scale=1.2)
     other = json.loads(json.dumps(movement_to_dict(replace(gait, tool=thicker))))
-    with pytest.raises(FileFormatError, match="strokes are of a screwdriver of another handle"):
+    with pytest.raises(
+        FileFormatError, match="strokes are of a screwdriver with other handle sizes"
+    ):
         movement_from_dict(other, "a file")
 
 

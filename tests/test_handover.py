@@ -308,6 +308,11 @@ def test_a_movement_file_holds_it_and_is_checked(
         one_plan(file)
     assert plan_to_test(file).task.finger_names == movement.task.finger_names
     whole = json.loads(file.read_text())
+    turned = json.loads(json.dumps(whole))
+    pose = turned["grasp"]["grasp"]["T_world_base"]
+    pose["quaternion_wxyz"] = [-v for v in pose["quaternion_wxyz"]]  # the same turn
+    file.write_text(json.dumps(turned))
+    assert read_movement(file).T_world_base.isApprox(movement.T_world_base, 1e-9)
 
     def fails(match: str, change: Callable[[dict[str, Any]], None]) -> None:
         data = json.loads(json.dumps(whole))
@@ -387,6 +392,14 @@ def test_its_page_shows_the_object_in_one_hand_then_in_the_other(
 ) -> None:
     page = motion_page(movement)
     assert page.title == "two_allegro_hands hands over box:0.06x0.06x0.16"
+    assert page.verdict is not None and "the ways of both are free" in page.verdict.reason
+    assert page.scene is not None
+    titles = [plot.title for plot in page.scene.plots]
+    assert titles == [
+        "Turn of the object",
+        "Planned normal force",
+        "Planned use of the friction cone",
+    ]
     made = movement.joint_trajectory(rate_hz=30.0)
     found = object_motion(movement, made)
 

@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -311,3 +313,22 @@ def test_what_was_drawn_is_told_in_one_line() -> None:
     many = Drawn(files=tuple(Path(f"{k}.png") for k in range(9)), backend="EGL")
     assert str(many) == "9 pictures (drawn by EGL)"
     assert str(Drawn(reason="nothing")) == "nothing"
+
+
+def test_ctrl_c_while_a_film_is_drawn_keeps_what_there_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The report of what was simulated is made after it."""
+    still = Drawn(files=(tmp_path / "a.png",), backend="EGL")
+
+    def struck(*_: object) -> Drawn:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sim.show.picture._draw_stills", lambda *_: still)
+    monkeypatch.setattr("sim.show.picture._draw_film", struck)
+    tape: Any = SimpleNamespace(frames=[0])
+    drawn = draw_tape(tape, pictures={tmp_path / "a.png": None}, video=tmp_path / "a.webp")
+    assert drawn.files == still.files
+    assert drawn.reason == "the drawing was ended by Ctrl-C"
+    monkeypatch.setattr("sim.show.picture._draw_stills", struck)
+    assert draw_tape(tape, pictures={tmp_path / "a.png": None}).reason == drawn.reason

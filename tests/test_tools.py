@@ -791,6 +791,8 @@ def test_a_movement_of_a_use_begins_with_its_grasp_and_goes_its_way(
     assert len(use.way) == len(way) == 16
     assert all(a.isApprox(b) for a, b in zip(use.way, way, strict=True))
     assert (use.finger, use.postures.shape) == ("", (0, plan.task.hand.nq))
+    with pytest.raises(ValueError, match="read-only"):
+        use.way[0].translation[2] = 0.0
     (stroke,) = movement.strokes
     for knot in stroke.knots:
         assert np.array_equal(knot.q, plan.q)
@@ -840,6 +842,7 @@ def test_a_file_holds_a_use_and_is_checked(movement: ManipulationPlan, tmp_path:
     fails("tells a use and no tool", lambda data: data.pop("tool"))
     fails("angle_rad is not what follows", lambda data: data.update(angle_rad=0.1))
     fails("cycles is not what follows", lambda data: data.update(cycles=2))
+    fails("then is not what follows", lambda data: data.update(then=json.loads(json.dumps(whole))))
     fails("index does not work in a use", lambda data: data["tool_use"].update(finger="index"))
 
     def lowered(data: dict[str, Any]) -> None:
@@ -872,11 +875,12 @@ def test_its_joints_over_time_go_along_its_way(movement: ManipulationPlan) -> No
     use = movement.tool_use
     assert use is not None
     assert made.T_world_base[-1].isApprox(use.way[-1], 1e-6)
-    speeds = [
-        float(np.linalg.norm(pin.log6(a.inverse() * b).vector[3:])) * 50.0
+    turned = [
+        float(np.linalg.norm(pin.log6(a.inverse() * b).vector[3:]))
         for a, b in pairwise(made.T_world_base)
     ]
-    assert max(speeds) < 4.0  # rad/s: at an even rate, with minimum jerk at its ends
+    assert sum(turned) == pytest.approx(2 * np.pi, rel=0.01)  # a whole turn, and no more is checked
+    assert max(turned) * 50.0 < 2.5  # rad/s: 1 on average, and minimum jerk has 1.875 times that
 
 
 def test_the_page_of_a_use_carries_the_tool_with_the_hand(movement: ManipulationPlan) -> None:

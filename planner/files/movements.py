@@ -452,6 +452,8 @@ def movement_from_dict(
     if file.tool_use is not None:
         return _used(file, file.tool_use, grasp, source)
     plan = _strokes(file, grasp, source)
+    if file.tool is not None:
+        plan = replace(plan, tool=file.tool.tool(grasp.task))
     if file.ending is None:
         plan = replace(plan, angle=file.angle_rad, shift=np.array(file.shift_m))
     else:
@@ -459,8 +461,7 @@ def movement_from_dict(
     fault = _fault(plan, file.torque_reserve)
     if fault:
         raise FileFormatError(f"{source}: {fault}; it is damaged")
-    if file.tool is not None:
-        plan = replace(plan, tool=file.tool.tool(grasp.task))
+    if plan.tool is not None:
         blocked = verify_tool_gait(plan)
         if blocked is not None:
             raise FileFormatError(f"{source} holds strokes that fail their checks: {blocked}")

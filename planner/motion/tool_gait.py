@@ -151,13 +151,13 @@ def plan_tool_gait(
         if blocked is not None:
             why.append(str(blocked))
             continue
-        gait = replace(gait, record=replace(gait.record, attempts=attempts, cpu_s=cpu_s))
+        record = replace(gait.record, attempts=attempts, cpu_s=cpu_s)
+        gait = replace(gait, record=record, tool=tool)
         ending = let_go(gait, angle)
         if isinstance(ending, Failure):
             why.append(str(ending))
             continue
-        whole = ManipulationPlan.of(gait, ending, angle=angle, shift=np.zeros(3))
-        return replace(whole, tool=tool)
+        return ManipulationPlan.of(gait, ending, angle=angle, shift=np.zeros(3))
     raise NoGraspFoundError(
         f"no gait of {tool.name} with {task.hand.name} in {attempts} attempts; the last search: "
         f"{why[-1]}. Take another seed, a tool of another size, or turn it by the wrist",
@@ -185,12 +185,12 @@ def verify_tool_gait(gait: MovementPlan) -> Failure | None:
     assert tool is not None
     planned, rounded = gait.task.object, handle_cylinder(tool)
     for what, one, other in (
-        ("name", planned.name, rounded.name),
-        ("handle", shape_key(planned.shape), shape_key(rounded.shape)),
+        ("names", planned.name, rounded.name),
+        ("handle sizes", shape_key(planned.shape), shape_key(rounded.shape)),
         ("needed wrenches", gait.task.needed, rounded.needed),
     ):
         if one != other:
-            text = f"the strokes are of a {planned.name} of another {what} than {tool.name} has"
+            text = f"the strokes are of a {planned.name} with other {what} than {tool.name} has"
             return Failure(kind="other_tool", text=text)
     return posture_blocked(gait, replace(gait.task, object=tool))
 

@@ -43,7 +43,7 @@ def motion_page(plan: MovementPlan) -> Page:
             good=True,
             text="Verified",
             reason="At every knot the pads touch, force closure holds (least normalised min-weight "
-            f"{plan.margin:.3f}), forces bear the weight, and nothing else collides.",
+            f"{plan.margin:.3f}), forces bear the weight, and nothing else collides.{_also(plan)}",
         ),
         summary=_summary(plan, stage.shown.note),
         scene=_scene(plan, grasp, stage),
@@ -57,6 +57,16 @@ def _title(plan: MovementPlan) -> str:
     if plan.tool is not None:
         return f"{hand} uses {plan.tool.name}"
     return f"{hand} hands over {item}" if plan.handover else f"{hand} moves {item} in the hand"
+
+
+def _also(plan: MovementPlan) -> str:
+    """What was verified beside the knots."""
+    if plan.handover is not None:
+        return " The other hand's grasp has its closure and forces, and the ways of both are free."
+    if plan.tool is None:
+        return ""
+    way = " and the way of the use is free" if plan.tool_use is not None else ""
+    return f" What the tool needs is produced with its margin{way}."
 
 
 def _path(plan: MovementPlan) -> str:
@@ -130,10 +140,15 @@ def _plots(fingers: Sequence[str], found: ObjectMotion, axis: FloatArray) -> tup
             normal[at, i] = one.forces[:, 0]
             used[at, i] = 100.0 * one.friction_utilisation()
     turn = Line(name="turn", values=_turned(found.poses, axis))
-    return (
+    plots = (
         Plot(title="Turn of the object", unit="degrees", lines=(turn,)),
         Plot(title="Planned normal force", unit="N", lines=_by_finger(fingers, normal)),
         Plot(title="Planned use of the friction cone", unit="%", lines=_by_finger(fingers, used)),
+    )
+    if all(knot is None for knot in found.knots):  # the object stays in the fingers
+        return plots
+    return (
+        *plots,
         _of_knots(
             "Normalised min-weight (closure above 0)",
             "",

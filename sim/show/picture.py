@@ -259,7 +259,7 @@ def draw_tape(
     video: Path | None = None,
     arrows: bool = False,
 ) -> Drawn:
-    """Draw pictures at moments, and a film.
+    """Draw pictures at moments, and a film. Ctrl-C ends it, and keeps the pictures drawn by then.
 
     Args:
         tape: What was recorded.
@@ -273,10 +273,14 @@ def draw_tape(
     check_video(video)
     if not tape.frames:
         return Drawn(reason="there is nothing to draw: no state was kept")
-    stills = _draw_stills(tape, dict(pictures or {}), arrows)
-    if video is None or stills.reason:
-        return stills
-    film = _draw_film(tape, video, FORMATS[video.suffix.lower()], arrows)
+    stills = Drawn()
+    try:
+        stills = _draw_stills(tape, dict(pictures or {}), arrows)
+        if video is None or stills.reason:
+            return stills
+        film = _draw_film(tape, video, FORMATS[video.suffix.lower()], arrows)
+    except KeyboardInterrupt:  # of the drawing alone: what was simulated is to be reported
+        return replace(stills, reason="the drawing was ended by Ctrl-C")
     return replace(film, files=(*stills.files, *film.files), moments=stills.moments)
 
 
