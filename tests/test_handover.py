@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from planner import GraspTask, load_hand
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
-from planner.errors import FileFormatError, NoGraspFoundError, PlannerError
+from planner.errors import FileFormatError, NoGraspFoundError, PlannerError, TaskError
 from planner.failure import Failure
 from planner.files import read_movement, write_movement
 from planner.files.handovers import HandoverData
@@ -26,11 +26,14 @@ from planner.files.movements import movement_from_dict, movement_to_dict
 from planner.motion.handover import plan_handover, put_together
 from planner.motion.phase import Handover
 from planner.motion.plan import ManipulationPlan, MovementPlan
+from planner.pages.blocks import Folded, Table
 from planner.pages.motion_page import motion_page, object_motion
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from planner.system.package import models_dir
-from sim import Timeline
+from sim import Timeline, manipulate
+from sim.cli import main
+from sim.cli.execution import trial_of
 from sim.cli.reading import one_plan, plan_to_test
 from sim.controllers import Observation
 from sim.controllers.base import PadReading
@@ -44,6 +47,7 @@ from sim.handover import (
 )
 from sim.report import TrialReport
 from sim.report_file import ReportFile
+from sim.show.trial_page import trial_page
 from sim.verdict import Thresholds
 
 pytestmark = pytest.mark.usefixtures("coarse_steps")
@@ -415,6 +419,36 @@ def test_its_page_shows_the_object_in_one_hand_then_in_the_other(
     )
 
 
+def test_a_handover_is_no_turn_in_the_hand_and_test_executes_its_file(
+    movement: ManipulationPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with refused("hands over or uses a tool; execute it by hand_over"):
+        manipulate(movement)
+    assert trial_of(movement) is HandoverTrial
+    file = tmp_path / "plan.json"
+    write_movement(movement, file)
+    seen: list[ManipulationPlan] = []
+
+    def run(trial: HandoverTrial, **_: object) -> TrialReport:
+        seen.append(trial.movement)
+        raise TaskError("seen enough")
+
+    monkeypatch.setattr(HandoverTrial, "run", run)
+    with pytest.raises(SystemExit):
+        main(["test", str(file)])
+    assert len(seen) == 1
+
+
+def test_the_page_of_its_report_tells_each_phase(report: TrialReport) -> None:
+    page = trial_page(report.to_file())
+    assert page.title == "two_allegro_hands hands over box:0.06x0.06x0.16"
+    (told,) = [b for b in page.summary if isinstance(b, Folded) and b.title == "Phases"]
+    (table,) = told.blocks
+    assert isinstance(table, Table)
+    assert [row[0] for row in table.rows] == [r.phase for r in report.results]
+    assert table.rows[-1][2] == "passed"
+
+
 def test_the_machine_runs_it_and_the_report_tells_each_phase(report: TrialReport) -> None:
     assert [r.phase for r in report.results] == [
         *("stand", "approach", "close", "squeeze", "verify", "lift"),
@@ -427,6 +461,7 @@ def test_the_machine_runs_it_and_the_report_tells_each_phase(report: TrialReport
     data = report.to_dict(states=False)
     assert [p["phase"] for p in data["phases"]] == [r.phase for r in report.results]
     assert ReportFile.model_validate(data).phases[-1].passed
+    assert "phases" not in replace(report, results=()).to_dict(states=False)  # as a grasp's was
 
 
 def test_what_cannot_be_handed_over_is_said(plan: Handover, movement: ManipulationPlan) -> None:

@@ -290,6 +290,19 @@ def test_the_plan_has_the_finger_s_way_and_a_file_keeps_it(
     assert np.allclose(pressed[-1], way.stroke[-1])
 
 
+def test_a_finger_s_way_is_that_of_its_tool_and_grasp(movement: ManipulationPlan) -> None:
+    use = movement.tool_use
+    assert use is not None
+    for other in (
+        replace(use, finger="thumb"),
+        replace(use, postures=use.postures[:-1]),
+        replace(use, postures=use.postures + 1e-3),
+    ):
+        phases = (*movement.strokes, other)
+        with pytest.raises(TaskError, match="is not that of the use of spray_bottle"):
+            UseTrial(replace(movement, phases=phases))
+
+
 def test_a_finger_s_way_is_checked_by_the_planner(
     movement: ManipulationPlan, plan: GraspPlan
 ) -> None:

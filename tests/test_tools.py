@@ -57,6 +57,7 @@ from planner.tools import (
 from planner.verification import verify_grasp
 from sim import UseTrial, manipulate, plan_tool
 from sim.cli import main
+from sim.cli.execution import trial_of
 from sim.cli.grasp import UseOptions
 from sim.cli.reading import one_plan, plan_to_test
 from sim.controllers import PadReading
@@ -68,7 +69,7 @@ from sim.scene.gantry import GANTRY_FREQUENCY
 from sim.scene.physics import PhysicsOptions
 from sim.show.trial_page import trial_page
 from sim.simulation import Simulation
-from sim.tools import USES, strike
+from sim.tools import USES, FingersTrial, strike
 from sim.tools.press import LEVER
 from sim.tools.strike import HOVER, RAISE, THROUGH, Strike, _Blow
 from sim.tools.trial import (
@@ -1161,6 +1162,55 @@ def test_a_use_that_fails_is_not_called_not_held(movement: ManipulationPlan) -> 
     console = Console(record=True, width=200, file=io.StringIO())
     console.print(report)
     assert "not done, stopped" in console.export_text()
+
+
+def test_a_use_ends_where_it_is_stopped_and_ctrl_c_is_told(
+    movement: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trial = UseTrial(movement)
+    trial.simulation.stop("seen enough")
+    assert trial._run("engage") == "stopped: seen enough"
+    trial = UseTrial(movement)
+
+    def struck(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sim.tools.trial.run_grasp_phase", struck)
+    report = trial.run()
+    assert report.reason == "interrupted"
+    assert [(r.phase, r.reason) for r in report.results] == [
+        ("stand", ""),
+        ("approach", "interrupted"),
+    ]
+
+
+def test_a_tool_that_too_few_fingers_feel_is_not_let_go(
+    movement: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trial = UseTrial(movement)
+    released: list[Any] = []
+    monkeypatch.setattr("sim.tools.trial.run_grasp_phase", lambda *_: True)
+    monkeypatch.setattr("sim.tools.trial.why_not_lifted", lambda _: "too few feel it")
+    monkeypatch.setattr(type(trial.simulation.scene), "release", lambda *_: released.append(1))
+    trial.perform()
+    assert [r.phase for r in trial.results][-1] == "verify"
+    assert (trial.results[-1].reason, trial.not_lifted) == ("too few feel it", "too few feel it")
+    assert not released
+
+
+def test_each_movement_has_its_trial(movement: ManipulationPlan) -> None:
+    assert trial_of(movement) is UseTrial
+    assert trial_of(replace(movement, phases=movement.strokes)) is FingersTrial
+
+
+def test_the_way_of_a_hammer_is_without_a_jump(plan: GraspPlan) -> None:
+    use = Strike(load_tool("hammer"))
+    tip = plan.contacts.positions.mean(axis=0) + np.array([0.06, 0.0, 0.0])
+    task = replace(plan.task, T_world_object=use.tool.T_world_object(tip))
+    way = use.way(replace(plan, task=task))
+    swing = np.deg2rad(use.numbers["swing_deg"]) / 3  # from pose to pose
+    steps = [float(np.linalg.norm(pin.log6(a.inverse() * b).vector[3:])) for a, b in pairwise(way)]
+    assert max(steps[:-1]) == pytest.approx(swing)  # but for the last, which takes it away
 
 
 def test_an_error_of_ours_in_the_check_of_a_way_is_no_failed_grasp(
