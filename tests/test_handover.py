@@ -22,7 +22,7 @@ from planner.errors import FileFormatError, NoGraspFoundError, PlannerError, Tas
 from planner.failure import Failure
 from planner.files import read_movement, write_movement
 from planner.files.handovers import HandoverData
-from planner.files.movements import movement_from_dict, movement_to_dict
+from planner.files.movements import _other, movement_from_dict, movement_to_dict
 from planner.motion.handover import plan_handover, put_together
 from planner.motion.phase import Handover
 from planner.motion.plan import ManipulationPlan, MovementPlan
@@ -331,6 +331,9 @@ def test_a_movement_file_holds_it_and_is_checked(
     def move_the_pair(data: dict[str, Any]) -> None:
         data["handover"]["T_world_pair"]["position_m"][0] += 1.0
 
+    tool_use = {"T_world_base": [pose], "finger": "", "q_rad": []}
+    fails("has a tool and a handover", lambda data: data.update(tool_use=tool_use))
+    fails("lift_height_m", lambda data: data["handover"].update(lift_height_m="0.2"))
     fails("take", turn_a_joint)
     fails("the carriages do not reach both grasps", move_the_pair)
     fails("lift_height_m", lambda data: data["handover"].update(lift_height_m=-1.0))
@@ -342,6 +345,17 @@ def test_a_movement_file_holds_it_and_is_checked(
 
 def _add(numbers: list[float], k: int) -> None:
     numbers[k] += 0.01
+
+
+def test_what_differs_in_plain_data_is_named() -> None:
+    true = {"a": [1.0, {"b": 2.0}], "c": None}
+    assert _other({"a": [1.0 + 1e-12, {"b": 2}], "c": None}, true) == ""
+    assert _other({"a": [1.0, {"b": 2.1}], "c": None}, true) == "a[1].b"
+    assert _other({"a": [1.0], "c": None}, true) == "a"
+    assert _other({"a": true["a"]}, true) == "c"
+    assert _other({**true, "tool": 1}, true) == "tool"
+    assert _other({"a": [1.0, {"d": 2.0}], "c": None}, true) == "a[1].b"
+    assert _other({**true, "c": 0.0}, true) == "c"
 
 
 def test_a_file_keeps_where_the_pair_stands() -> None:

@@ -840,7 +840,15 @@ def test_a_file_holds_a_use_and_is_checked(movement: ManipulationPlan, tmp_path:
         with pytest.raises(FileFormatError, match=match):
             read_movement(file)
 
-    fails("tells a use and no tool", lambda data: data.pop("tool"))
+    fails("has a tool_use and no tool", lambda data: data.pop("tool"))
+    fails(
+        "without a finger that works",
+        lambda d: d["tool_use"].update(q_rad=[d["grasp"]["grasp"]["q_rad"]]),
+    )
+    fails(
+        "a way of two poses",
+        lambda d: d["tool_use"].update(T_world_base=d["tool_use"]["T_world_base"][:1]),
+    )
     fails("angle_rad is not what follows", lambda data: data.update(angle_rad=0.1))
     fails("cycles is not what follows", lambda data: data.update(cycles=2))
     fails("then is not what follows", lambda data: data.update(then=json.loads(json.dumps(whole))))

@@ -27,7 +27,7 @@ class HandoverData(LaterData):
 
     task: TaskData
     to: str
-    lift_height_m: float = Field(gt=0, allow_inf_nan=False)
+    lift_height_m: float = Field(gt=0, allow_inf_nan=False, strict=True)
     give: dict[str, Any]
     take: dict[str, Any]
     T_world_pair: PoseData | None = None

@@ -18,10 +18,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from planner.collision.pregrasp import Approach
 from planner.errors import FileFormatError, TaskError, shown
@@ -239,6 +239,14 @@ class MovementFile(LaterData):
     tool: ToolData | None = None
     tool_use: ToolUseData | None = None
     handover: HandoverData | None = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        if self.handover is not None and (self.tool_use is not None or self.tool is not None):
+            raise ValueError("it has a tool and a handover; a movement has one of them at most")
+        if self.tool_use is not None and self.tool is None:
+            raise ValueError("it has a tool_use and no tool")
+        return self
 
 
 def movement_to_dict(plan: MovementPlan) -> dict[str, Any]:
@@ -489,11 +497,9 @@ def _used(file: MovementFile, use: ToolUseData, grasp: GraspPlan, source: str) -
     """The use of a tool by the hand as a whole, judged again.
 
     Raises:
-        FileFormatError: The file has no tool, the hand cannot go there, or the file says something
-            else beside.
+        FileFormatError: The hand cannot go there, or the file says something else beside.
     """
-    if file.tool is None:
-        raise FileFormatError(f"{source} tells a use and no tool; it is damaged")
+    assert file.tool is not None  # as the file was checked
     tool, hand = file.tool.tool(grasp.task), grasp.task.hand
     phase = ToolUse(
         way=tuple(pose.pose() for pose in use.T_world_base),
@@ -535,7 +541,9 @@ def _refuse_others(file: MovementFile, plan: MovementPlan, source: str) -> None:
 
 def _other(told: Any, true: Any, name: str = "") -> str:
     """Name of the first value of plain data that is not the true one, "" if all are."""
-    if isinstance(true, dict) and isinstance(told, dict) and told.keys() == true.keys():
+    if isinstance(true, dict) and isinstance(told, dict):
+        if told.keys() != true.keys():
+            return f"{name}.{min(told.keys() ^ true.keys())}".strip(".")
         if (sign := QUATERNION) in true and np.dot(told[sign], true[sign]) < 0.0:  # the same turn
             told = {**told, sign: [-v for v in told[sign]]}
         found = (_other(told[key], true[key], f"{name}.{key}".strip(".")) for key in true)

@@ -51,6 +51,9 @@ def with_use(grasp: GraspPlan, use: ToolUse) -> ManipulationPlan | Failure:
 def _finger_blocked(grasp: GraspPlan, use: ToolUse) -> Failure | None:
     """Why a finger cannot go through its postures; None if it can, or if none works."""
     task, hand = grasp.task, grasp.task.hand
+    if not use.finger and (len(use.postures) or len(use.way) < 2):
+        text = "without a finger that works a use has a way of two poses or more, and no postures"
+        return Failure(kind="use_way", text=text)
     if not use.finger:
         return None
     free = [name for name in hand.fingers if name not in task.finger_names]
