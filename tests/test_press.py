@@ -16,6 +16,7 @@ from planner.failure import Failure
 from planner.files.movements import movement_from_dict, movement_to_dict
 from planner.hand_loading import load_hand
 from planner.kinematics import HandState
+from planner.motion.phase import Phase, ToolUse
 from planner.motion.plan import ManipulationPlan
 from planner.motion.tool_use import with_use
 from planner.plan import GraspPlan
@@ -293,12 +294,13 @@ def test_the_plan_has_the_finger_s_way_and_a_file_keeps_it(
 def test_a_finger_s_way_is_that_of_its_tool_and_grasp(movement: ManipulationPlan) -> None:
     use = movement.tool_use
     assert use is not None
-    for other in (
+    others: tuple[ToolUse, ...] = (
         replace(use, finger="thumb"),
         replace(use, postures=use.postures[:-1]),
         replace(use, postures=use.postures + 1e-3),
-    ):
-        phases = (*movement.strokes, other)
+    )
+    for other in others:
+        phases: tuple[Phase, ...] = (*movement.strokes, other)
         with pytest.raises(TaskError, match="is not that of the use of spray_bottle"):
             UseTrial(replace(movement, phases=phases))
 
