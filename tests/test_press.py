@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from planner.collision.pair_table import Clearance
 from planner.collision.world import CollisionWorld
 from planner.errors import ObjectError, PlannerError, TaskError
 from planner.failure import Failure
@@ -289,6 +290,19 @@ def test_the_plan_has_the_finger_s_way_and_a_file_keeps_it(
     assert np.allclose(made.positions[-1], plan.q)
     pressed = [q for q, phase in zip(made.positions, made.phases, strict=True) if phase == "use"]
     assert np.allclose(pressed[-1], way.stroke[-1])
+
+
+def test_a_grasp_tells_no_distances_of_the_lever_that_its_task_has_not(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file of one whose pad was 0.4 mm from the lever was refused when it was read."""
+    near = Clearance(first="index_pad", second=LEVER, distance=4e-4)
+    with_lever = replace(plan, verification=replace(plan.verification, closest=(near,)))
+    monkeypatch.setattr("sim.tools.press.verify_grasp", lambda *_, **__: with_lever)
+    found = press().fit(replace(plan, task=replace(plan.task, needed=())), plan.task)
+    assert not isinstance(found, Failure)
+    assert near not in found.verification.closest
+    assert len(found.verification.closest) > 1
 
 
 def test_a_finger_s_way_is_that_of_its_tool_and_grasp(movement: ManipulationPlan) -> None:

@@ -38,7 +38,7 @@ from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from planner.system.threads import made_once
 from planner.task import GraspTask, Obstacle
-from planner.verification import verify_grasp
+from planner.verification import verify_geometry, verify_grasp
 from sim.controllers import Observation, Phase
 from sim.controllers.hand_dynamics import motor_servo
 from sim.scene.build import OBJECT
@@ -253,7 +253,8 @@ class Press(Use):
             if isinstance(found, Failure):
                 failure = found
                 continue
-            return replace(found, task=task)
+            alone = verify_geometry(CollisionWorld(task), base, plan.q)  # as its file is read
+            return replace(found, task=task, verification=alone)
         assert failure is not None
         return failure
 
