@@ -116,7 +116,7 @@ class HandoverController:
             *taker.carriage,
             *(hand.joint_index(taker.called(j)) for j in taker.alone.joint_names),
         ]
-        self._names = hand.actuation.names
+        self._names = np.array(hand.actuation.names)
         self._of_taker = hand.actuation.moment[:, joints].any(axis=1)
         self._left = give.q.copy()  # where the giving hand let go
 
@@ -156,8 +156,7 @@ class HandoverController:
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
-        names = np.array(self._names)
-        mine = set(names[self._of_taker].tolist())
+        mine = set(self._names[self._of_taker].tolist())
         given = [n for n in self.give.saturated_actuators() if n not in mine]
         return (*given, *(n for n in self.take.saturated_actuators() if n in mine))
 
@@ -256,10 +255,7 @@ class HandoverTrial(Trial):
             return simulation.why_ended or why_not_lifted(simulation), {}
         if phase == "take" and not self._felt_enough():
             return f"too few fingers of {self.handover.taker} felt the object to take it", {}
-        if phase in GIVING[:4]:
-            return "", {}
-        slip_mm, slip_deg = self.recorder.slip()
-        return "", {"moved_mm": slip_mm, "turned_deg": slip_deg}
+        return "", {} if phase in GIVING[:4] else self.in_hand()
 
     def _felt_enough(self) -> bool:
         """Whether the sensors of the taking hand feel the object: what a robot knows."""

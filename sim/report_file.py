@@ -80,10 +80,11 @@ class PhaseData(StrictData):
 class ExecutionFile(StrictData):
     """What the reports of all executions have as JSON.
 
-    ``plan`` is the plan as its file has it, null for a hand that no file can name. ``recording``
-    are the states, null where they were left out and in files of version 1. ``command`` is what the
-    command line was told, "" of a script. ``error_model`` has the errors that the plan did not
-    know, as given and as drawn; null where there were none.
+    ``phases`` are those of a movement that were run; none of the trial of a grasp. ``plan`` is the
+    plan as its file has it, null for a hand that no file can name. ``recording`` are the states,
+    null where they were left out and in files of version 1. ``command`` is what the command line
+    was told, "" of a script. ``error_model`` has the errors that the plan did not know, as given
+    and as drawn; null where there were none.
     """
 
     format: str

@@ -264,6 +264,11 @@ class Trial:
                 self.not_lifted = "" if self.simulation.ended else why_not_lifted(self.simulation)
                 break
 
+    def in_hand(self) -> dict[str, float]:
+        """How far the object has moved in the hand, as numbers of a phase."""
+        slip_mm, slip_deg = self.recorder.slip()
+        return {"moved_mm": slip_mm, "turned_deg": slip_deg}
+
     def run_phases(self, results: Iterable[PhaseResult]) -> None:
         """Keep the ends of the phases of a movement as they come.
 

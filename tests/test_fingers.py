@@ -23,6 +23,8 @@ from planner.motion.regrasp import FingerPaths
 from planner.motion.tool_gait import handle_cylinder, posture_blocked, verify_tool_gait
 from planner.motion.verify import MovementVerifier, Waypoint
 from planner.objects import NeededWrench, TouchRegion
+from planner.pages.blocks import Facts
+from planner.pages.motion_page import motion_page
 from planner.shapes import Cylinder, Mesh
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
@@ -246,6 +248,19 @@ def test_what_drives_a_tool_is_wrist_or_fingers(
         main(["use", "allegro_hand", "hammer", "--by", "fingers", "--out", str(tmp_path / "out")])
     assert ended.value.code == 3
     assert "takes the whole hand" in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_joints_and_page_of_strokes_leave_the_tool_in_its_fixture(gait: ManipulationPlan) -> None:
+    made = gait.joint_trajectory()
+    phases = list(dict.fromkeys(made.phases))
+    assert phases[:3] == ["approach", "close", "stroke 1"] and phases[-1].startswith("stroke")
+    held = [b for b, p in zip(made.T_world_base, made.phases, strict=True) if p != "approach"]
+    assert all(base.isApprox(gait.T_world_base, 1e-9) for base in held)
+    page = motion_page(gait)
+    assert page.subtitle is not None and page.subtitle.endswith("in its fixture")
+    assert "put down" not in str(gait) and "degrees, in its fixture" in str(gait)
+    told = [row[0] for block in page.summary if isinstance(block, Facts) for row in block.rows]
+    assert "knots" in told and not {"put down at", "held at last at"} & set(told)
 
 
 def test_strokes_are_checked_against_all_of_their_tool(

@@ -469,7 +469,9 @@ def test_the_machine_runs_it_and_the_report_tells_each_phase(report: TrialReport
         *("reach", "take", "transfer", "open", "retreat", "hold"),
     ]
     assert all(r.passed for r in report.results)
-    assert report.results[-1].numbers["moved_mm"] < 5.0
+    last, samples = report.results[-1].numbers, report.samples
+    assert last["moved_mm"] == pytest.approx(samples.slip_mm[-1], abs=0.05)
+    assert last["turned_deg"] == pytest.approx(samples.slip_deg[-1], abs=0.05)
     times = [(r.begin, r.end) for r in report.results]
     assert all(a[1] == b[0] for a, b in pairwise(times))
     data = report.to_dict(states=False)

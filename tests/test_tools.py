@@ -12,6 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
+from unittest.mock import MagicMock
 from weakref import ref
 
 import mujoco
@@ -63,6 +64,7 @@ from sim.cli.reading import one_plan, plan_to_test
 from sim.controllers import PadReading
 from sim.controllers.monitors import ALARM_TIME, LOST_TIME
 from sim.controllers.object_impedance import GRIP_STEP, ObjectImpedance
+from sim.datasets.episodes.sources import _of_file
 from sim.report_file import ReportFile, read_report, write_report_of
 from sim.scene.build import OBJECT
 from sim.scene.gantry import GANTRY_FREQUENCY
@@ -876,6 +878,8 @@ def test_a_use_is_no_turn_in_the_hand(movement: ManipulationPlan, tmp_path: Path
     write_movement(movement, file)
     with pytest.raises(SystemExit):
         main(["manipulate", "--plan", str(file)])
+    with pytest.raises(TaskError, match="hands over or uses a tool"):
+        list(_of_file(file, MagicMock()))  # a source of episodes, before anything is executed
 
 
 def test_its_joints_over_time_go_along_its_way(movement: ManipulationPlan) -> None:

@@ -13,7 +13,6 @@ from pydantic import Field, model_validator
 from planner.errors import FileFormatError
 from planner.failure import Failure
 from planner.files.data import LaterData, PoseData, TaskData, task_data, task_from_data
-from planner.files.disk import checked_file
 from planner.files.plans import given_hand, plan_from_dict, plan_to_dict
 from planner.motion.handover import put_together
 from planner.motion.phase import Handover
@@ -86,13 +85,3 @@ class HandoverFile(HandoverData):
         if (self.task.joint_error_rad is not None) != (self.version == 2):
             raise ValueError("joint_error_rad is in version 2 alone, and every task there has it")
         return self
-
-
-def handover_from_dict(data: dict[str, Any], source: str) -> ManipulationPlan:
-    """The handover that plain data of its own format hold, checked like a file.
-
-    Raises:
-        FileFormatError: Damaged, of another version, for other hands, or no handover.
-        PlannerError: A hand or the object cannot be loaded.
-    """
-    return checked_file(HandoverFile, data, source).movement(source)

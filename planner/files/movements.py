@@ -2,8 +2,8 @@
 
 A file holds the path and the knots of the first stroke, how the fingers move on after it, how often
 both are repeated, and how the object is put down, where that is planned. Later cycles are the first
-one with the object further along. Of a tool it holds what is done with it and the way of the hand;
-of a handover what the grasps of both hands are put together from.
+one with the object further along. A file with a tool has its frames, its use and the way of the
+hand too; one with a handover has the grasps of both hands.
 
 Nothing in a file is believed: the hand's digest is checked, and grasp, knots and way out are judged
 again on the true geometry; orders and swings of fingers are searched again. A file whose contacts,
@@ -34,7 +34,7 @@ from planner.files.disk import (
     read_json,
     write_json,
 )
-from planner.files.handovers import HandoverData, handover_from_dict
+from planner.files.handovers import HandoverData, HandoverFile
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of, plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
 from planner.motion.ending import backwards, object_at_target, verify_release, verify_turned
@@ -451,7 +451,7 @@ def movement_from_dict(
         PlannerError: The hand or object cannot be loaded.
     """
     if data.get("format") == HANDOVER_FORMAT:
-        return handover_from_dict(data, source)
+        return checked_file(HandoverFile, data, source).movement(source)
     data = as_movement(data, source)
     file = checked_file(MovementFile, data, source)
     if file.handover is not None:

@@ -2,7 +2,8 @@
 
 ``Stroke``: the object goes along its path while all fingers hold it. ``Relocation``: one finger
 moves on while the others hold it. ``ToolUse``: the hand goes where the use of a tool takes it.
-``Handover``: another hand takes the object. Each is verified by ``planner.motion.verify``.
+``Handover``: another hand takes the object. Knots and relocations are verified by
+``planner.motion.verify``, the way of a use beside by ``tool_use``, a handover's by ``handover``.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ A phase (``planner.motion.phase``) is a ``Stroke``: the object goes along its pa
 stay and roll; a ``Relocation``: one contact moves, the others stay and hold the object still; a
 ``ToolUse`` or a ``Handover``, before which the object stays in the fingers. A motion is one stroke
 (``plan_motion``), a gait several (``plan_gait``), a manipulation has an ``Ending`` as well
-(``plan_manipulation``, ``plan_handover``, ``sim.plan_tool``). All are judged by one verifier
-(``planner.motion.verify``), run by one machine (``sim.manipulation.machine``), and kept in one kind
-of file (``planner.files.movements``).
+(``plan_manipulation``, ``plan_handover``, ``sim.plan_tool``). The knots of all are judged by one
+verifier (``planner.motion.verify``); all are run by one machine (``sim.manipulation.machine``) and
+kept in one kind of file (``planner.files.movements``).
 """
 
 from __future__ import annotations
@@ -212,14 +212,19 @@ class MovementPlan(Shown):
         return tuple(p for p in self.phases if isinstance(p, Relocation))
 
     @cached_property
+    def held_phase(self) -> ToolUse | Handover | None:
+        """What is done while the object stays in the fingers; None where it moves in them."""
+        return next((p for p in self.phases if isinstance(p, ToolUse | Handover)), None)
+
+    @property
     def tool_use(self) -> ToolUse | None:
         """The use of a tool by the hand as a whole; None without one."""
-        return next((p for p in self.phases if isinstance(p, ToolUse)), None)
+        return self.held_phase if isinstance(self.held_phase, ToolUse) else None
 
-    @cached_property
+    @property
     def handover(self) -> Handover | None:
         """How another hand takes the object; None where none does."""
-        return next((p for p in self.phases if isinstance(p, Handover)), None)
+        return self.held_phase if isinstance(self.held_phase, Handover) else None
 
     @property
     def regrasps(self) -> tuple[Relocation, ...]:
@@ -388,8 +393,9 @@ class MovementPlan(Shown):
         With an ending lift comes before the turn, and after it back where the plan has one, carry,
         lower, open and retreat; in another attitude also wrist before the turn, and "wrist back"
         before the carry; the turn ends at ``angle`` then, short of the planned overshoot. Of a tool
-        the use follows the closing: the way that was verified, at an even speed. Of a handover
-        lift, reach, take, open and retreat do, as high as it is planned.
+        the use follows the closing: the way that was verified, at an even speed, or the strokes
+        of the fingers, after which it stays in its fixture. Of a handover lift, reach, take, open
+        and retreat do, as high as it is planned.
         Contact forces are not part of it. Joints pass through the knots without overshoot.
 
         Args:
@@ -417,7 +423,7 @@ class MovementPlan(Shown):
         if self.handover is not None:
             self._hand_over(builder, self.handover)
             return builder.built()
-        if self.ending is None:
+        if self.ending is None or self.tool is not None:  # a tool stays in its fixture
             self._move(builder)
             return builder.built()
         base, up = self.T_world_base, np.array([0.0, 0.0, max(lift_m, self.rise)])
@@ -543,7 +549,7 @@ class MovementPlan(Shown):
             + " mm in all",
         ]
         lines += [f"  after each stroke, {r}" for r in self.regrasps]
-        lines += [f"  {p}" for p in (self.tool_use, self.handover) if p is not None]
+        lines += [f"  {self.held_phase}"] if self.held_phase is not None else []
         if self.limits:
             lines.append("  longer if these gave way:")
             lines += [f"    {limit}" for limit in self.limits]
@@ -627,11 +633,6 @@ class ManipulationPlan(MovementPlan):
         return (self, *(() if self.then is None else self.then.chain))
 
     @property
-    def moves(self) -> bool:
-        """Whether the object is to move in the hand or by the wrist; else it is held throughout."""
-        return self.tool_use is None and self.handover is None
-
-    @property
     def attempts(self) -> int:
         """Attempts made."""
         return self.record.attempts
@@ -648,7 +649,7 @@ class ManipulationPlan(MovementPlan):
 
     def __repr__(self) -> str:
         """One line."""
-        one = self.tool_use or self.handover
+        one = self.held_phase
         what = f"{np.rad2deg(self.angle):.1f} degrees" if one is None else str(one)
         return f"<ManipulationPlan of {self.task!r}: {what}>"
 
@@ -664,11 +665,13 @@ class ManipulationPlan(MovementPlan):
             told = ", ".join(f"{v:g}" for v in rpy)
             held = "held" if self.ending.release is None else "set down"
             requested = f"to roll, pitch, yaw ({told}) degrees, {held}"
+        if self.tool is not None:
+            requested = f"requested: {np.rad2deg(self.angle):.1f} degrees, in its fixture"
         if self.ending.release is None:  # as high as it is lifted
             target = ", ".join(f"{v:.3f}" for v in self.ending.T_world_target.translation[:2])
         lines = [
             super().__str__(),
-            *([f"  {requested} at ({target}) m"] if self.moves else []),
+            *([f"  {requested} at ({target}) m"] if self.held_phase is None else []),
             f"  the most loaded actuator keeps {100 * self.reserve:.0f} % of its limit",
         ]
         if self.ending.back:

@@ -70,14 +70,14 @@ def _also(plan: MovementPlan) -> str:
 
 
 def _path(plan: MovementPlan) -> str:
-    one = plan.tool_use or plan.handover
-    if one is not None:
-        return str(one).partition(": ")[2]
+    if plan.held_phase is not None:
+        return str(plan.held_phase).partition(": ")[2]
     strokes = f"{plan.cycles} strokes of " if plan.cycles > 1 else ""
     if plan.ending is None:
         return f"{strokes}{plan.path}"
     strokes = f", in {plan.cycles} strokes" if plan.cycles > 1 else ""
-    return f"turn by {np.rad2deg(plan.angle):.1f} degrees{strokes}, and put down"
+    last = "and put down" if plan.tool is None else "in its fixture"
+    return f"turn by {np.rad2deg(plan.angle):.1f} degrees{strokes}, {last}"
 
 
 def _scene(plan: MovementPlan, grasp: GraspPlan, stage: Stage) -> Scene:
@@ -199,7 +199,7 @@ def _summary(plan: MovementPlan, note: str) -> tuple[Block, ...]:
         ),
     ]
     rows.append(("most loaded actuator", f"keeps {100 * plan.reserve:.0f} % of its limit"))
-    if plan.ending is not None:
+    if plan.ending is not None and plan.tool is None and plan.handover is None:
         target = ", ".join(f"{v:.3f}" for v in plan.ending.T_world_target.translation)
         held = plan.ending.release is None
         rows.append(("held at last at" if held else "put down at", f"({target}) m"))

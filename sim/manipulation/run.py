@@ -56,6 +56,19 @@ class Drawing(TypedDict):
     arrows: bool
 
 
+def check_turn(plan: ManipulationPlan) -> None:
+    """Refuse a movement that is no turn in the hand.
+
+    Raises:
+        TaskError: It is a handover or the use of a tool.
+    """
+    if plan.handover is not None or plan.tool is not None:
+        raise TaskError(
+            f"{plan!r} hands over or uses a tool; execute it by hand_over, UseTrial or "
+            "FingersTrial, or by opposable test FILE"
+        )
+
+
 class ManipulationRun:
     """One execution of a plan; the ``Situation`` of its state machine.
 
@@ -83,11 +96,7 @@ class ManipulationRun:
             TaskError: The plan is a handover or the use of a tool, or an arm cannot carry the
                 object through the places.
         """
-        if plan.handover is not None or plan.tool is not None:
-            raise TaskError(
-                f"{plan!r} hands over or uses a tool; execute it by hand_over, UseTrial or "
-                "FingersTrial, or by opposable test FILE"
-            )
+        check_turn(plan)
         self.plan = plan
         self.options = options = (options or ManipulationOptions()).with_changes(**changes)
         self.results: list[PhaseResult] = []

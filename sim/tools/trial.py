@@ -382,7 +382,7 @@ class UseTrial(Trial):
         if call.phase == "stand":  # hand and tool are where they begin
             return "", {}
         if phase in (*USING, "hold"):
-            return self._run(phase), self._in_hand()
+            return self._run(phase), self.in_hand()
         going_on = run_grasp_phase(simulation, self.recorder, self.timeline, phase)
         if phase != "settle" or not going_on:
             return "" if going_on else simulation.why_ended or why_not_lifted(simulation), {}
@@ -392,11 +392,6 @@ class UseTrial(Trial):
         else:
             simulation.scene.release(simulation.data)
         return self.not_lifted, {}
-
-    def _in_hand(self) -> dict[str, float]:
-        """How far the tool has moved in the hand."""
-        slip_mm, slip_deg = self.recorder.slip()
-        return {"moved_mm": slip_mm, "turned_deg": slip_deg}
 
     def _comparison(self) -> tuple[FingerComparison, ...]:
         """None: the fingers press as the needed wrenches ask, not as the plan does to hold."""

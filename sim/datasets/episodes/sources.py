@@ -22,6 +22,7 @@ from sim.controllers import AnyController
 from sim.datasets.episodes.episode import AnyReport, without_states
 from sim.manipulation import manipulate
 from sim.manipulation.report_file import read_manipulation_report
+from sim.manipulation.run import check_turn
 from sim.report_file import read_report, report_data
 from sim.scene.physics import PhysicsOptions
 from sim.trial import simulate
@@ -178,8 +179,11 @@ def _of_file(path: Path, trials: Trials) -> Iterator[Source]:
         plan = plan_from_dict(data, name)
         yield Source(name=name, hand=plan.task.hand.name, report=partial(trials.execute, plan))
     elif kind in MOVEMENT_FORMATS:
-        hand = manipulation_from_dict(data, name).task.hand.name
-        yield Source(name=name, hand=hand, report=partial(trials.turn, data, name))
+        movement = manipulation_from_dict(data, name)
+        check_turn(movement)  # before anything is executed
+        yield Source(
+            name=name, hand=movement.task.hand.name, report=partial(trials.turn, data, name)
+        )
     elif kind in _READERS:
         if not data.get("recording"):
             raise without_states(name)
